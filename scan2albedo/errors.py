@@ -1,0 +1,37 @@
+"""The errors scan2albedo raises on purpose; every message names the thing, what is wrong and what to do."""
+
+
+class Scan2AlbedoError(Exception):
+    """Base of every error that scan2albedo raises about its input or its work."""
+
+
+class ScanError(Scan2AlbedoError):
+    """A scan file or a `RawScan` cannot be used."""
+
+
+class ModelError(Scan2AlbedoError):
+    """A face model file or template mesh cannot be used."""
+
+
+class RegistrationError(Scan2AlbedoError):
+    """No trustworthy pose was found: most often the scan holds no face."""
+
+
+class FitError(Scan2AlbedoError):
+    """The model cannot be deformed onto the scan."""
+
+
+class GeometryImageError(Scan2AlbedoError):
+    """A surface cannot be sampled into a geometry image."""
+
+
+class LightingError(Scan2AlbedoError):
+    """Light or albedo cannot be estimated from an image."""
+
+
+class OutputError(Scan2AlbedoError):
+    """Results cannot be written."""
+
+
+class MissingDependencyError(Scan2AlbedoError):
+    """A library or a system library is missing; the message holds the command that mends it."""

@@ -1,0 +1,6 @@
+"""The Annotated Face Model, the default one and templates of your own."""
+
+from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.model import AnnotatedFaceModel
+
+__all__ = ["AnnotatedFaceModel", "Region"]

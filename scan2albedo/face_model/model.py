@@ -1,0 +1,156 @@
+"""The Annotated Face Model: a Loop control mesh with regions, landmarks and one UV chart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model.annotation import Region
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LANDMARK_LEVELS = 3
+"""Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
+
+
+@dataclass(frozen=True)
+class AnnotatedFaceModel:
+    """A face template whose surface is the Loop limit surface of a control mesh.
+
+    Parameters
+    ----------
+    control_vertices : (C, 3) float64
+        Millimetres; +x the subject's left, +y up, +z out of the face, origin at the centroid.
+    control_faces : (F, 3) int64
+        Disc topology, counter-clockwise seen from outside.
+    uv : (C, 2) float64
+        One continuous flip-free chart in the unit square, u grows with +x, v with +y.
+    region : (F,) uint8
+        Region index of each control face.
+    regions : mapping of str to Region
+        By name.
+    landmark_points : SurfacePoints, optional
+        68 points in iBUG-68 order on the control faces; None for templates without landmarks.
+    template_points : SurfacePoints, optional
+        Where each vertex of the dense template lies (`from_mesh`).
+    template_offset : (T, 3) float64, optional
+        Template vertex minus its surface point at rest, in the surface point's local frame or zeros.
+    template_faces : (T_F, 3) int64, optional
+        The template's own triangles.
+    name : str
+        Used in messages and results.
+
+    References
+    ----------
+    .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
+       Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
+    """
+
+    control_vertices: FloatArray
+    control_faces: IntArray
+    uv: FloatArray
+    region: NDArray[np.uint8]
+    regions: Mapping[str, Region]
+    landmark_points: SurfacePoints | None = None
+    template_points: SurfacePoints | None = None
+    template_offset: FloatArray | None = None
+    template_faces: IntArray | None = None
+    name: str = "annotated face model"
+    _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        count, faces = len(self.control_vertices), len(self.control_faces)
+        if self.uv.shape != (count, 2):
+            raise ModelError(f"{self.name}: uv has shape {self.uv.shape}, expected ({count}, 2)")
+        if self.region.shape != (faces,):
+            raise ModelError(f"{self.name}: region has shape {self.region.shape}, expected ({faces},)")
+        known = {r.index for r in self.regions.values()}
+        unknown = sorted(set(np.unique(self.region).tolist()) - known)
+        if unknown:
+            raise ModelError(
+                f"{self.name}: faces carry region indices {unknown} that `regions` does not name"
+            )
+
+    def subdivision(self, levels: int) -> LoopSubdivision:
+        """Return the (cached) limit-surface matrices after `levels` refinements."""
+        if levels not in self._subdivisions:
+            self._subdivisions[levels] = LoopSubdivision.of(
+                len(self.control_vertices), self.control_faces, levels
+            )
+        return self._subdivisions[levels]
+
+    def surface(self, levels: int = 2) -> tuple[FloatArray, IntArray]:
+        """Return (vertices (V, 3), faces (F 4^levels, 3)) of the limit surface at rest."""
+        subdivision = self.subdivision(levels)
+        return subdivision.matrix @ self.control_vertices, subdivision.faces
+
+    @cached_property
+    def landmarks(self) -> FloatArray | None:
+        """(68, 3) landmarks in mm on the limit surface at rest, iBUG-68 order; None when not annotated."""
+        return self.landmarks_of(self.control_vertices)
+
+    def landmarks_of(self, control_points: FloatArray) -> FloatArray | None:
+        """Return the (68, 3) landmarks for deformed control points (C, 3)."""
+        if self.landmark_points is None:
+            return None
+        return self.subdivision(LANDMARK_LEVELS).points_matrix(self.landmark_points) @ control_points
+
+    def region_values(self, attribute: str) -> FloatArray:
+        """Return (256,) table from region index to a Region attribute (0 where unused).
+
+        >>> AnnotatedFaceModel.default().region_values("stiffness").shape
+        (256,)
+        """
+        table = np.zeros(256)
+        for region in self.regions.values():
+            table[region.index] = float(getattr(region, attribute))
+        return table
+
+    @classmethod
+    def default(cls) -> AnnotatedFaceModel:
+        """Return the model that ships with the package (cached)."""
+        return _default_model()
+
+    @classmethod
+    def load(cls, path: str) -> AnnotatedFaceModel:
+        """Read a model from its JSON file."""
+        from scan2albedo.face_model.files import load_model
+
+        return load_model(path)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        vertices: FloatArray,
+        faces: IntArray,
+        uv: FloatArray | None = None,
+        regions: Mapping[str, IntArray] | None = None,
+        landmarks: FloatArray | IntArray | None = None,
+        *,
+        control_size: int = 1000,
+        name: str = "template",
+    ) -> AnnotatedFaceModel:
+        """Make a model from anyone's dense template; see `face_model.from_mesh.model_from_mesh`."""
+        from scan2albedo.face_model.from_mesh import model_from_mesh
+
+        return model_from_mesh(vertices, faces, uv, regions, landmarks, control_size=control_size, name=name)
+
+    def save(self, path: str) -> None:
+        """Write the model as JSON beside a small binary of its arrays."""
+        from scan2albedo.face_model.files import save_model
+
+        save_model(self, path)
+
+
+@lru_cache(maxsize=1)
+def _default_model() -> AnnotatedFaceModel:
+    from importlib.resources import files
+
+    return AnnotatedFaceModel.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))

@@ -1,0 +1,1 @@
+"""Triangle meshes, transforms, subdivision, rays and rasters: what every stage stands on."""

@@ -1,0 +1,69 @@
+"""Closest points on a triangle mesh through libigl's bounding volume hierarchy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ClosestHits:
+    """Closest surface points: `points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,)."""
+
+    points: FloatArray
+    face: IntArray
+    barycentric: FloatArray
+    distance: FloatArray
+
+
+class ClosestPointQuery:
+    """Closest-point queries against one mesh; build once, ask often.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array_like of float
+        Any unit.
+    faces : (F, 3) array_like of int
+        At least one face.
+    """
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
+        import igl
+
+        self._vertices = np.ascontiguousarray(vertices, np.float64)
+        self._faces = np.ascontiguousarray(faces, np.int64)
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
+
+    def query(self, points: ArrayLike) -> ClosestHits:
+        """Return the closest surface point of each of the (N, 3) points; O(log F) each."""
+        targets = np.ascontiguousarray(points, np.float64)
+        squared, face, closest = self._tree.squared_distance(self._vertices, self._faces, targets)
+        return ClosestHits(
+            closest,
+            face,
+            barycentric_coordinates(closest, self._vertices[self._faces[face]]),
+            np.sqrt(squared),
+        )
+
+
+def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatArray:
+    """Return (N, 3) barycentric coordinates of points (N, 3) in the planes of triangles (N, 3, 3).
+
+    A degenerate triangle gives all weight to its first corner.
+    """
+    e0, e1 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    d = points - triangles[:, 0]
+    a, b, c = (np.einsum("ij,ij->i", p, q) for p, q in ((e0, e0), (e0, e1), (e1, e1)))
+    p, q = np.einsum("ij,ij->i", d, e0), np.einsum("ij,ij->i", d, e1)
+    determinant = a * c - b * b
+    good = determinant > 1e-14 * np.maximum(a, c) ** 2
+    safe = np.where(good, determinant, 1.0)
+    v, w = np.where(good, (c * p - b * q) / safe, 0.0), np.where(good, (a * q - b * p) / safe, 0.0)
+    weights = np.clip(np.stack([1 - v - w, v, w], 1), 0, None)
+    return weights / weights.sum(1, keepdims=True)

@@ -1,0 +1,91 @@
+"""Elementary quantities of a triangle mesh: normals, areas, boundaries, components."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (F, 3) cross products of two edges of each face: normal direction, length twice the area."""
+    corners = vertices[faces]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (F,) areas."""
+    return 0.5 * np.linalg.norm(face_cross_products(vertices, faces), axis=1)
+
+
+def normalized(vectors: FloatArray) -> FloatArray:
+    """Return the vectors (..., 3) at unit length; zero vectors stay zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1.0)
+
+
+def face_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (F, 3) unit normals; zero for zero-area faces."""
+    return normalized(face_cross_products(vertices, faces))
+
+
+def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (V, 3) unit normals, faces weighted by area; zero where a vertex has no area around it."""
+    cross = face_cross_products(vertices, faces)
+    sums = np.zeros_like(vertices)
+    for corner in range(3):
+        for axis in range(3):
+            sums[:, axis] += np.bincount(faces[:, corner], cross[:, axis], minlength=len(vertices))
+    return normalized(sums)
+
+
+def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (V,) barycentric areas: a third of each incident face's area."""
+    thirds = np.repeat(face_areas(vertices, faces) / 3, 3)
+    return np.bincount(faces.ravel(), thirds, minlength=len(vertices))
+
+
+def edges_with_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Return unique undirected edges (E, 2) and, per edge, how many faces use it (E,)."""
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    return edges, counts
+
+
+def boundary_edges(faces: IntArray) -> IntArray:
+    """Return (B, 2) edges used by exactly one face."""
+    edges, counts = edges_with_faces(faces)
+    return edges[counts == 1]
+
+
+def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> NDArray[np.bool_]:
+    """Return (V,) True for vertices on a boundary edge."""
+    mask = np.zeros(vertex_count, bool)
+    mask[boundary_edges(faces).ravel()] = True
+    return mask
+
+
+def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
+    """Return the symmetric (V, V) 0/1 adjacency of vertices joined by an edge."""
+    edges, _ = edges_with_faces(faces)
+    rows = np.concatenate([edges[:, 0], edges[:, 1]])
+    columns = np.concatenate([edges[:, 1], edges[:, 0]])
+    return sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(vertex_count, vertex_count))
+
+
+def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
+    """Return (V,) component labels 0..n-1 of vertices connected through faces."""
+    _, labels = connected_components(adjacency(vertex_count, faces), directed=False)
+    return labels.astype(np.int64)
+
+
+def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Return (kept vertex indices (K,), faces renumbered to them)."""
+    kept = np.unique(faces)
+    renumber = np.full(len(vertices), -1, np.int64)
+    renumber[kept] = np.arange(len(kept))
+    return kept, renumber[faces]

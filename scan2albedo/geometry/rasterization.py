@@ -1,0 +1,114 @@
+"""Rasterise triangles given in image space: which face covers each pixel centre, and where in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Raster:
+    """`face` (H, W) int64 with -1 where nothing covers; `barycentric` (H, W, 3) float64, zeros there."""
+
+    face: NDArray[np.int64]
+    barycentric: NDArray[np.float64]
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """(H, W) True where a face covers the pixel centre."""
+        return self.face >= 0
+
+
+def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -> Raster:
+    """Rasterise a chart over the unit square.
+
+    Texel (row r, column c) has its centre at u = (c + 1/2) / W, v = 1 - (r + 1/2) / H: row 0 is the top.
+
+    Parameters
+    ----------
+    uv : (V, 2) array_like of float
+    faces : (F, 3) array_like of int
+        Indices into `uv`.
+    size : int or (int, int)
+        H = W, or (H, W).
+    """
+    height, width = (size, size) if isinstance(size, int) else size
+    pixels = pixels_from_uv(uv, (height, width))
+    return rasterize(pixels, np.zeros(len(pixels)), faces, (height, width))
+
+
+def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return (N, 2) pixel coordinates (column, row), pixel centres at integers, of texture coordinates."""
+    coordinates = np.asarray(uv, float)
+    return np.stack([coordinates[:, 0] * shape[1] - 0.5, (1 - coordinates[:, 1]) * shape[0] - 0.5], 1)
+
+
+def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]) -> Raster:
+    """Rasterise triangles with a z-buffer; the largest depth wins, whatever the winding.
+
+    Parameters
+    ----------
+    pixels : (V, 2) array_like of float
+        Column and row of each vertex; pixel centres lie at integers.
+    depth : (V,) array_like of float
+        Larger is nearer to the viewer.
+    faces : (F, 3) array_like of int
+    shape : (H, W)
+    """
+    face, barycentric = _rasterize(
+        np.ascontiguousarray(pixels, np.float64),
+        np.ascontiguousarray(depth, np.float64),
+        np.ascontiguousarray(faces, np.int64),
+        shape[0],
+        shape[1],
+    )
+    return Raster(face, barycentric)
+
+
+@njit(cache=True, nogil=True)
+def _rasterize(pixels, depth, faces, height, width):  # type: ignore[no-untyped-def]
+    owner = np.full((height, width), -1, np.int64)
+    weights = np.zeros((height, width, 3))
+    nearest = np.full((height, width), -np.inf)
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay = pixels[a, 0], pixels[a, 1]
+        bx, by = pixels[b, 0], pixels[b, 1]
+        cx, cy = pixels[c, 0], pixels[c, 1]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area == 0 or not np.isfinite(area):
+            continue
+        column_first = max(0, int(np.ceil(min(ax, bx, cx))))
+        column_last = min(width - 1, int(np.floor(max(ax, bx, cx))))
+        row_first = max(0, int(np.ceil(min(ay, by, cy))))
+        row_last = min(height - 1, int(np.floor(max(ay, by, cy))))
+        for row in range(row_first, row_last + 1):
+            for column in range(column_first, column_last + 1):
+                wa = ((bx - column) * (cy - row) - (by - row) * (cx - column)) / area
+                wb = ((cx - column) * (ay - row) - (cy - row) * (ax - column)) / area
+                wc = 1.0 - wa - wb
+                # A hair of tolerance keeps texels on a shared edge from falling between two faces.
+                if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
+                    continue
+                z = wa * depth[a] + wb * depth[b] + wc * depth[c]
+                if z > nearest[row, column]:
+                    nearest[row, column] = z
+                    owner[row, column] = f
+                    weights[row, column, 0] = wa
+                    weights[row, column, 1] = wb
+                    weights[row, column, 2] = wc
+    return owner, weights
+
+
+def interpolate(
+    raster: Raster, faces: NDArray[np.int64], values: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Return per-vertex `values` (V, ...) interpolated over the raster (H, W, ...), zeros outside."""
+    result = np.zeros(raster.face.shape + values.shape[1:])
+    inside = raster.covered
+    corners = values[faces[raster.face[inside]]]
+    result[inside] = np.einsum("nk,nk...->n...", raster.barycentric[inside], corners)
+    return result

@@ -1,0 +1,129 @@
+"""Rigid and similarity transforms as 4x4 matrices `target_from_source` acting on column vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Matrix = NDArray[np.float64]
+
+
+def transform_points(target_from_source: ArrayLike, points: ArrayLike) -> Matrix:
+    """Return the (N, 3) points mapped by a (4, 4) affine transform."""
+    matrix, xyz = np.asarray(target_from_source, float), np.asarray(points, float)
+    return xyz @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def transform_directions(target_from_source: ArrayLike, directions: ArrayLike) -> Matrix:
+    """Return the (N, 3) directions turned by the linear part of a (4, 4) rigid transform."""
+    return np.asarray(directions, float) @ np.asarray(target_from_source, float)[:3, :3].T
+
+
+def compose(rotation: ArrayLike, translation: ArrayLike) -> Matrix:
+    """Return the (4, 4) transform x -> R x + t from R (3, 3) and t (3,)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def invert_rigid(target_from_source: ArrayLike) -> Matrix:
+    """Return the inverse of a (4, 4) rigid transform."""
+    matrix = np.asarray(target_from_source, float)
+    rotation = matrix[:3, :3].T
+    return compose(rotation, -rotation @ matrix[:3, 3])
+
+
+def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
+    """Return the (3, 3) rotation of a rotation vector (axis times angle in radians), by Rodrigues' formula."""
+    vector = np.asarray(rotation_vector_rad, float)
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-300:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def rotation_angle_rad(rotation: ArrayLike) -> float:
+    """Return the angle in radians of a (3, 3) rotation, accurate near 0 and pi."""
+    matrix = np.asarray(rotation, float)
+    axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
+    return float(np.arctan2(np.linalg.norm(axis), np.trace(matrix) - 1))
+
+
+def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
+    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4) in w, x, y, z order."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternion_wxyz, float), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def super_fibonacci_rotations(count: int) -> Matrix:
+    """Return `count` well-spread rotations (count, 3, 3) over SO(3).
+
+    References
+    ----------
+    .. [1] M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
+    """
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    radius, radius_rest = np.sqrt(s / count), np.sqrt(1 - s / count)
+    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    xyzw = np.stack(
+        [
+            radius * np.sin(alpha),
+            radius * np.cos(alpha),
+            radius_rest * np.sin(beta),
+            radius_rest * np.cos(beta),
+        ],
+        -1,
+    )
+    return rotation_from_quaternion(xyzw[:, [3, 0, 1, 2]])
+
+
+def random_rotation(rng: np.random.Generator) -> Matrix:
+    """Return a rotation (3, 3) drawn uniformly from SO(3)."""
+    quaternion = rng.normal(size=4)
+    return rotation_from_quaternion(quaternion / np.linalg.norm(quaternion))
+
+
+def procrustes(
+    source: ArrayLike, target: ArrayLike, *, weights: ArrayLike | None = None, scale: bool = False
+) -> Matrix:
+    """Return the least-squares transform `target_from_source` (4, 4) between corresponding points.
+
+    Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0.
+
+    Parameters
+    ----------
+    source, target : (N, 3) array_like
+        Corresponding points, same unit.
+    weights : (N,) array_like, optional
+        Non-negative weights.
+    scale : bool
+        Estimate a similarity instead of a rigid transform.
+
+    References
+    ----------
+    .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point
+       patterns", IEEE PAMI 13(4), 1991.
+    """
+    x, y = np.asarray(source, float), np.asarray(target, float)
+    if x.shape != y.shape or x.ndim != 2 or x.shape[1] != 3:
+        raise ValueError(f"source {x.shape} and target {y.shape} must both be (N, 3)")
+    w = np.ones(len(x)) if weights is None else np.asarray(weights, float)
+    w = w / w.sum()
+    x_mean, y_mean = w @ x, w @ y
+    covariance = (w[:, None] * (y - y_mean)).T @ (x - x_mean)
+    u, singular, vt = np.linalg.svd(covariance)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    rotation = (u * sign) @ vt
+    factor = 1.0
+    if scale:
+        factor = float(singular @ sign / (w @ np.sum((x - x_mean) ** 2, 1)))
+    return compose(factor * rotation, y_mean - factor * rotation @ x_mean)

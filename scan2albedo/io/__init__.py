@@ -1,0 +1,1 @@
+"""Reading and writing of scans, images, geometry images and results."""

@@ -1,0 +1,16 @@
+"""Shared ground of every iterative stage: budgets, traces and simulated annealing."""
+
+from scan2albedo.optimization.annealing import AnnealingOptions, AnnealingResult, simulated_annealing
+from scan2albedo.optimization.budget import Budget, Meter, ProgressCallback
+from scan2albedo.optimization.trace import Trace, TraceRow
+
+__all__ = [
+    "AnnealingOptions",
+    "AnnealingResult",
+    "Budget",
+    "Meter",
+    "ProgressCallback",
+    "Trace",
+    "TraceRow",
+    "simulated_annealing",
+]

@@ -1,0 +1,106 @@
+"""Budgets in seconds or evaluations, and the meter that spends them and writes the trace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from scan2albedo.optimization.trace import Trace, TraceRow
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much an iterative stage may spend; ``None`` means without limit.
+
+    Parameters
+    ----------
+    seconds : float, optional
+        Wall-clock seconds, > 0.
+    evaluations : int, optional
+        Objective evaluations (or iterations, where a stage counts those), >= 1.
+        Only a budget in evaluations makes results reproducible bit by bit.
+    """
+
+    seconds: float | None = None
+    evaluations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is not None and not self.seconds > 0:
+            raise ValueError(f"Budget.seconds must be > 0, got {self.seconds}")
+        if self.evaluations is not None and self.evaluations < 1:
+            raise ValueError(f"Budget.evaluations must be >= 1, got {self.evaluations}")
+
+    @classmethod
+    def of(cls, value: Budget | float | None) -> Budget:
+        """Return `value` as a Budget: a number means seconds, None means no limit.
+
+        >>> Budget.of(2.5)
+        Budget(seconds=2.5, evaluations=None)
+        """
+        if isinstance(value, Budget):
+            return value
+        return cls(seconds=None if value is None else float(value))
+
+
+ProgressCallback = Callable[[TraceRow], None]
+
+
+@dataclass
+class Meter:
+    """Clock, evaluation count and trace of one running stage.
+
+    Parameters
+    ----------
+    stage : str
+        Name written into the trace rows.
+    unit : str
+        Unit of the errors recorded, for example "mm".
+    budget : Budget
+        Limits that `exhausted` checks.
+    on_progress : callable, optional
+        Called with every recorded `TraceRow`.
+    """
+
+    stage: str
+    unit: str
+    budget: Budget = field(default_factory=Budget)
+    on_progress: ProgressCallback | None = None
+    evaluations: int = 0
+    rows: list[TraceRow] = field(default_factory=list)
+    _wall_start: float = field(default_factory=time.perf_counter)
+    _cpu_start: float = field(default_factory=time.process_time)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Wall-clock seconds since the stage began."""
+        return time.perf_counter() - self._wall_start
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU seconds of this process (all threads) since the stage began."""
+        return time.process_time() - self._cpu_start
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the budget has ended."""
+        seconds, evaluations = self.budget.seconds, self.budget.evaluations
+        return (seconds is not None and self.elapsed_s >= seconds) or (
+            evaluations is not None and self.evaluations >= evaluations
+        )
+
+    def count(self, evaluations: int = 1) -> None:
+        """Add to the evaluations spent."""
+        self.evaluations += evaluations
+
+    def record(self, error: float) -> None:
+        """Append a trace row with the error reached so far."""
+        row = TraceRow(self.stage, self.elapsed_s, self.cpu_s, self.evaluations, float(error), self.unit)
+        self.rows.append(row)
+        if self.on_progress is not None:
+            self.on_progress(row)
+
+    @property
+    def trace(self) -> Trace:
+        """The rows recorded so far."""
+        return Trace(tuple(self.rows))

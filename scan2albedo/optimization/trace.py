@@ -1,0 +1,82 @@
+"""Error against run time: the rows every iterative stage records."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class TraceRow:
+    """One point of the error-against-run-time curve of a stage."""
+
+    stage: str
+    elapsed_s: float
+    cpu_s: float
+    evaluations: int
+    error: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Rows (stage, elapsed_s, cpu_s, evaluations, error, unit) in the order they were recorded.
+
+    Times and evaluations count from the start of each row's own stage.
+    """
+
+    rows: tuple[TraceRow, ...] = ()
+
+    def __iter__(self) -> Iterator[TraceRow]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __add__(self, other: Trace) -> Trace:
+        return Trace(self.rows + other.rows)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stage names in order of first appearance."""
+        return tuple(dict.fromkeys(row.stage for row in self.rows))
+
+    def of_stage(self, stage: str) -> Trace:
+        """Return the rows of one stage."""
+        return Trace(tuple(row for row in self.rows if row.stage == stage))
+
+    def to_csv(self, path: str | Path | None = None) -> str:
+        """Return the trace as CSV text and, when `path` is given, write it there too."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([f.name for f in fields(TraceRow)])
+        writer.writerows(astuple(row) for row in self.rows)
+        if path is not None:
+            Path(path).write_text(text.getvalue(), encoding="utf-8")
+        return text.getvalue()
+
+    def plot(self) -> Figure:
+        """Draw error against elapsed seconds, one panel a stage, and return the matplotlib figure."""
+        from matplotlib.figure import Figure
+
+        stages = self.stages or ("nothing recorded",)
+        figure = Figure(figsize=(4.2 * len(stages), 3.2), layout="constrained")
+        for axis, stage in zip(figure.subplots(1, len(stages), squeeze=False)[0], stages, strict=True):
+            rows = self.of_stage(stage).rows
+            axis.set_title(stage)
+            axis.set_xlabel("elapsed [s]")
+            if not rows:
+                continue
+            axis.set_ylabel(f"error [{rows[0].unit}]")
+            axis.plot([r.elapsed_s for r in rows], [r.error for r in rows], marker=".", linewidth=1)
+            if all(r.error > 0 for r in rows):
+                axis.set_yscale("log")
+            axis.grid(True, which="both", alpha=0.3)
+        return figure
