@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ModelError
+from scan2albedo.geometry.loop_subdivision import refine
+from scan2albedo.geometry.parametrization import (
+    ChartOptions,
+    boundary_loop,
+    chart_distortion,
+    parametrize_disc,
+    signed_areas,
+    tutte,
+)
+
+
+def grid(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return an n x m grid of vertices over [-1, 1]^2, mirror symmetric triangulation about x = 0."""
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, m))
+    index = np.arange(n * m).reshape(m, n)
+    faces = []
+    for j in range(m - 1):
+        for i in range(n - 1):
+            a, b, c, d = index[j, i], index[j, i + 1], index[j + 1, i + 1], index[j + 1, i]
+            faces += [(a, b, c), (a, c, d)] if (i + 0.5 < (n - 1) / 2) else [(a, b, d), (b, c, d)]
+    return np.stack([x.ravel(), y.ravel(), np.zeros(n * m)], 1), np.array(faces)
+
+
+@pytest.fixture(scope="module")
+def dome() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    v, f = grid(15, 21)
+    v = v * [1.0, 1.4, 1.0] + np.stack([0 * v[:, 0], 0 * v[:, 0], 1.2 - 1.3 * v[:, 0] ** 2], 1)
+    v[:, 2] += 0.5 * np.exp(-10 * (v[:, 0] ** 2 + v[:, 1] ** 2))
+    mirror = np.arange(len(v)).reshape(21, 15)[:, ::-1].ravel()
+    return v, f, mirror
+
+
+def test_chart_of_a_dome_is_flip_free_symmetric_and_fills_the_square(dome):
+    v, f, mirror = dome
+    uv = parametrize_disc(v, f, mirror=mirror)
+    quality = chart_distortion(v, f, uv)
+    assert quality.flipped == 0
+    assert quality.coverage > 0.75
+    assert quality.area < 0.25
+    assert quality.conformal < 1.6
+    np.testing.assert_allclose(uv[mirror], uv * [-1, 1] + [1, 0], atol=1e-12)
+    assert uv.min() >= 0
+    assert uv.max() <= 1
+
+
+def test_chart_turns_with_the_axes(dome):
+    v, f, _ = dome
+    uv = parametrize_disc(v, f)
+    assert np.corrcoef(uv[:, 0], v[:, 0])[0, 1] > 0.95
+    assert np.corrcoef(uv[:, 1], v[:, 1])[0, 1] > 0.95
+
+
+def test_chart_stays_flip_free_when_subdivided(dome):
+    v, f, mirror = dome
+    uv, faces = parametrize_disc(v, f, mirror=mirror), f
+    for _ in range(2):
+        matrix, faces = refine(len(uv), faces)
+        uv = matrix @ uv
+    assert signed_areas(uv, faces).min() > 0
+
+
+def test_slim_lowers_the_distortion_of_tutte(dome):
+    v, f, _ = dome
+    plain = chart_distortion(v, f, parametrize_disc(v, f, options=ChartOptions(slim_iterations=0)))
+    better = chart_distortion(v, f, parametrize_disc(v, f))
+    assert better.area < plain.area
+
+
+def test_chart_does_not_depend_on_unit_or_place(dome):
+    v, f, _ = dome
+    np.testing.assert_allclose(parametrize_disc(v, f), parametrize_disc(v * 1e3 + 1e4, f), atol=1e-5)
+
+
+def test_tutte_puts_inner_vertices_at_the_mean_of_their_neighbours():
+    v, f = grid(5, 5)
+    loop = boundary_loop(len(v), f)
+    uv = tutte(len(v), f, loop, v[loop, :2] ** 3)
+    centre = 12
+    ring = np.setdiff1d(np.unique(f[(f == centre).any(1)]), [centre])
+    np.testing.assert_allclose(uv[centre], uv[ring].mean(0), atol=1e-12)
+
+
+def test_distortion_of_known_maps():
+    v, f = grid(3, 3)
+    isometric = chart_distortion(v, f, v[:, :2])
+    np.testing.assert_allclose([isometric.area, isometric.conformal, isometric.coverage], [0, 1, 4])
+    stretched = chart_distortion(v, f, v[:, :2] * [3.0, 1.0])
+    np.testing.assert_allclose([stretched.area, stretched.conformal], [0, 3], atol=1e-12)
+    assert chart_distortion(v, f, v[:, :2] * [-1.0, 1.0]).flipped == len(f)
+
+
+def test_no_disc_is_refused_with_the_reason():
+    v, f = grid(5, 5)
+    with_hole = f[~(f == 12).any(1)]
+    with pytest.raises(ModelError, match=r"no disc.*Euler characteristic 0"):
+        parametrize_disc(v, with_hole)
+    two = np.concatenate([f, f + len(v)])
+    with pytest.raises(ModelError, match="2 components"):
+        parametrize_disc(np.concatenate([v, v + 5]), two)
+    tetrahedron = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    with pytest.raises(ModelError, match="no disc"):
+        parametrize_disc(np.eye(4)[:, :3], tetrahedron)
+    with pytest.raises(ModelError, match="1 of 26 vertices are in no face"):
+        parametrize_disc(np.concatenate([v, [[9.0, 9, 9]]]), f)
