@@ -2,12 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import rotation_from_vector
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a picture looks from: orthographic, from the front (+z) at yaw = pitch = 0."""
+
+    center_mm: tuple[float, float, float]
+    """Point in the middle of the picture."""
+    half_width_mm: float
+    """Half of the picture's width and height."""
+    yaw_deg: float = 0.0
+    """Turn of the head: positive shows its right side (the viewer moves to -x)."""
+    pitch_deg: float = 0.0
+    """Nod of the head: positive shows it from below."""
+
+    @classmethod
+    def around(cls, vertices: ArrayLike, *, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> View:
+        """Return the view that holds all of the (V, 3) vertices."""
+        xyz = np.asarray(vertices, float)
+        low, high = xyz.min(0), xyz.max(0)
+        x, y, z = (low + high) / 2
+        return cls((x, y, z), float(np.max(high - low)) * 0.55, yaw_deg, pitch_deg)
+
+    def project(self, vertices: ArrayLike) -> FloatArray:
+        """Return (V, 3) coordinates relative to the centre: right, up, toward the viewer."""
+        nod = rotation_from_vector([np.deg2rad(-self.pitch_deg), 0, 0])
+        turn = rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0])
+        return (np.asarray(vertices, float) - np.asarray(self.center_mm)) @ (nod @ turn).T
 
 
 def render_mesh(
@@ -15,13 +47,14 @@ def render_mesh(
     faces: ArrayLike,
     *,
     vertex_color_srgb: ArrayLike | None = None,
+    texture_srgb: tuple[ArrayLike, NDArray[np.uint8]] | None = None,
+    view: View | None = None,
     yaw_deg: float = 0.0,
     pitch_deg: float = 0.0,
     size: int = 512,
     shaded: bool = True,
-    frame_mm: tuple[ArrayLike, float] | None = None,
 ) -> NDArray[np.uint8]:
-    """Render a mesh orthographically from the front (+z), turned by yaw and pitch.
+    """Render a mesh orthographically.
 
     Parameters
     ----------
@@ -30,41 +63,49 @@ def render_mesh(
     faces : (F, 3) array_like of int
     vertex_color_srgb : (V, 3) array_like of float in [0, 1], optional
         Grey when omitted.
-    yaw_deg, pitch_deg : float
-        Turn of the head: positive yaw shows its right side (the viewer moves to -x), positive pitch
-        shows it from below.
+    texture_srgb : (uv of each face's corners (F, 3, 2), image (H, W, 3) uint8), optional
+        Used instead of vertex colours.
+    view : View, optional
+        What to show; all of the mesh, turned by `yaw_deg` and `pitch_deg`, when omitted.
     size : int
         Height and width in pixels.
     shaded : bool
         Multiply colours by a headlight's shading.
-    frame_mm : (center (3,), half width), optional
-        What to show; the bounding box when omitted.
 
     Returns
     -------
     (size, size, 3) uint8, sRGB, white background.
     """
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
-    if frame_mm is None:
-        low, high = xyz.min(0), xyz.max(0)
-        center, half = (low + high) / 2, float(np.max(high - low)) * 0.55
-    else:
-        center, half = np.asarray(frame_mm[0], float), float(frame_mm[1])
-    turn = rotation_from_vector([np.deg2rad(-pitch_deg), 0, 0]) @ rotation_from_vector(
-        [0, np.deg2rad(yaw_deg), 0]
-    )
-    seen = (xyz - center) @ turn.T
-    scale = (size - 1) / (2 * half)
+    view = view if view is not None else View.around(xyz, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    seen = view.project(xyz)
+    half, scale = view.half_width_mm, (size - 1) / (2 * view.half_width_mm)
     pixels = np.stack([(seen[:, 0] + half) * scale, (half - seen[:, 1]) * scale], 1)
     raster = rasterize(pixels, seen[:, 2], index, (size, size))
-    color = np.full((len(xyz), 3), 0.8) if vertex_color_srgb is None else np.asarray(vertex_color_srgb, float)
-    picture = interpolate(raster, index, color)
+    if texture_srgb is not None:
+        picture = _textured(raster, np.asarray(texture_srgb[0], float), texture_srgb[1])
+    else:
+        color = (
+            np.full((len(xyz), 3), 0.8) if vertex_color_srgb is None else np.asarray(vertex_color_srgb, float)
+        )
+        picture = interpolate(raster, index, color)
     if shaded:
         normals = normalized(interpolate(raster, index, vertex_normals(seen, index)))
         light = normalized(np.array([0.35, 0.45, 0.82]))
         picture *= (0.25 + 0.75 * np.abs(normals @ light))[..., None]
     picture[~raster.covered] = 1.0
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+
+
+def _textured(raster: Raster, uv: FloatArray, image: NDArray[np.uint8]) -> FloatArray:
+    """Look the texture up at each covered pixel (nearest texel); zeros elsewhere."""
+    inside = raster.covered
+    coordinates = np.einsum("nk,nkc->nc", raster.barycentric[inside], uv[raster.face[inside]])
+    pixels = np.round(pixels_from_uv(coordinates, image.shape[:2])).astype(np.int64)
+    column, row = (np.clip(pixels[:, k], 0, image.shape[1 - k] - 1) for k in (0, 1))
+    picture = np.zeros((*raster.face.shape, 3))
+    picture[inside] = image[row, column] / 255.0
+    return picture
 
 
 def heat_colors(values: ArrayLike, low: float, high: float, colormap: str = "viridis") -> NDArray[np.float64]:

@@ -1,0 +1,95 @@
+"""A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.
+
+Names are loaded when first used, so importing the package stays quick.
+
+Examples
+--------
+>>> import scan2albedo as s2a
+>>> s2a.AnnotatedFaceModel.default().landmarks.shape
+(68, 3)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from scan2albedo import synthetic
+    from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
+    from scan2albedo.errors import Scan2AlbedoError
+    from scan2albedo.face_model import AnnotatedFaceModel, Region
+    from scan2albedo.fitting import FittedFace, fit
+    from scan2albedo.io import GeometryImage, RawScan, load_scan, read_geometry_image
+    from scan2albedo.lighting import PointLight
+    from scan2albedo.optimization import Budget, Trace
+    from scan2albedo.pipeline import ProcessResult, process
+    from scan2albedo.registration import Registration, register
+    from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "AlbedoEstimate": "albedo",
+    "AnnotatedFaceModel": "face_model",
+    "Budget": "optimization",
+    "FittedFace": "fitting",
+    "GeometryImage": "io",
+    "PointLight": "lighting",
+    "ProcessResult": "pipeline",
+    "RawScan": "io",
+    "Region": "face_model",
+    "Registration": "registration",
+    "Scan2AlbedoError": "errors",
+    "Trace": "optimization",
+    "albedo_error": "albedo",
+    "estimate_albedo": "albedo",
+    "fit": "fitting",
+    "geometry_image": "sampling",
+    "geometry_image_of_scan": "sampling",
+    "load_scan": "io",
+    "process": "pipeline",
+    "read_geometry_image": "io",
+    "register": "registration",
+}
+_SUBPACKAGES = ("synthetic",)
+
+__all__ = [
+    "AlbedoEstimate",
+    "AnnotatedFaceModel",
+    "Budget",
+    "FittedFace",
+    "GeometryImage",
+    "PointLight",
+    "ProcessResult",
+    "RawScan",
+    "Region",
+    "Registration",
+    "Scan2AlbedoError",
+    "Trace",
+    "__version__",
+    "albedo_error",
+    "estimate_albedo",
+    "fit",
+    "geometry_image",
+    "geometry_image_of_scan",
+    "load_scan",
+    "process",
+    "read_geometry_image",
+    "register",
+    "synthetic",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _SUBPACKAGES:
+        return import_module(f"{__name__}.{name}")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES, *_SUBPACKAGES})

@@ -1,1 +1,0 @@
-"""geometry_image"""

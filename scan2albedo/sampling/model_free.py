@@ -1,0 +1,110 @@
+"""Geometry images of any scanned object, without a face model: xatlas charts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.sampling.texture_lookup import LookupOptions, TextureLookup, texel_steps
+
+
+@dataclass(frozen=True)
+class ModelFreeOptions:
+    """Settings of `geometry_image_of_scan`."""
+
+    max_faces: int = 15_000
+    """Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
+    padding: int = 2
+    """Texels between charts."""
+    lookup: LookupOptions = LookupOptions()
+    """When a texel's texture counts as seen."""
+
+
+def geometry_image_of_scan(
+    scan: RawScan, size: int = 512, *, options: ModelFreeOptions = ModelFreeOptions()
+) -> GeometryImage:
+    """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
+
+    Parameters
+    ----------
+    scan : RawScan
+        Any object; its own frame, mm.
+    size : int
+        Height and width in texels.
+    options : ModelFreeOptions
+        Simplification, padding and texture lookup.
+
+    Returns
+    -------
+    GeometryImage
+        In the scan's frame with its centroid moved to the origin; no regions.
+
+    Raises
+    ------
+    GeometryImageError
+        When no chart can be made (for example, only zero-area faces).
+    """
+    vertices, faces = _chartable(scan, options.max_faces)
+    chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size, options.padding)
+    position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
+    raster = rasterize_uv(uv, chart_faces, size)
+    if not raster.covered.any():
+        raise GeometryImageError(f"{scan.name}: xatlas made no chart that covers a texel at size {size}")
+    inside = raster.covered
+    position = interpolate(raster, chart_faces, position_of)
+    normal = normalized(interpolate(raster, chart_faces, normal_of))
+    texture, seen = None, None
+    if scan.has_color:
+        steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
+        texture, seen = np.zeros((size, size, 3), np.float32), np.zeros((size, size), bool)
+        texture[inside], seen[inside] = TextureLookup(scan, options.lookup).sample(
+            position[inside], normal[inside], steps
+        )
+    center = vertices.mean(0)
+    position[inside] -= center
+    return GeometryImage(
+        position,
+        normal,
+        inside,
+        texture_linear=texture,
+        occluder=(vertices - center, faces),
+        texture_valid=seen,
+    )
+
+
+def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Welded, without zero-area faces, simplified to at most `max_faces` faces."""
+    import igl
+
+    vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[scan.faces]
+    faces = faces[face_areas(vertices, faces) > 0]
+    if len(faces) == 0:
+        raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
+    if len(faces) > max_faces:
+        vertices, faces, _, _ = igl.qslim(vertices, faces, max_faces, False)
+    return np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+
+
+def _xatlas_charts(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: int, padding: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return (mesh vertex of each chart vertex (N,), chart faces (F, 3), uv (N, 2) in the unit square)."""
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.create_image = size, padding, False
+    atlas.generate(xatlas.ChartOptions(), pack)
+    chart_vertex, chart_faces, uv = atlas[0]
+    # xatlas may need more than the resolution asked for; scale all charts into one square.
+    extent = np.array([atlas.width, atlas.height], float) / max(atlas.width, atlas.height, 1)
+    return chart_vertex.astype(np.int64), chart_faces.astype(np.int64), np.asarray(uv, float) * extent
