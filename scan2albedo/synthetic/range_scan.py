@@ -1,0 +1,162 @@
+"""A two-pod stereo scanner: what its cameras see of a scene, as an irregular triangle mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.mesh import face_normals, normalized
+from scan2albedo.synthetic.ray_scene import RayScene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pod:
+    """A pinhole camera.
+
+    Parameters
+    ----------
+    position_mm : (3,) float64
+        Where it stands.
+    target_mm : (3,) float64
+        What it looks at; +y is up in its picture.
+    half_angle_rad : float
+        Half the angle its square picture spans.
+    """
+
+    position_mm: FloatArray
+    target_mm: FloatArray
+    half_angle_rad: float
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3) rows: to the right of the picture, up, and forward."""
+        forward = normalized(self.target_mm - self.position_mm)
+        right = normalized(np.cross(forward, [0.0, 1.0, 0.0]))
+        return np.stack([right, np.cross(right, forward), forward])
+
+    def directions(self, plane: ArrayLike) -> FloatArray:
+        """Return (N, 3) unit rays through picture-plane points (N, 2) in [-1, 1], +x right, +y up."""
+        xy = np.asarray(plane, float) * np.tan(self.half_angle_rad)
+        return normalized(np.column_stack([xy, np.ones(len(xy))]) @ self.axes)
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """Return (N, 2) picture-plane coordinates in [-1, 1] of points (N, 3) in front of the pod."""
+        seen = (np.asarray(points, float) - self.position_mm) @ self.axes.T
+        return seen[:, :2] / seen[:, 2:] / np.tan(self.half_angle_rad)
+
+
+def two_pods(
+    vertices: FloatArray, *, distance_mm: float = 1000.0, yaw_deg: float = 35.0, elevation_deg: float = 5.0
+) -> tuple[Pod, Pod]:
+    """Return the pods at the subject's left (+x) and right (-x) that see the whole scene."""
+    center = (vertices.min(0) + vertices.max(0)) / 2
+    radius = np.linalg.norm(vertices - center, axis=1).max()
+    pods = []
+    for yaw in np.deg2rad([yaw_deg, -yaw_deg]):
+        lift = np.deg2rad(elevation_deg)
+        toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
+        pods.append(Pod(center + distance_mm * toward, center, float(np.arcsin(radius / distance_mm))))
+    return pods[0], pods[1]
+
+
+@dataclass(frozen=True)
+class RangeMesh:
+    """What the pods measured.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+        Millimetres, exactly on the scene.
+    faces : (F, 3) int64
+        Counter-clockwise seen from outside.
+    face_pod : (F,) int64
+        0 or 1: the pod that sees the face better; its picture colours the face.
+    scene_face : (V,) int64
+        Face of the scene the vertex lies on.
+    scene_barycentric : (V, 3) float64
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    face_pod: IntArray
+    scene_face: IntArray
+    scene_barycentric: FloatArray
+
+
+def capture(
+    vertices: FloatArray,
+    faces: IntArray,
+    pods: tuple[Pod, Pod],
+    *,
+    spacing_mm: float,
+    rng: np.random.Generator,
+    axis_mm: FloatArray,
+) -> RangeMesh:
+    """Sample a scene irregularly and keep what at least one pod sees.
+
+    Jittered horizontal rays toward a vertical axis through `axis_mm` (3,), about `spacing_mm` apart where
+    they pass a head's surface, are triangulated in the unrolled cylinder. Triangles that bridge a jump in
+    depth, lean too far away, or hide from both pods are dropped, as stereo matching does.
+    """
+    scene = RayScene(vertices, faces)
+    origins, rays, unrolled = _cylinder_rays(vertices, axis_mm, spacing_mm, rng)
+    hits = scene.first_hit(origins, rays)
+    seen = hits.face >= 0
+    points = origins[seen] + hits.distance[seen, None] * rays[seen]
+    triangles = _triangulated(unrolled[seen], 2.5 * spacing_mm)
+    normals = face_normals(points, triangles)
+    outward = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
+    facing = np.stack([_facing(scene, pod, points, triangles, normals) for pod in pods], 1)
+    kept = (outward > 0.12) & (facing.max(1) > 0.12)
+    used, renumbered = np.unique(triangles[kept], return_inverse=True)
+    return RangeMesh(
+        points[used],
+        renumbered.reshape(-1, 3).astype(np.int64),
+        facing[kept].argmax(1),
+        hits.face[seen][used],
+        hits.barycentric[seen][used],
+    )
+
+
+def _cylinder_rays(
+    vertices: FloatArray, axis_mm: FloatArray, spacing_mm: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return origins (N, 3), unit directions (N, 3) and unrolled coordinates (N, 2), mm at 100 mm radius."""
+    radius, far, widest = 100.0, 600.0, np.deg2rad(115)
+    across = np.arange(-widest * radius, widest * radius, spacing_mm)
+    up = np.arange(vertices[:, 1].min(), vertices[:, 1].max(), spacing_mm)
+    unrolled = np.stack(np.meshgrid(across, up), -1).reshape(-1, 2)
+    unrolled = unrolled + rng.uniform(-0.42, 0.42, unrolled.shape) * spacing_mm
+    azimuth = unrolled[:, 0] / radius
+    outward = np.stack([np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], 1)
+    foot = np.column_stack(
+        [np.full(len(up) * len(across), axis_mm[0]), unrolled[:, 1], np.full(len(azimuth), axis_mm[2])]
+    )
+    return foot + far * outward, -outward, unrolled
+
+
+def _triangulated(plane: FloatArray, longest: float) -> IntArray:
+    """Return Delaunay triangles (F, 3), counter-clockwise, without edges longer than `longest`."""
+    from scipy.spatial import Delaunay
+
+    triangles = Delaunay(plane).simplices.astype(np.int64)
+    a, b, c = (plane[triangles[:, k]] for k in range(3))
+    clockwise = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    edges = np.stack([b - a, c - b, a - c], 1)
+    return triangles[np.linalg.norm(edges, axis=2).max(1) < longest]
+
+
+def _facing(
+    scene: RayScene, pod: Pod, points: FloatArray, triangles: IntArray, normals: FloatArray
+) -> FloatArray:
+    """Return (F,) cosine between each triangle's normal and the pod, -1 where the pod cannot see it."""
+    toward = normalized(pod.position_mm - points)
+    hidden = scene.occluded(points + 0.5 * toward, toward)
+    cosine = np.einsum("ij,ij->i", normals, toward[triangles[:, 0]])
+    return np.where(hidden[triangles].any(1), -1.0, cosine)
