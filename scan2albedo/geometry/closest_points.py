@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.geometry.mesh import face_normals
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -50,6 +52,52 @@ class ClosestPointQuery:
             barycentric_coordinates(closest, self._vertices[self._faces[face]]),
             np.sqrt(squared),
         )
+
+    def query_facing(
+        self, points: ArrayLike, normals: ArrayLike, *, min_cosine: float = 0.3, neighbours: int = 32
+    ) -> ClosestHits:
+        """Return the closest surface point whose face looks the way of each point's normal.
+
+        Where surfaces lie against each other (closed lips, lids) the plain closest point may be on the
+        wrong one. Such points take the nearest compatible face among the `neighbours` nearest face
+        centres; the plain answer stays where none of these is compatible.
+
+        Parameters
+        ----------
+        points : (N, 3) array_like of float
+        normals : (N, 3) array_like of float
+            Unit normals; a zero normal is incompatible with nothing.
+        min_cosine : float
+            Least cosine between the normal and the face's normal.
+        neighbours : int
+            Faces looked at for the points that need it.
+        """
+        from scipy.spatial import cKDTree
+
+        targets, facing = np.asarray(points, np.float64), np.asarray(normals, np.float64)
+        hits, across = self.query(targets), face_normals(self._vertices, self._faces)
+        agreement = np.einsum("ij,ij->i", across[hits.face], facing)
+        wrong = np.flatnonzero((agreement < min_cosine) & (np.abs(facing).sum(1) > 0))
+        if len(wrong) == 0:
+            return hits
+        tree = cKDTree(self._vertices[self._faces].mean(1))
+        _, near = tree.query(targets[wrong], k=min(neighbours, len(self._faces)))
+        near = near.reshape(len(wrong), -1)
+        for row, candidates in zip(wrong, near, strict=True):
+            fit = candidates[across[candidates] @ facing[row] >= min_cosine]
+            if len(fit):
+                _place_on(hits, row, targets[row], self._vertices[self._faces[fit]], fit)
+        return hits
+
+
+def _place_on(hits: ClosestHits, row: int, point: FloatArray, triangles: FloatArray, faces: IntArray) -> None:
+    """Overwrite one row of `hits` with the closest point on a few triangles (clamped barycentrics)."""
+    weights = barycentric_coordinates(np.broadcast_to(point, (len(faces), 3)), triangles)
+    candidates = np.einsum("nk,nkj->nj", weights, triangles)
+    distance = np.linalg.norm(candidates - point, axis=1)
+    best = int(np.argmin(distance))
+    hits.points[row], hits.face[row] = candidates[best], faces[best]
+    hits.barycentric[row], hits.distance[row] = weights[best], distance[best]
 
 
 def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatArray:

@@ -83,6 +83,22 @@ class LoopSubdivision:
         )
         return (interpolate @ self.matrix).tocsr()
 
+    def control_points(self, points: SurfacePoints) -> SurfacePoints:
+        """Return points given on the refined faces as points on the control faces; undoes `points_matrix`."""
+        face, barycentric = np.asarray(points.face, np.int64), np.array(points.barycentric, float)
+        for _ in range(self.levels):
+            face, barycentric = _ascend(face, barycentric)
+        return SurfacePoints(face, barycentric)
+
+
+def _ascend(face: IntArray, barycentric: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Map (child face, barycentric) to its parent face: the inverse of `_descend`."""
+    rows, child = np.arange(len(face)), face % 4
+    outer = 0.5 * barycentric
+    outer[rows, np.minimum(child, 2)] += 0.5
+    middle = 0.5 * (1 - barycentric[:, [1, 2, 0]])
+    return face // 4, np.where((child == 3)[:, None], middle, outer)
+
 
 def _descend(face: IntArray, barycentric: FloatArray) -> tuple[IntArray, FloatArray]:
     """Map (face, barycentric) to the child face that holds the point (child order of `refine`)."""

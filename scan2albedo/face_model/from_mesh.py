@@ -1,0 +1,258 @@
+"""`AnnotatedFaceModel.from_mesh`: a model out of anyone's dense template."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.limit_fit import ControlMesh, decimated, fit_limit_surface, project
+from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
+from scan2albedo.face_model.template_cleaning import CleanTemplate, clean_template
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
+from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+REST_REGION = "face"
+LANDMARK_COUNT = 68
+LANDMARK_REACH_MM = 30.0
+MAX_REGIONS = 254
+
+
+def model_from_mesh(
+    vertices: FloatArray,
+    faces: IntArray,
+    uv: FloatArray | None = None,
+    regions: Mapping[str, IntArray] | None = None,
+    landmarks: FloatArray | IntArray | None = None,
+    *,
+    control_size: int = 1000,
+    name: str = "template",
+) -> AnnotatedFaceModel:
+    """Make an `AnnotatedFaceModel` from a dense face template of 100 to 100,000 vertices.
+
+    The template is mended (`clean_template`: unit, seams, loose parts, holes for eyes and mouth), its
+    edges are collapsed to about `control_size` vertices, and these are moved until the Loop limit
+    surface passes near the template. Every template vertex is placed on that surface, so that a fit
+    returns the face in the template's own topology.
+
+    Parameters
+    ----------
+    vertices : (T, 3) array of float
+        Millimetres, centimetres or metres (decided by the size of a head); +x the subject's left,
+        +y up, +z out of the face.
+    faces : (F, 3) array of int
+        Triangles. Vertices without a face, or on loose parts (eyeballs), are carried along by the
+        nearest surface.
+    uv : (T, 2) array of float, optional
+        One continuous chart; a new one is drawn when omitted or when it folds over.
+    regions : mapping of str to array, optional
+        Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face".
+    landmarks : (68, 3) array of float or (68,) array of int, optional
+        Points in the template's frame and unit, or vertex indices, iBUG-68 order.
+    control_size : int
+        Control vertices aimed at; a template not much larger keeps its own vertices.
+    name : str
+        Used in messages and results.
+
+    Returns
+    -------
+    AnnotatedFaceModel
+        In millimetres, the template's axes, origin at the centroid of its vertices in faces.
+
+    Raises
+    ------
+    ModelError
+        When the template, the regions or the landmarks cannot be used; the message says why.
+    """
+    template = clean_template(vertices, faces, name)
+    control = fit_limit_surface(
+        decimated(template.vertices, template.faces, control_size), template.vertices, template.faces
+    )
+    subdivision = LoopSubdivision.of(len(control.vertices), control.faces, LANDMARK_LEVELS)
+    normals = vertex_normals(template.vertices, template.faces)
+    inner = project(subdivision, control.vertices, template.vertices, normals)
+    placed = _all_placed(template, subdivision, control, inner)
+    matrix = subdivision.points_matrix(placed)
+    offset = _local_offset(matrix @ control.vertices, template.all_vertices, control, placed)
+    region, table = _regions(regions, np.asarray(faces, np.int64), template, control, name)
+    return AnnotatedFaceModel(
+        control_vertices=control.vertices,
+        control_faces=control.faces,
+        uv=_chart(uv, template, control, matrix, name),
+        region=region,
+        regions=table,
+        landmark_points=_landmarks(landmarks, np.asarray(vertices, float), template, placed, name),
+        template_points=placed,
+        template_offset=offset,
+        template_faces=np.array(faces, np.int64),
+        name=name,
+    )
+
+
+def surface_frames(corners: FloatArray) -> FloatArray:
+    """Return (N, 3, 3) orthonormal frames of triangles (N, 3, 3); columns: first edge, in-plane, normal.
+
+    A zero-area triangle gives zeros in the columns that are undefined, never NaN.
+    """
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge, other)
+    edge = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    return np.stack([edge, np.cross(normal, edge), normal], axis=2)
+
+
+def carried_template(model: AnnotatedFaceModel, control_points: FloatArray) -> FloatArray | None:
+    """Return the (T, 3) template vertices for deformed control points; None for models without a template.
+
+    Each vertex is its point on the limit surface plus its rest offset, turned with its control face.
+    """
+    if model.template_points is None:
+        return None
+    points = model.template_points
+    moved = model.subdivision(LANDMARK_LEVELS).points_matrix(points) @ control_points
+    if model.template_offset is None:
+        return moved
+    frames = surface_frames(control_points[model.control_faces[points.face]])
+    return moved + np.einsum("nij,nj->ni", frames, model.template_offset)
+
+
+def _all_placed(
+    template: CleanTemplate, subdivision: LoopSubdivision, control: ControlMesh, inner: SurfacePoints
+) -> SurfacePoints:
+    """Place all T vertices: cleaned ones where `inner` says, welded and loose ones by the nearest of these."""
+    _, nearest = cKDTree(template.vertices).query(template.all_vertices)
+    face, barycentric = inner.face[nearest].copy(), inner.barycentric[nearest].copy()
+    apart = np.linalg.norm(template.vertices[nearest] - template.all_vertices, axis=1) > 1e-3
+    apart[template.source] = False
+    face[template.source], barycentric[template.source] = inner.face, inner.barycentric
+    if apart.any():
+        loose = project(subdivision, control.vertices, template.all_vertices[apart], np.zeros((1, 3)))
+        face[apart], barycentric[apart] = loose.face, loose.barycentric
+    return SurfacePoints(face, barycentric)
+
+
+def _local_offset(
+    surface: FloatArray, template: FloatArray, control: ControlMesh, placed: SurfacePoints
+) -> FloatArray:
+    frames = surface_frames(control.vertices[control.faces[placed.face]])
+    return np.einsum("nij,ni->nj", frames, template - surface)
+
+
+def _chart(
+    uv: FloatArray | None,
+    template: CleanTemplate,
+    control: ControlMesh,
+    matrix: sparse.csr_matrix,
+    name: str,
+) -> FloatArray:
+    """Return (C, 2): the given chart solved for control vertices, or a new one."""
+    from scan2albedo.geometry.parametrization import parametrize_disc
+
+    if uv is not None:
+        given = np.asarray(uv, np.float64)
+        if given.shape != (len(template.all_vertices), 2):
+            raise ModelError(
+                f"{name}: uv has shape {given.shape}, expected ({len(template.all_vertices)}, 2): "
+                "one coordinate a vertex; split vertices at seams or leave uv out"
+            )
+        chart = _control_chart(given[template.source], matrix[template.source])
+        if _unfolded(chart, control.faces):
+            return chart
+    return parametrize_disc(control.vertices, control.faces)
+
+
+def _control_chart(uv: FloatArray, matrix: sparse.csr_matrix) -> FloatArray:
+    tie = 1e-6 * sparse.identity(matrix.shape[1])
+    chart = splu((matrix.T @ matrix + tie).tocsc()).solve(matrix.T @ uv)
+    return np.clip(chart, 0.0, 1.0)
+
+
+def _unfolded(chart: FloatArray, faces: IntArray) -> bool:
+    flat = np.column_stack([chart, np.zeros(len(chart))])
+    return bool((face_cross_products(flat, faces)[:, 2] > 0).all())
+
+
+def _regions(
+    regions: Mapping[str, IntArray] | None,
+    faces: IntArray,
+    template: CleanTemplate,
+    control: ControlMesh,
+    name: str,
+) -> tuple[NDArray[np.uint8], dict[str, Region]]:
+    """Give each control face the region of the template vertex nearest to its centre."""
+    named = dict(regions or {})
+    if len(named) > MAX_REGIONS:
+        raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
+    label = np.zeros(len(template.all_vertices), np.uint8)
+    table = {REST_REGION: Region(REST_REGION, 0)}
+    for index, (title, members) in enumerate(named.items(), start=1):
+        label[_member_vertices(title, np.asarray(members), faces, len(label), name)] = index
+        table[title] = Region(title, index)
+    centres = control.vertices[control.faces].mean(1)
+    _, nearest = cKDTree(template.vertices).query(centres)
+    return label[template.source][nearest], table
+
+
+def _member_vertices(
+    title: str, members: NDArray[np.generic], faces: IntArray, count: int, name: str
+) -> IntArray:
+    if members.dtype == bool and members.shape == (count,):
+        return np.flatnonzero(members)
+    if members.dtype == bool and members.shape == (len(faces),):
+        return np.unique(faces[members])
+    if members.dtype.kind in "iu" and members.ndim == 1 and (members.size == 0 or members.max() < count):
+        return members.astype(np.int64)
+    raise ModelError(
+        f"{name}: region {title!r} has shape {members.shape} and type {members.dtype}; expected vertex "
+        f"indices below {count}, or a bool mask of {count} vertices or {len(faces)} faces"
+    )
+
+
+def _landmarks(
+    landmarks: FloatArray | IntArray | None,
+    vertices: FloatArray,
+    template: CleanTemplate,
+    placed: SurfacePoints,
+    name: str,
+) -> SurfacePoints | None:
+    """Place 68 landmarks at the template vertices given or nearest to the points given."""
+    if landmarks is None:
+        return None
+    given = np.asarray(landmarks)
+    if given.shape == (LANDMARK_COUNT,) and given.dtype.kind in "iu":
+        if given.min() < 0 or given.max() >= len(vertices):
+            raise ModelError(f"{name}: landmark vertex {given.max()} out of range 0 ... {len(vertices) - 1}")
+        chosen = given.astype(np.int64)
+    elif given.shape == (LANDMARK_COUNT, 3):
+        chosen = _nearest_vertices(given.astype(float), vertices, template, name)
+    else:
+        raise ModelError(
+            f"{name}: landmarks have shape {given.shape}, expected (68, 3) points or (68,) vertex indices"
+        )
+    return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
+
+
+def _nearest_vertices(
+    points: FloatArray, vertices: FloatArray, template: CleanTemplate, name: str
+) -> IntArray:
+    """Return the nearest cleaned template vertex to points in the template's own unit and frame."""
+    distance, nearest = cKDTree(vertices[template.source]).query(points)
+    size_per_mm = float(
+        np.ptp(vertices[template.source], axis=0).max() / np.ptp(template.vertices, axis=0).max()
+    )
+    far = distance > LANDMARK_REACH_MM * size_per_mm
+    if not np.isfinite(distance).all() or far.any():
+        raise ModelError(
+            f"{name}: landmark {int(np.argmax(far))} lies {distance.max() / size_per_mm:.0f} mm from the "
+            f"template, at most {LANDMARK_REACH_MM:.0f} expected; give landmarks in the template's own frame"
+        )
+    return template.source[nearest]
