@@ -1,0 +1,182 @@
+"""The command line: thin wrappers around the library's calls."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from scan2albedo.errors import Scan2AlbedoError
+
+app = typer.Typer(
+    help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
+
+OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of every random step.")]
+SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
+
+
+@app.callback()
+def _common() -> None:
+    """scan2albedo."""
+
+
+@app.command()
+def process(
+    scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
+    out: OutOption,
+    model: Annotated[
+        str, typer.Option(help="A model's JSON file; 'default'; or 'none' for an object that is no face.")
+    ] = "default",
+    size: SizeOption = 512,
+    lights: Annotated[str, typer.Option(help="'auto', or how many.")] = "auto",
+    brdf: Annotated[
+        str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")
+    ] = "oren-nayar",
+    unit: Annotated[str, typer.Option(help="auto, mm, cm or m.")] = "auto",
+    budget: Annotated[float | None, typer.Option(help="Seconds a scan may take.")] = None,
+    seed: SeedOption = 0,
+    skip: Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")] = None,
+    force: Annotated[
+        list[str] | None, typer.Option(help="A stage to run in any case; may be repeated.")
+    ] = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Process raw scans: register, fit, sample, find the light, remove it."""
+    from scan2albedo.pipeline import process as run
+    from scan2albedo.progress import ProgressLines
+
+    summaries, failures = [], 0
+    for path in scans:
+        with ProgressLines(path.stem) as progress:
+            try:
+                result = run(
+                    path,
+                    out=out,
+                    model=_model_choice(model),
+                    size=size,
+                    lights=_light_choice(lights),
+                    brdf=brdf,
+                    unit=unit,
+                    budget=budget,
+                    seed=seed,
+                    skip=tuple(skip or ()),
+                    force=tuple(force or ()),
+                    on_progress=progress.update,
+                )
+            except (Scan2AlbedoError, ValueError) as error:
+                failures += 1
+                progress.say(f"scan2albedo: error: {_one_line(error)}")
+                summaries.append({"scan": str(path), "status": "failed", "reason": _one_line(error)})
+                continue
+            progress.say(result.summary())
+        summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
+    if json_summary:
+        typer.echo(json.dumps(summaries if len(scans) > 1 else summaries[0], indent=2))
+    if failures:
+        raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
+
+
+@app.command()
+def demo(
+    out: OutOption = Path("demo_out"),
+    seed: SeedOption = 0,
+    size: SizeOption = 512,
+    json_summary: JsonOption = False,
+) -> None:
+    """Process the built-in raw scan and print the error against its ground truth."""
+    from scan2albedo.demo import run_demo
+    from scan2albedo.progress import ProgressLines
+
+    with ProgressLines("demo") as progress:
+        report = run_demo(out, seed=seed, size=size, on_progress=progress.update)
+        progress.say(report.result.summary())
+    typer.echo(json.dumps(report.figures(), indent=2) if json_summary else report.table())
+
+
+@app.command()
+def validate(
+    what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
+    seed: SeedOption = 0,
+    json_summary: JsonOption = False,
+) -> None:
+    """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
+    from scan2albedo import validation
+
+    tables = {
+        "hemisphere": validation.validate_hemisphere,
+        "face": validation.validate_face,
+        "lighting": validation.validate_lighting,
+    }
+    chosen = list(tables) if what == "all" else [what]
+    if unknown := [name for name in chosen if name not in tables]:
+        raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(tables)}, all")
+    results = {name: tables[name](seed=seed) for name in chosen}
+    if json_summary:
+        typer.echo(json.dumps({name: table.figures() for name, table in results.items()}, indent=2))
+        return
+    for table in results.values():
+        typer.echo(validation.format_table(table))
+
+
+@app.command()
+def doctor(json_summary: JsonOption = False) -> None:
+    """Tell what is missing on this machine and the command that mends it."""
+    from dataclasses import asdict
+
+    from scan2albedo.doctor import examine
+
+    findings = []
+    for finding in examine():
+        findings.append(finding)
+        if not json_summary:
+            typer.echo(f"{'ok     ' if finding.good else 'MISSING'}  {finding.subject}: {finding.detail}")
+            if finding.remedy:
+                typer.echo(f"         mend it with: {finding.remedy}")
+    if json_summary:
+        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
+    if not all(finding.good for finding in findings):
+        raise typer.Exit(SOME_FAILED)
+
+
+def _model_choice(name: str) -> Any:
+    return None if name == "default" else name
+
+
+def _light_choice(lights: str) -> str | int:
+    if lights == "auto":
+        return lights
+    try:
+        return int(lights)
+    except ValueError:
+        raise typer.BadParameter(f"--lights takes 'auto' or a whole number, not {lights!r}") from None
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+def main() -> None:
+    """Run the command line; every expected trouble ends in one line and an exit status."""
+    try:
+        app()
+    except Scan2AlbedoError as error:
+        print(f"scan2albedo: error: {_one_line(error)}", file=sys.stderr)
+        sys.exit(USAGE_ERROR)
+    except KeyboardInterrupt:
+        print("scan2albedo: interrupted; nothing half-written was left behind", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""What is missing on this machine, and the command that mends it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+
+SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
+"""Debian packages that Open3D's wheel needs and slim machines lack."""
+
+_IMPORT_NAMES = {
+    "cholespy": "cholespy",
+    "embreex": "embreex",
+    "libigl": "igl",
+    "matplotlib": "matplotlib",
+    "numba": "numba",
+    "numpy": "numpy",
+    "open3d": "open3d",
+    "opencv-python-headless": "cv2",
+    "OpenEXR": "OpenEXR",
+    "pydantic": "pydantic",
+    "rich": "rich",
+    "scipy": "scipy",
+    "threadpoolctl": "threadpoolctl",
+    "trimesh": "trimesh",
+    "typer": "typer",
+    "xatlas": "xatlas",
+}
+OLDEST_PYTHON = (3, 11)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    subject : str
+        What was checked.
+    good : bool
+        Whether it works.
+    detail : str
+        Version found, or the error.
+    remedy : str
+        The command that mends it; empty when good.
+    """
+
+    subject: str
+    good: bool
+    detail: str
+    remedy: str = ""
+
+
+def examine() -> Iterator[Finding]:
+    """Yield a finding for Python, each library (really imported, in a process of its own) and the model."""
+    running = ".".join(map(str, sys.version_info[:3]))
+    good = sys.version_info[:2] >= OLDEST_PYTHON
+    yield Finding("Python", good, running, "" if good else "install Python 3.11 or later and run: make demo")
+    for package, module in _IMPORT_NAMES.items():
+        yield _library(package, module)
+    yield _default_model()
+
+
+def _library(package: str, module: str) -> Finding:
+    installed = next((v for name in (package, f"{package}-cpu") if (v := _version(name))), None)
+    if installed is None:
+        return Finding(
+            package, False, "not installed", f"{sys.executable} -m pip install '{_requirement(package)}'"
+        )
+    # A library that lacks a system library may crash instead of raising, so it is tried in its own process.
+    attempt = subprocess.run(
+        [sys.executable, "-c", f"import {module}"], capture_output=True, text=True, check=False, timeout=300
+    )
+    if attempt.returncode == 0:
+        return Finding(package, True, installed)
+    complaint = (attempt.stderr.strip().splitlines() or [f"exit status {attempt.returncode}"])[-1]
+    remedy = f"{sys.executable} -m pip install --force-reinstall '{_requirement(package)}'"
+    if package == "open3d" or ".so" in complaint:
+        remedy = f"apt-get install -y {SYSTEM_LIBRARIES}    (or: tools/bootstrap_system.sh)"
+    return Finding(package, False, f"{installed} does not import: {complaint}", remedy)
+
+
+def _default_model() -> Finding:
+    from scan2albedo.errors import ModelError
+    from scan2albedo.face_model import AnnotatedFaceModel
+
+    try:
+        model = AnnotatedFaceModel.default()
+    except (ImportError, ModelError) as error:
+        return Finding(
+            "default face model", False, str(error), f"{sys.executable} -m pip install --force-reinstall ."
+        )
+    return Finding("default face model", True, f"{len(model.control_vertices)} control vertices")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _requirement(package: str) -> str:
+    """Return our own requirement line for a package, such as 'libigl<2.7,>=2.6.3'."""
+    for line in requires("scan2albedo") or ():
+        requirement = line.split(";")[0].strip()
+        if requirement.lower().startswith(package.lower()):
+            return requirement
+    return package

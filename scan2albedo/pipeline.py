@@ -1,0 +1,357 @@
+"""`process`: a raw scan through every stage it needs, with a plan, a trace and files."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting import FittedFace, fit
+from scan2albedo.io import GeometryImage, RawScan, load_scan
+from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.registration import Registration, RegistrationOptions, register
+from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+
+BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
+"""Share of the seconds still left that each stage may take."""
+
+STAGES = (
+    "register",
+    "register.depth_annealing",
+    "fit",
+    "geometry_image",
+    "albedo",
+    "albedo.shadows",
+    "albedo.specular",
+    "albedo.near_light",
+    "albedo.rectification",
+    "albedo.inpainting",
+)
+"""Names that `skip` and `force` take."""
+
+_NEEDED = {"fit", "geometry_image"}
+
+
+@dataclass(frozen=True)
+class ProcessResult:
+    """Everything that came of one scan.
+
+    Parameters
+    ----------
+    scan : RawScan
+    registration : Registration or None
+        None without a model, or when registration was skipped.
+    fitted : FittedFace or None
+        None without a model.
+    geometry_image : GeometryImage
+    albedo : AlbedoEstimate or None
+        None when the scan has no colour, or the stage was skipped.
+    plan : Plan
+        What ran, what was left out, and why.
+    trace : Trace
+        Error against run time of every iterative stage.
+    timings_s : mapping of str to float
+        Wall-clock seconds of each stage.
+    options : mapping of str to object
+        What `process` was called with.
+    out : Path or None
+        Folder with the files, when they were written.
+    """
+
+    scan: RawScan
+    registration: Registration | None
+    fitted: FittedFace | None
+    geometry_image: GeometryImage
+    albedo: AlbedoEstimate | None
+    plan: Plan
+    trace: Trace
+    timings_s: Mapping[str, float]
+    options: Mapping[str, Any]
+    out: Path | None = None
+    messages: tuple[str, ...] = field(default=())
+    """Warnings that stages gave."""
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures of each stage, for summaries and result.json."""
+        figures: dict[str, Any] = {"seconds": round(sum(self.timings_s.values()), 3)}
+        if self.registration is not None:
+            figures["registration"] = {
+                "rmse_mm": self.registration.rmse_mm,
+                "confidence": self.registration.confidence,
+                "converged": self.registration.converged,
+            }
+        if self.fitted is not None:
+            figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
+        if self.albedo is not None:
+            figures["albedo"] = {
+                "lights": len(self.albedo.lights),
+                "parameters": dict(self.albedo.parameters),
+                "converged": self.albedo.converged,
+            }
+        return figures
+
+    def summary(self) -> str:
+        """Return one line a person can judge the result by."""
+        parts = [f"{self.scan.name}: done in {sum(self.timings_s.values()):.1f} s"]
+        if self.fitted is not None:
+            parts.append(f"fit {np.nanmean(self.fitted.residual_mm):.2f} mm mean")
+        if self.albedo is not None:
+            lights = ", ".join(
+                f"({np.degrees(light.azimuth_rad):.0f}, {np.degrees(light.elevation_rad):.0f}) deg"
+                for light in self.albedo.lights
+            )
+            parts.append(f"light at {lights}" if lights else "no directed light")
+        else:
+            parts.append("no albedo (see the plan)")
+        if self.out is not None:
+            parts.append(f"files in {self.out}")
+        return "; ".join(parts)
+
+
+def process(
+    source: str | Path | RawScan,
+    out: str | Path | None = None,
+    *,
+    model: AnnotatedFaceModel | str | Path | None = None,
+    size: int = 512,
+    lights: int | str = "auto",
+    brdf: str = "oren-nayar",
+    unit: str = "auto",
+    budget: Budget | float | None = None,
+    seed: int = 0,
+    skip: Sequence[str] = (),
+    force: Sequence[str] = (),
+    on_progress: ProgressCallback | None = None,
+) -> ProcessResult:
+    """Take one raw scan through every stage it needs.
+
+    Parameters
+    ----------
+    source : path or RawScan
+        The scan.
+    out : path, optional
+        Folder that gets a subfolder named after the scan with the files of the result.
+    model : AnnotatedFaceModel, path or "none", optional
+        The template; the default model when omitted. "none" processes any object without a face:
+        xatlas charts, no registration, no fit.
+    size : int
+        Height and width of the geometry image.
+    lights : "auto" or int
+        How many lights; "auto" decides by evidence.
+    brdf : str
+        "oren-nayar", "lambert", "minnaert" or "spherical-harmonics".
+    unit : str
+        "auto", "mm", "cm" or "m".
+    budget : Budget or float, optional
+        Seconds for the whole run, or a Budget whose evaluations hold for each stage.
+    seed : int
+        Same seed, input and budget in evaluations: same result, bit by bit.
+    skip, force : sequence of str
+        Names from `STAGES` to leave out, or to run whatever the evidence says.
+    on_progress : callable, optional
+        Called with every `TraceRow`.
+
+    Returns
+    -------
+    ProcessResult
+
+    Raises
+    ------
+    Scan2AlbedoError
+        With one clear message: the scan cannot be read, holds no face, cannot be fitted, or the
+        results cannot be written.
+    ValueError
+        For an unknown stage name, or one that is both skipped and forced.
+    """
+    _check_stage_names(skip, force)
+    run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), seed, on_progress)
+    options = {
+        "size": size,
+        "lights": lights,
+        "brdf": brdf,
+        "unit": unit,
+        "skip": sorted(skip),
+        "force": sorted(force),
+        "budget_seconds": run.budget.seconds,
+        "budget_evaluations": run.budget.evaluations,
+    }
+    # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
+    if out is not None:
+        from scan2albedo.result_files import check_writable
+
+        check_writable(Path(out))
+    with run.timed("load"):
+        scan = source if isinstance(source, RawScan) else load_scan(source, unit=unit)
+        template = _model(model)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        registration, fitted, image = run.geometry(scan, template, size)
+        estimate = run.albedo(image, scan, lights, brdf)
+    result = ProcessResult(
+        scan,
+        registration,
+        fitted,
+        image,
+        estimate,
+        run.plan,
+        run.trace,
+        run.timings_s,
+        {**options, "seed": seed, "model": "none" if template is None else template.name},
+        messages=tuple(str(warning.message) for warning in caught if warning.category is UserWarning),
+    )
+    if out is None:
+        return result
+    from scan2albedo.result_files import write_result
+
+    return replace(result, out=write_result(result, Path(out)))
+
+
+def _check_stage_names(skip: Sequence[str], force: Sequence[str]) -> None:
+    for name in (*skip, *force):
+        if name not in STAGES:
+            raise ValueError(f"{name!r} is no stage; stages are {', '.join(STAGES)}")
+    if both := sorted(set(skip) & set(force)):
+        raise ValueError(f"stages both skipped and forced: {', '.join(both)}")
+    if needed := sorted(set(skip) & _NEEDED):
+        raise ValueError(
+            f"{needed[0]!r} cannot be skipped: later stages stand on it (model='none' works without)"
+        )
+
+
+def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
+    if model is None:
+        return AnnotatedFaceModel.default()
+    if isinstance(model, AnnotatedFaceModel):
+        return model
+    if str(model) == "none":
+        return None
+    if not Path(model).is_file():
+        raise ModelError(f"{model}: no such model file; give a model's JSON file, 'default' or 'none'")
+    return AnnotatedFaceModel.load(str(model))
+
+
+@dataclass
+class _Run:
+    """The state of one run: clock, plan and trace."""
+
+    budget: Budget
+    skip: frozenset[str]
+    force: frozenset[str]
+    seed: int
+    on_progress: ProgressCallback | None
+    plan: Plan = field(default_factory=Plan)
+    trace: Trace = field(default_factory=Trace)
+    timings_s: dict[str, float] = field(default_factory=dict)
+    start: float = field(default_factory=time.perf_counter)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        self.timings_s[stage] = time.perf_counter() - begin
+
+    def share(self, stage: str) -> Budget:
+        """Return the stage's part of what is left of the budget."""
+        if self.budget.seconds is None:
+            return self.budget
+        left = self.budget.seconds - (time.perf_counter() - self.start)
+        return replace(self.budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
+
+    def note(self, stage: str, ran: bool, reason: str, evidence: str = "") -> None:
+        self.plan += Plan((PlanStep(stage, ran, reason, evidence),))
+
+    def geometry(
+        self, scan: RawScan, model: AnnotatedFaceModel | None, size: int
+    ) -> tuple[Registration | None, FittedFace | None, GeometryImage]:
+        if model is None:
+            for stage in ("register", "fit"):
+                self.note(stage, False, "no model was asked for")
+            with self.timed("geometry_image"):
+                image = geometry_image_of_scan(scan, size)
+            self.note(
+                "geometry_image", True, "charts cut by xatlas", f"{image.mask.mean():.1%} of the texels used"
+            )
+            return None, None, image
+        registration = self.registration(scan, model)
+        pose = np.eye(4) if registration is None else registration.model_from_scan
+        with self.timed("fit"):
+            fitted = fit(scan, model, pose, self.share("fit"), on_progress=self.on_progress)
+        self.trace += fitted.trace
+        self.note(
+            "fit",
+            True,
+            "the model is deformed onto the scan",
+            f"{np.nanmean(fitted.residual_mm):.3f} mm mean",
+        )
+        with self.timed("geometry_image"):
+            image = geometry_image(fitted, scan, size)
+        seen = image.seen.sum() / max(int(image.mask.sum()), 1)
+        evidence = f"{image.mask.mean():.1%} of the texels used, texture seen in {seen:.1%} of them"
+        self.note(
+            "geometry_image", True, "the model's own chart", evidence if scan.has_color else "no colour"
+        )
+        return registration, fitted, image
+
+    def registration(self, scan: RawScan, model: AnnotatedFaceModel) -> Registration | None:
+        if "register" in self.skip:
+            self.note(
+                "register", False, "skipped by the caller: the scan is taken to lie in the model's frame"
+            )
+            return None
+        with self.timed("register"):
+            options = RegistrationOptions(depth_annealing=self.choice("register.depth_annealing"))
+            registration = register(
+                scan, model, self.share("register"), self.seed, options=options, on_progress=self.on_progress
+            )
+        self.trace += registration.trace
+        self.note("register", True, "pose of the face in the scan", f"rmse {registration.rmse_mm:.2f} mm")
+        for step, ran, reason, evidence in registration.notes:
+            self.note(f"register.{step}", ran, reason, evidence)
+        return registration
+
+    def albedo(
+        self, image: GeometryImage, scan: RawScan, lights: int | str, brdf: str
+    ) -> AlbedoEstimate | None:
+        if "albedo" in self.skip:
+            self.note("albedo", False, "skipped by the caller")
+            return None
+        if image.texture_linear is None:
+            self.note("albedo", False, "the scan has no usable colour", "; ".join(scan.notes))
+            return None
+        with self.timed("albedo"):
+            estimate = estimate_albedo(
+                image,
+                lights=lights,
+                brdf=brdf,
+                budget=self.share("albedo"),
+                seed=self.seed,
+                options=self.estimate_options(),
+                on_progress=self.on_progress,
+            )
+        self.trace += estimate.trace
+        self.plan += estimate.plan
+        return estimate
+
+    def estimate_options(self) -> EstimateOptions:
+        return EstimateOptions(
+            shadows=self.choice("albedo.shadows"),
+            specular=self.choice("albedo.specular"),
+            near_light=self.choice("albedo.near_light"),
+            rectification=self.choice("albedo.rectification"),
+            inpainting=self.choice("albedo.inpainting"),
+        )
+
+    def choice(self, stage: str) -> bool | None:
+        """Return False when skipped, True when forced, None when the evidence decides."""
+        if stage in self.skip:
+            return False
+        return True if stage in self.force else None

@@ -1,0 +1,68 @@
+"""Progress on stderr: a live line on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+from scan2albedo.optimization import TraceRow
+
+PLAIN_INTERVAL_S = 2.0
+"""Shortest time between two plain lines of one stage."""
+
+
+class ProgressLines:
+    """Shows the trace rows of a running scan; use as a context manager.
+
+    Parameters
+    ----------
+    name : str
+        The scan's name.
+    """
+
+    def __init__(self, name: str) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        self._name = name
+        self._console = Console(stderr=True)
+        self._stage, self._last_plain = "", 0.0
+        self._bar: Progress | None = None
+        if sys.stderr.isatty():
+            self._bar = Progress(
+                SpinnerColumn(),
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TimeElapsedColumn(),
+                TextColumn("{task.fields[error]}"),
+                console=self._console,
+                transient=True,
+            )
+            self._task = self._bar.add_task(name, total=None, error="")
+
+    def __enter__(self) -> ProgressLines:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, row: TraceRow) -> None:
+        """Show one trace row."""
+        if self._bar is not None:
+            error = f"{row.error:.4g} {row.unit} after {row.evaluations} evaluations"
+            self._bar.update(self._task, description=f"{self._name}: {row.stage}", error=error)
+            return
+        now = time.monotonic()
+        if row.stage != self._stage or now - self._last_plain > PLAIN_INTERVAL_S:
+            self._stage, self._last_plain = row.stage, now
+            self.say(f"{self._name}: {row.stage} ... {row.error:.4g} {row.unit}")
+
+    def say(self, line: str) -> None:
+        """Print a line that stays."""
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)

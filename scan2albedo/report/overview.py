@@ -1,0 +1,152 @@
+"""`overview.png`: input, fit, geometry image, lighting and albedo side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.io.images import linear_to_srgb
+from scan2albedo.report.rendering import View, heat_colors, render_mesh
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from scan2albedo.albedo import AlbedoEstimate
+    from scan2albedo.fitting import FittedFace
+    from scan2albedo.io.geometry_image import GeometryImage
+    from scan2albedo.io.raw_scan import RawScan
+
+Picture = NDArray[np.uint8]
+
+RESIDUAL_SCALE_MM = 2.0
+"""Residual shown in the brightest colour of the heat map."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One titled picture of the overview."""
+
+    title: str
+    picture: Picture
+    dots: NDArray[np.float64] | None = None
+    """(N, 2) pixel positions (column, row) to mark, such as landmarks."""
+
+
+def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure:
+    """Return a matplotlib figure with the panels in rows of `columns`."""
+    from matplotlib.figure import Figure
+
+    columns = min(columns, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(3.6 * columns, 3.9 * rows + 0.4), dpi=100, layout="constrained")
+    figure.suptitle(title, fontsize=12)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes:
+        axis.set_axis_off()
+    for axis, panel in zip(axes, panels, strict=False):
+        axis.imshow(panel.picture, interpolation="nearest")
+        axis.set_title(panel.title, fontsize=9)
+        if panel.dots is not None:
+            axis.plot(panel.dots[:, 0], panel.dots[:, 1], ".", color="lime", markersize=3)
+            axis.set_xlim(0, panel.picture.shape[1])
+            axis.set_ylim(panel.picture.shape[0], 0)
+    return figure
+
+
+def face_panels(
+    scan: RawScan, fitted: FittedFace, image: GeometryImage, estimate: AlbedoEstimate | None
+) -> list[Panel]:
+    """Return the panels of a processed face, from the input to the albedo."""
+    around = View.around(fitted.vertices)
+    view = View(around.center_mm, around.half_width_mm * 1.15)
+    panels = [_input_panel(scan, fitted, view), _landmark_panel(fitted, view), _residual_panel(fitted, view)]
+    panels += chart_panels(image, estimate)
+    if estimate is not None:
+        uv = fitted.uv[fitted.faces]
+        for name, linear in (("texture", image.texture_linear), ("albedo", estimate.albedo_linear)):
+            assert linear is not None
+            picture = render_mesh(
+                fitted.vertices,
+                fitted.faces,
+                texture_srgb=(uv, preview_srgb(linear, image.mask)),
+                view=view,
+                shaded=False,
+            )
+            panels.append(Panel(f"face with its {name}", picture))
+    return panels
+
+
+def chart_panels(image: GeometryImage, estimate: AlbedoEstimate | None) -> list[Panel]:
+    """Return the panels that live on the chart: texture, lighting, albedo, normals or regions."""
+    panels = []
+    if image.texture_linear is not None:
+        dimmed = np.where(image.seen[..., None], image.texture_linear, 0.35 * image.texture_linear)
+        panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, image.mask)))
+    if estimate is not None:
+        panels.append(Panel("diffuse light + ambient", _gray(estimate.shading, image.mask)))
+        panels.append(Panel("highlights", _gray(estimate.specular, image.mask)))
+        panels.append(Panel("albedo", preview_srgb(estimate.albedo_linear, image.mask)))
+    normal = np.where(image.mask[..., None], (image.normal + 1) / 2, 1.0)
+    panels.append(Panel("normals", _bytes(normal)))
+    return panels
+
+
+def preview_srgb(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+    """Return (H, W, 3) sRGB bytes of a linear image, scaled so that its bright texels stay below white.
+
+    The albedo's global scale is unknown (design: light strength and albedo cannot be told apart), so
+    previews are scaled to put the 99.5th percentile at 0.9.
+    """
+    inside = linear[mask]
+    bright = float(np.percentile(inside.max(-1), 99.5)) if len(inside) else 0.0
+    scaled = linear * (0.9 / bright) if bright > 0 else linear
+    return _bytes(np.where(mask[..., None], linear_to_srgb(np.clip(scaled, 0, 1)), 1.0))
+
+
+def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
+    placed = transform_points(fitted.model_from_scan, scan.vertices)
+    wide = View(view.center_mm, view.half_width_mm * 1.35)
+    if scan.uv is not None and scan.texture_linear is not None:
+        texture = _bytes(linear_to_srgb(np.clip(scan.texture_linear, 0, 1)))
+        picture = render_mesh(placed, scan.faces, texture_srgb=(scan.uv, texture), view=wide, shaded=False)
+    elif scan.vertex_color_linear is not None:
+        color = linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
+        picture = render_mesh(placed, scan.faces, vertex_color_srgb=color, view=wide, shaded=False)
+    else:
+        picture = render_mesh(placed, scan.faces, view=wide)
+    dots = None if fitted.landmarks is None else _dots(fitted.landmarks, wide, picture)
+    return Panel("registered input, found landmarks", picture, dots)
+
+
+def _landmark_panel(fitted: FittedFace, view: View) -> Panel:
+    return Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view))
+
+
+def _residual_panel(fitted: FittedFace, view: View) -> Panel:
+    colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
+    picture = render_mesh(fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False)
+    mean = float(np.nanmean(fitted.residual_mm)) if np.isfinite(fitted.residual_mm).any() else float("nan")
+    return Panel(
+        f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)", picture
+    )
+
+
+def _dots(points: NDArray[np.float64], view: View, picture: Picture) -> NDArray[np.float64]:
+    seen = view.project(points)
+    scale = (picture.shape[0] - 1) / (2 * view.half_width_mm)
+    return np.stack([(seen[:, 0] + view.half_width_mm) * scale, (view.half_width_mm - seen[:, 1]) * scale], 1)
+
+
+def _gray(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+    inside = values[mask]
+    bright = float(np.percentile(inside, 99.5)) if len(inside) else 0.0
+    shown = linear_to_srgb(np.clip(values / bright, 0, 1)) if bright > 0 else np.zeros_like(values)
+    return _bytes(np.repeat(np.where(mask, shown, 1.0)[..., None], 3, axis=2))
+
+
+def _bytes(picture: NDArray[np.floating]) -> Picture:
+    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)

@@ -1,0 +1,123 @@
+"""Geometry images of surfaces whose answer is known in closed form."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.sampling import LookupOptions, geometry_image
+
+
+class FlatAnnotation:
+    """One region for everything."""
+
+    def region_values(self, attribute):
+        return {"specular_scale": np.full(256, 0.7), "inpaint": np.full(256, 1.0)}[attribute]
+
+
+@dataclass
+class Patch:
+    """A square patch z(x, y) of 100 mm with uv = position, in place of a fitted face."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    model_from_scan: np.ndarray
+    region: np.ndarray = field(init=False)
+    model: FlatAnnotation = field(default_factory=FlatAnnotation)
+
+    def __post_init__(self):
+        self.region = np.full(len(self.faces), 3, np.uint8)
+
+
+def grid_faces(n):
+    index = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (index[s].ravel() for s in (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:]))
+    return np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+
+
+def patch(height=lambda x, y: 0 * x, n=41, model_from_scan=None):
+    u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
+    uv = np.stack([u.ravel(), v.ravel()], 1)
+    xy = 100 * (uv - 0.5)
+    vertices = np.column_stack([xy, height(*xy.T)])
+    return Patch(vertices, grid_faces(n), uv, np.eye(4) if model_from_scan is None else model_from_scan)
+
+
+def textured_scan(fitted, texture, n_noise=0.0):
+    """The patch itself as a raw scan, in the scan's own frame, with uv = chart."""
+    vertices = transform_points(invert_rigid(fitted.model_from_scan), fitted.vertices)
+    return RawScan(vertices, fitted.faces, fitted.uv[fitted.faces], texture)
+
+
+def test_position_follows_the_texel_centres_with_row_0_on_top():
+    image = geometry_image(patch(), None, size=50)
+    assert image.mask.all()
+    np.testing.assert_allclose(image.position[0, 0], [-49, 49, 0], atol=1e-9)
+    np.testing.assert_allclose(image.position[-1, -1], [49, -49, 0], atol=1e-9)
+    np.testing.assert_allclose(image.normal, np.broadcast_to([0, 0, 1], (50, 50, 3)), atol=1e-12)
+    assert (image.region == 3).all()
+    assert image.texture_linear is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_linear_texture_is_reproduced_in_any_pose(seed):
+    rng = np.random.default_rng(seed)
+    pose = compose(random_rotation(rng), rng.uniform(-500, 500, 3))
+    fitted = patch(lambda x, y: 10 * np.cos(x / 30), model_from_scan=pose)
+    rows, columns = np.meshgrid(np.arange(256), np.arange(256), indexing="ij")
+    u, v = (columns + 0.5) / 256, 1 - (rows + 0.5) / 256
+    texture = np.stack([u, v, 0.25 + 0 * u], -1).astype(np.float32)
+    image = geometry_image(fitted, textured_scan(fitted, texture), size=64)
+    assert image.texture_valid.mean() > 0.99
+    truth = np.stack(np.meshgrid((np.arange(64) + 0.5) / 64, 1 - (np.arange(64) + 0.5) / 64), -1)
+    inside = np.s_[2:-2, 2:-2]
+    np.testing.assert_allclose(image.texture_linear[inside][..., :2], truth[inside], atol=2e-3)
+    np.testing.assert_allclose(image.texture_linear[..., 2], 0.25, atol=1e-6)
+
+
+def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased():
+    fitted = patch()
+    checker = (np.indices((512, 512)).sum(0) % 2).astype(np.float32)
+    scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
+    aliased = geometry_image(fitted, scan, 64, options=LookupOptions(taps=1)).texture_linear
+    filtered = geometry_image(fitted, scan, 64, options=LookupOptions(taps=8)).texture_linear
+    assert np.abs(filtered - 0.5).max() < 0.13
+    assert np.abs(aliased - 0.5).max() >= np.abs(filtered - 0.5).max()
+
+
+def test_a_hole_in_the_scan_is_known_as_unseen():
+    fitted = patch()
+    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
+    center = fitted.vertices[fitted.faces].mean(1)
+    keep = np.linalg.norm(center, axis=1) > 15
+    holed = RawScan(scan.vertices, scan.faces[keep], scan.uv[keep], scan.texture_linear)
+    image = geometry_image(fitted, holed, size=100)
+    radius = np.linalg.norm(image.position, axis=-1)
+    assert not image.texture_valid[radius < 12].any()
+    assert image.texture_valid[radius > 18].all()
+
+
+def test_a_surface_that_faces_away_or_lies_far_off_is_unseen():
+    fitted = patch()
+    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
+    flipped = RawScan(scan.vertices, scan.faces[:, ::-1], scan.uv[:, ::-1], scan.texture_linear)
+    far = RawScan(scan.vertices + [0, 0, 30], scan.faces, scan.uv, scan.texture_linear)
+    assert not geometry_image(fitted, flipped, 32).texture_valid.any()
+    assert not geometry_image(fitted, far, 32).texture_valid.any()
+
+
+def test_vertex_colours_serve_where_there_is_no_texture():
+    fitted = patch()
+    color = np.column_stack([fitted.uv, np.zeros(len(fitted.uv))]).astype(np.float32)
+    image = geometry_image(fitted, RawScan(fitted.vertices, fitted.faces, vertex_color_linear=color), 40)
+    np.testing.assert_allclose(image.texture_linear[0, :, 0], (np.arange(40) + 0.5) / 40, atol=1e-6)
+    np.testing.assert_allclose(image.specular_scale, 0.7)
+
+
+def test_too_small_a_size_is_refused():
+    with pytest.raises(GeometryImageError, match="size 4 is too small"):
+        geometry_image(patch(), None, size=4)

@@ -1,0 +1,42 @@
+"""Any object becomes a geometry image through xatlas charts."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.sampling import geometry_image_of_scan
+
+
+def test_a_sphere_is_covered_once_with_true_positions_and_normals():
+    sphere = trimesh.creation.icosphere(4, 80.0)
+    image = geometry_image_of_scan(RawScan(sphere.vertices + 1000.0, sphere.faces), 256)
+    inside = image.mask
+    assert inside.mean() > 0.3
+    radius = np.linalg.norm(image.position[inside], axis=1)
+    np.testing.assert_allclose(radius, 80, atol=0.4)
+    outward = np.einsum("ij,ij->i", image.normal[inside], image.position[inside] / radius[:, None])
+    assert outward.min() > 0.99
+
+
+def test_a_large_surface_is_simplified_first():
+    sphere = trimesh.creation.icosphere(6, 80.0)
+    image = geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 128)
+    assert len(image.occluder[1]) <= 15_000
+    np.testing.assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=0.5)
+
+
+def test_colours_come_along():
+    box = trimesh.creation.icosphere(3, 50.0)
+    color = ((box.vertices + 50) / 100).astype(np.float32)
+    image = geometry_image_of_scan(RawScan(box.vertices, box.faces, vertex_color_linear=color), 128)
+    expected = (image.position[image.mask] + box.vertices.mean(0) + 50) / 100
+    assert image.texture_valid[image.mask].mean() > 0.95
+    np.testing.assert_allclose(image.texture_linear[image.mask], expected, atol=0.02)
+
+
+def test_a_surface_of_zero_area_is_refused():
+    line = RawScan(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]]))
+    with pytest.raises(GeometryImageError, match="zero area"):
+        geometry_image_of_scan(line)
