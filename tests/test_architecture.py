@@ -66,6 +66,6 @@ def test_every_public_name_can_be_loaded():
 
 
 def test_geometry_image_stays_a_function_after_its_package_is_loaded():
-    import scan2albedo.sampling  # noqa: F401
+    import scan2albedo.sampling
 
     assert callable(scan2albedo.geometry_image)

@@ -1,0 +1,95 @@
+"""The files of one processed scan, all of them or none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scan2albedo.errors import OutputError
+from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
+from scan2albedo.io.glb import write_glb
+from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
+
+if TYPE_CHECKING:
+    from scan2albedo.pipeline import ProcessResult
+
+
+def check_writable(out: Path) -> None:
+    """Create `out` and prove that a file can be written there.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder and the cause.
+    """
+    make_folder(out)
+    try:
+        with tempfile.NamedTemporaryFile(dir=out, prefix=".probe-"):
+            pass
+    except OSError as error:
+        raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
+
+
+def write_result(result: ProcessResult, out: Path) -> Path:
+    """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
+
+    The files are made in a hidden folder beside it and renamed into place, `result.json` last: a run
+    that is killed, or a disk that is full, leaves older results as they were and no half-file.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder and the cause.
+    """
+    name = result.scan.name
+    folder = make_folder(out / name)
+    try:
+        staging = Path(tempfile.mkdtemp(prefix=f".{name}-", suffix=".part", dir=out))
+    except OSError as error:
+        raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
+    try:
+        _write_all(result, staging)
+        for path in sorted(staging.iterdir(), key=lambda p: p.name == "result.json"):
+            os.replace(path, folder / path.name)
+    except OSError as error:
+        raise OutputError(f"cannot write the results into {folder}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return folder
+
+
+def _write_all(result: ProcessResult, folder: Path) -> None:
+    image, estimate = result.geometry_image, result.albedo
+    write_geometry_image(folder / "geometry_image.npz", image)
+    write_geometry_image_exr(folder / "geometry_image.exr", image)
+    if estimate is not None:
+        write_exr(folder / "albedo.exr", estimate.albedo_linear)
+        write_png(folder / "albedo.png", preview_srgb(estimate.albedo_linear, image.mask))
+        write_exr(folder / "shading.exr", estimate.shading)
+        write_exr(folder / "specular.exr", estimate.specular)
+        write_png(folder / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
+    if result.fitted is not None:
+        colored = estimate.albedo_linear if estimate is not None else None
+        texture = None if colored is None else preview_srgb(colored, image.mask)
+        write_glb(
+            folder / "fitted.glb", result.fitted.vertices, result.fitted.faces, result.fitted.uv, texture
+        )
+    _write_pictures(result, folder)
+    _write_json(result, folder)
+    result.trace.to_csv(folder / "trace.csv")
+
+
+def _write_pictures(result: ProcessResult, folder: Path) -> None:
+    if result.fitted is not None:
+        panels = face_panels(result.scan, result.fitted, result.geometry_image, result.albedo)
+    else:
+        panels = chart_panels(result.geometry_image, result.albedo)
+    overview_figure(result.summary(), panels).savefig(folder / "overview.png")
+    result.trace.plot().savefig(folder / "error_vs_time.png", dpi=110)
