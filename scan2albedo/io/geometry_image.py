@@ -91,7 +91,7 @@ class GeometryImage:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""
-        return self.mask.shape  # type: ignore[return-value]
+        return self.mask.shape
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -112,8 +112,8 @@ class GeometryImage:
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         faces = []
         for triangle in ((a, c, b), (b, c, d)):
-            corners = np.stack(triangle, -1).reshape(-1, 3)
-            faces.append(corners[(corners >= 0).all(1)])
+            texels = np.stack(triangle, -1).reshape(-1, 3)
+            faces.append(texels[(texels >= 0).all(1)])
         stacked = np.concatenate(faces)
         vertices, normals = self.position[self.mask], self.normal[self.mask]
         corners = vertices[stacked]

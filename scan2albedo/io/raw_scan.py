@@ -55,9 +55,10 @@ class RawScan:
             raise ScanError(
                 f"{self.name}: the scan has no faces ({len(vertices)} vertices); a surface mesh is needed"
             )
-        if faces.min() < 0 or faces.max() >= len(vertices):
+        low, high = int(faces.min()), int(faces.max())
+        if low < 0 or high >= len(vertices):
             raise ScanError(
-                f"{self.name}: a face refers to vertex {faces.max() if faces.max() >= len(vertices) else faces.min()}"
+                f"{self.name}: a face refers to vertex {low if low < 0 else high}"
                 f", but there are {len(vertices)} vertices; the file is damaged or truncated"
             )
         optional = (
@@ -82,8 +83,8 @@ class RawScan:
         if bad.any():
             first = tuple(int(i) for i in np.argwhere(bad)[0])
             raise ScanError(
-                f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, first at {first}; "
-                "repair or re-export the scan"
+                f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "
+                f"first at {first}; repair or re-export the scan"
             )
         return array
 
@@ -96,7 +97,7 @@ class RawScan:
 
     @property
     def components(self) -> NDArray[np.int64]:
-        """(V,) labels of loose components, 0 the one with most vertices; unreferenced vertices are their own."""
+        """(V,) labels of loose components, 0 with most vertices; unreferenced vertices are their own."""
         labels = vertex_components(len(self.vertices), self.faces)
         order = np.argsort(-np.bincount(labels), kind="stable")
         rank = np.empty_like(order)

@@ -1,0 +1,225 @@
+"""Images in and out: linear float32 (H, W, 3) inside, whatever the file holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.io.atomic import atomic_path, write_bytes
+from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
+
+SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
+
+
+def read_image_linear(path: str | Path) -> NDArray[np.float32]:
+    """Read an image as linear colour.
+
+    Integer samples (8 or 16 bit) are sRGB and are decoded; float samples (EXR, HDR, float TIFF) are
+    linear already. Grey is repeated over three channels, alpha is dropped. An EXIF orientation is
+    ignored: texture coordinates refer to the pixels as stored.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any of `SUPPORTED_IMAGES`; the content decides, not the extension.
+
+    Returns
+    -------
+    (H, W, 3) float32, row 0 the top.
+
+    Raises
+    ------
+    ScanError
+        When the file is missing, unreadable, damaged or holds NaN; the message names it.
+    """
+    file = Path(path)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
+    return decode_image_linear(data, str(file))
+
+
+def decode_image_linear(data: bytes, name: str) -> NDArray[np.float32]:
+    """Decode the bytes of an image file as `read_image_linear` does; `name` is used in messages.
+
+    Raises
+    ------
+    ScanError
+        When the bytes are no complete image.
+    """
+    if data[:4] == b"\x76\x2f\x31\x01":
+        return _decode_exr(data, name)
+    pixels = _decode_pixels(data, name)
+    if pixels.dtype in (np.uint8, np.uint16):
+        return decode_srgb_integers(cast("NDArray[np.uint8]", pixels))
+    if pixels.dtype.kind != "f":
+        raise ScanError(f"image {name} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
+    return _checked_float(pixels, name)
+
+
+def _decode_pixels(data: bytes, name: str) -> NDArray[np.generic]:
+    """Return stored samples as (H, W, 3) RGB."""
+    import cv2
+
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error as error:
+        raise ScanError(f"image {name} cannot be decoded: {error.err}; re-export it") from error
+    if pixels is None:
+        raise ScanError(
+            f"image {name} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
+            f"re-export it as one of {', '.join(SUPPORTED_IMAGES)}"
+        )
+    grey = pixels.ndim == 2 or pixels.shape[2] < 3
+    if grey:
+        first = pixels if pixels.ndim == 2 else pixels[..., 0]
+        return np.repeat(first[..., None], 3, axis=2)
+    return np.asarray(pixels[..., 2::-1])
+
+
+def _checked_float(pixels: NDArray[np.generic], name: str) -> NDArray[np.float32]:
+    linear = np.ascontiguousarray(pixels, np.float32)
+    if not np.isfinite(linear).all():
+        raise ScanError(f"image {name} holds NaN or infinite samples; re-export it")
+    return linear
+
+
+def _decode_exr(data: bytes, name: str) -> NDArray[np.float32]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "image.exr"
+        file.write_bytes(data)
+        channels = read_exr_channels(file, name)
+    wanted = next((c for c in (("R", "G", "B"), ("Y", "Y", "Y")) if set(c) <= set(channels)), None)
+    if wanted is None:
+        raise ScanError(f"image {name} has the channels {', '.join(channels)}; expected R, G, B or Y")
+    return _checked_float(np.stack([channels[c] for c in wanted], axis=-1), name)
+
+
+def read_exr_channels(path: str | Path, name: str | None = None) -> dict[str, NDArray[np.float32]]:
+    """Return every channel of the first part of an EXR file as (H, W) float32, by its full name.
+
+    Raises
+    ------
+    ScanError
+        When the file is missing or no complete EXR.
+    """
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return {k: np.array(c.pixels, np.float32) for k, c in file.channels().items()}
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ScanError(f"image {name or path} is missing or no complete EXR file ({error})") from error
+
+
+def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:
+    """Write (H, W) channels by their full names as 32-bit floats, ZIP compressed, atomically.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    stored = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
+    with atomic_path(path) as temporary:
+        temporary.touch()
+        try:
+            OpenEXR.File(header, stored).write(str(temporary))
+        except RuntimeError as error:
+            raise OutputError(f"cannot write {path}: {error}; check the space left in its folder") from error
+
+
+def write_exr(path: str | Path, linear: ArrayLike) -> None:
+    """Write a linear image (H, W, 3), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    ValueError
+        For another shape.
+    """
+    image = np.asarray(linear, np.float32)
+    if image.ndim == 2:
+        write_exr_channels(path, {"Y": image})
+    else:
+        _check_rgb(image)
+        write_exr_channels(path, {c: image[..., i] for i, c in enumerate("RGB")})
+
+
+def write_png(path: str | Path, image: ArrayLike) -> None:
+    """Write a PNG atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    image : (H, W, 3), (H, W, 4) or (H, W) array_like
+        uint8, uint16 and bool are written as they are (sRGB, bool as 0 and 255); floats are linear
+        colour and are encoded to 8-bit sRGB, clipped to [0, 1].
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    ValueError
+        For another shape or NaN.
+    """
+    write_bytes(path, encode_image(image, ".png"))
+
+
+def write_image(path: str | Path, image: ArrayLike) -> None:
+    """Write an image in the format its extension names: .exr through `write_exr`, others as `write_png` does.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written, or the extension is not supported.
+    ValueError
+        For another shape or NaN.
+    """
+    extension = Path(path).suffix.lower()
+    if extension == ".exr":
+        write_exr(path, image)
+    elif extension in (".png", ".jpg", ".jpeg", ".tif", ".tiff"):
+        write_bytes(path, encode_image(image, extension))
+    else:
+        raise OutputError(
+            f"{path}: images are written as .png, .jpg, .tif or .exr, not {extension or 'no extension'}"
+        )
+
+
+def encode_image(image: ArrayLike, extension: str) -> bytes:
+    """Return the bytes of an image file; see `write_png` for what each dtype means."""
+    import cv2
+
+    array = np.asarray(image)
+    if array.ndim != 2:
+        _check_rgb(array)
+    if array.dtype.kind == "f":
+        if not np.isfinite(array).all():
+            raise ValueError(f"an image of shape {array.shape} holds NaN or infinite values")
+        array = encode_srgb_bytes(array)
+    elif array.dtype == np.bool_:
+        array = array.astype(np.uint8) * 255
+    order = [2, 1, 0, 3][: array.shape[2]] if array.ndim == 3 else None
+    stored = array if order is None else np.ascontiguousarray(array[..., order])
+    options = [cv2.IMWRITE_JPEG_QUALITY, 95] if extension in (".jpg", ".jpeg") else []
+    encoded, data = cv2.imencode(extension, stored, options)
+    if not encoded:
+        raise ValueError(f"an image of shape {array.shape} and {array.dtype} cannot be stored as {extension}")
+    return data.tobytes()
+
+
+def _check_rgb(image: NDArray[np.generic]) -> None:
+    if image.ndim != 3 or image.shape[2] not in (3, 4):
+        raise ValueError(f"an image has shape {image.shape}, expected (H, W), (H, W, 3) or (H, W, 4)")

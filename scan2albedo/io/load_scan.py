@@ -1,0 +1,103 @@
+"""`load_scan`: any supported scan file as a checked `RawScan` in millimetres and linear colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scan2albedo.errors import ScanError
+
+if TYPE_CHECKING:
+    from scan2albedo.io.parsed_mesh import ParsedMesh
+    from scan2albedo.io.raw_scan import RawScan
+    from scan2albedo.io.units import Unit
+
+SUPPORTED_SCANS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
+
+
+def load_scan(path: str | Path, unit: Unit = "auto", *, name: str | None = None) -> RawScan:
+    """Load a scan, repair what is harmless and bring it to millimetres and linear colour.
+
+    Parameters
+    ----------
+    path : str or Path
+        An OBJ (with MTL and textures beside it), PLY, GLB, glTF, STL or OFF file; extensions in any case.
+    unit : {"auto", "mm", "cm", "m"}
+        What one unit of the file is; "auto" decides from the size of a head.
+    name : str, optional
+        Name of the scan in messages and output folders; the file's stem when omitted.
+
+    Returns
+    -------
+    RawScan
+        Its `notes` tell the unit, every repair, missing textures and the number of loose components.
+
+    Raises
+    ------
+    ScanError
+        When the file is missing, of an unsupported kind, damaged, without faces, or of a size that is no
+        head in any unit. The message names the file, what is wrong and what to do.
+    ValueError
+        For an unknown unit.
+    """
+    from scan2albedo.io.raw_scan import RawScan
+    from scan2albedo.io.repair import refuse_unusable, repair
+    from scan2albedo.io.texture_atlas import pack_texture
+    from scan2albedo.io.units import millimetres_per_unit
+
+    file = Path(path)
+    parsed = _read(file)
+    refuse_unusable(parsed, file.name)
+    mesh = repair(parsed)
+    if len(mesh.faces) == 0:
+        raise ScanError(f"{file.name}: every face has zero area; the scan holds no surface: export it again")
+    factor, unit_note = millimetres_per_unit(mesh.vertices, mesh.faces, unit, file.name)
+    packed = pack_texture(mesh)
+    scan = RawScan(
+        vertices=mesh.vertices * factor,
+        faces=mesh.faces,
+        uv=packed.uv,
+        texture_linear=packed.texture_linear,
+        vertex_color_linear=mesh.vertex_color_linear,
+        name=name or file.stem,
+        notes=(unit_note, *mesh.notes, *packed.notes),
+    )
+    return replace(scan, notes=scan.notes + _closing_notes(scan))
+
+
+def _read(file: Path) -> ParsedMesh:
+    """Check that the file is there and pass it to the reader of its kind."""
+    extension = file.suffix.lower()
+    if extension not in SUPPORTED_SCANS:
+        raise ScanError(
+            f"{file.name}: {extension or 'a name without extension'} is not supported; "
+            f"save the scan as one of {', '.join(SUPPORTED_SCANS)}"
+        )
+    try:
+        size = file.stat().st_size
+        with file.open("rb"):
+            pass
+        if size == 0:
+            raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
+        return _reader(extension)(file)
+    except OSError as error:
+        raise ScanError(f"{file}: cannot be read: {error.strerror or error}; check the path") from error
+
+
+def _reader(extension: str) -> Callable[[Path], ParsedMesh]:
+    if extension == ".obj":
+        from scan2albedo.io.obj import read_obj
+
+        return read_obj
+    from scan2albedo.io import trimesh_formats as formats
+
+    readers = {".ply": formats.read_ply, ".stl": formats.read_stl, ".off": formats.read_off}
+    return readers.get(extension, formats.read_gltf)
+
+
+def _closing_notes(scan: RawScan) -> tuple[str, ...]:
+    count = int(scan.components.max()) + 1
+    notes = (f"{count} loose components, all kept",) if count > 1 else ()
+    return notes if scan.has_color else (*notes, "no texture or vertex colours: geometry only")

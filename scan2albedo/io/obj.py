@@ -1,0 +1,184 @@
+"""Wavefront OBJ files: vertices stay shared as in the file, texture coordinates stay per corner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.mtl import MaterialText, find_beside, load_material, parse_mtl
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+
+class _Lines:
+    """The lines of an OBJ file by kind, with the byte ranges of their bodies."""
+
+    def __init__(self, data: bytes, name: str) -> None:
+        from scan2albedo.io.text_tables import split_lines
+
+        if b"\\\n" in data or b"\\\r\n" in data:
+            data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
+        if b"\n" not in data:
+            data = data.replace(b"\r", b"\n")
+        self.name = name
+        self.text = np.frombuffer(data, np.uint8)
+        self.kinds, self.starts, self.ends = split_lines(self.text)
+
+    def of(self, kind: int) -> IntArray:
+        """Return indices of the lines of a kind."""
+        return np.flatnonzero(self.kinds == kind)
+
+    def words(self, line: int) -> str:
+        """Return the text after the keyword."""
+        body = self.text[self.starts[line] : self.ends[line]].tobytes()
+        return body.decode("utf-8", "replace").strip()
+
+    def numbers(self, kind: int, width: int, least: int) -> tuple[FloatArray, IntArray]:
+        """Return (values (N, width), number of tokens (N,)) of the lines of a kind."""
+        from scan2albedo.io.text_tables import parse_float_lines
+
+        lines = self.of(kind)
+        values, counts = parse_float_lines(self.text, self.starts[lines], self.ends[lines], width)
+        self.refuse(lines[counts < least], f"expected at least {least} numbers")
+        return values, counts
+
+    def refuse(self, lines: IntArray, expected: str) -> None:
+        """Raise for the first of the given lines."""
+        if len(lines):
+            shown = self.words(int(lines[0]))[:40]
+            raise ScanError(
+                f"{self.name}: line {lines[0] + 1} holds '{shown}', {expected}; "
+                "the file is damaged or truncated: export it again"
+            )
+
+
+def read_obj(path: Path) -> ParsedMesh:
+    """Read an OBJ file with its materials.
+
+    Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after
+    the position) are sRGB. Only `map_Kd` and `Kd` of the materials are used.
+
+    Raises
+    ------
+    ScanError
+        When a line is damaged or an index points outside the file; the message names file and line.
+    """
+    from scan2albedo.io import text_tables as tables
+
+    lines = _Lines(path.read_bytes(), path.name)
+    positions, tokens = lines.numbers(tables.VERTEX, 6, least=3)
+    coordinates, _ = lines.numbers(tables.TEXTURE_COORDINATE, 2, least=1)
+    corners, counts = _read_corners(lines, len(positions), len(coordinates))
+    triangles, face_of_triangle = _fan(counts)
+    material, materials, notes = _materials(lines, path.parent)
+    if (counts > 3).any():
+        notes = (*notes, f"cut {int((counts > 3).sum())} polygons into triangles")
+    return ParsedMesh(
+        vertices=np.ascontiguousarray(positions[:, :3]),
+        faces=corners[triangles, 0],
+        uv=_corner_uv(coordinates, corners[:, 1], triangles),
+        material=None if material is None else material[face_of_triangle],
+        materials=materials,
+        vertex_color_linear=_vertex_colors(positions, tokens),
+        notes=notes,
+    )
+
+
+def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntArray, IntArray]:
+    """Return (zero-based (vertex, uv) per corner (N, 2), uv -1 = none; corners per polygon (P,))."""
+    from scan2albedo.io import text_tables as tables
+
+    rows = lines.of(tables.FACE)
+    starts, ends = lines.starts[rows], lines.ends[rows]
+    counts = tables.count_corners(lines.text, starts, ends)
+    lines.refuse(rows[counts < 3], "expected at least 3 corners")
+    corners, bad = tables.parse_corners(lines.text, starts, counts)
+    lines.refuse(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
+    kinds = (tables.VERTEX, tables.TEXTURE_COORDINATE)
+    for column, kind, total in zip((0, 1), kinds, (vertex_count, uv_count), strict=True):
+        written = corners[:, column]
+        if (written < 0).any():
+            before = np.repeat(np.searchsorted(lines.of(kind), rows), counts)
+            written = np.where(written < 0, before + written + 1, written)
+            lines.refuse(np.repeat(rows, counts)[(written < 1) & (corners[:, column] < 0)], "index before 1")
+        outside = np.repeat(rows, counts)[written > total] if (written > total).any() else rows[:0]
+        lines.refuse(outside, f"but there are {total} {'vertices' if column == 0 else 'texture coordinates'}")
+        corners[:, column] = written - 1
+    return corners, counts
+
+
+def _fan(counts: IntArray) -> tuple[IntArray, IntArray]:
+    """Return (corner indices of triangles (T, 3), polygon of each (T,)) of polygons cut into fans."""
+    first = np.cumsum(counts) - counts
+    if (counts == 3).all():
+        return first[:, None] + np.arange(3), np.arange(len(counts))
+    polygon = np.repeat(np.arange(len(counts)), counts - 2)
+    step = np.arange(len(polygon)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
+    start = first[polygon]
+    return np.stack([start, start + step + 1, start + step + 2], axis=1), polygon
+
+
+def _corner_uv(coordinates: FloatArray, index: IntArray, triangles: IntArray) -> FloatArray | None:
+    if len(coordinates) == 0 or not (index >= 0).any():
+        return None
+    corner = index[triangles]
+    uv = coordinates[corner]
+    uv[corner < 0] = np.nan
+    return uv
+
+
+def _vertex_colors(positions: FloatArray, tokens: IntArray) -> NDArray[np.float32] | None:
+    if len(positions) == 0 or not (tokens >= 6).all():
+        return None
+    srgb = positions[:, 3:6]
+    if not np.isfinite(srgb).all() or srgb.min() < 0:
+        return None
+    return srgb_to_linear(srgb / 255 if srgb.max() > 1 else srgb).astype(np.float32)
+
+
+def _materials(lines: _Lines, folder: Path) -> tuple[IntArray | None, tuple[Material, ...], tuple[str, ...]]:
+    """Return (material index of each polygon or None, materials used, notes)."""
+    from scan2albedo.io import text_tables as tables
+
+    notes: list[str] = []
+    known: dict[str, MaterialText] = {}
+    for line in lines.of(tables.MATERIAL_LIBRARY):
+        known |= _library(lines.words(int(line)), folder, notes)
+    uses, faces = lines.of(tables.USE_MATERIAL), lines.of(tables.FACE)
+    if not known:
+        return None, (), tuple(notes)
+    names = [lines.words(int(line)) for line in uses]
+    current = np.searchsorted(uses, faces) - 1
+    if not names:
+        names, current = [next(iter(known))], np.zeros(len(faces), np.int64)
+    order = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    number = np.array([order[name] for name in names], np.int64)
+    index = np.where(current < 0, -1, number[np.maximum(current, 0)])
+    materials = []
+    for name in order:
+        if name not in known:
+            notes.append(f"material {name} is not in the material library: went on without it")
+        material, note = load_material(known.get(name, MaterialText(name)), folder)
+        materials.append(material)
+        notes += [note] if note else []
+    return index, tuple(materials), tuple(dict.fromkeys(notes))
+
+
+def _library(words: str, folder: Path, notes: list[str]) -> dict[str, MaterialText]:
+    """Read one `mtllib` line: one name with spaces, or several names."""
+    whole = find_beside(folder, words)
+    candidates = [words] if whole or not words else words.split()
+    known: dict[str, MaterialText] = {}
+    for name in candidates:
+        file = find_beside(folder, name)
+        if file is None:
+            notes.append(f"material library {name} is missing beside the scan: went on without textures")
+        else:
+            known |= parse_mtl(file.read_text("utf-8", "replace"))
+    return known

@@ -1,0 +1,149 @@
+"""Harmless repairs of raw meshes, each told in a note; what cannot be repaired is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io.parsed_mesh import ParsedMesh
+
+IntArray = NDArray[np.int64]
+
+_AREA_FLOOR = 1e-12
+"""A face whose doubled area is below this share of its squared longest edge has no usable normal."""
+
+_HASH_PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
+
+
+def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
+    """Raise `ScanError` for a mesh without faces, with wrong indices, or with non-finite vertices in use."""
+    count = len(mesh.vertices)
+    if len(mesh.faces) == 0:
+        what = f"a point cloud of {count} vertices" if count else "no vertices and no faces"
+        raise ScanError(
+            f"{name}: holds {what}; a surface is needed: mesh the points first, or export the scan again "
+            "if the file was cut short"
+        )
+    low, high = int(mesh.faces.min()), int(mesh.faces.max())
+    if low < 0 or high >= count:
+        raise ScanError(
+            f"{name}: a face refers to vertex {low if low < 0 else high}, but there are {count} vertices "
+            "(counting from 0); the file is damaged or truncated: export it again"
+        )
+    bad = ~np.isfinite(mesh.vertices).all(axis=1)
+    if bad.any():
+        used = np.zeros(count, bool)
+        used[mesh.faces] = True
+        broken = np.flatnonzero(bad & used)
+        if len(broken):
+            raise ScanError(
+                f"{name}: {len(broken)} vertices used by faces are NaN or infinite, the first is vertex "
+                f"{broken[0]} (counting from 0); repair the scan or export it again"
+            )
+
+
+def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
+    """Return (N,) the index of the first row equal to each row of (N, K) numbers.
+
+    Only rows whose hash occurs twice are compared, so the usual case of few equal rows costs one sort of
+    N integers.
+
+    Examples
+    --------
+    >>> first_equal_row(np.array([[1.0, 2], [3, 4], [1, 2]])).tolist()
+    [0, 1, 0]
+    """
+    first = np.arange(len(rows))
+    hashes = _row_hashes(rows)
+    ordered = np.sort(hashes)
+    repeated = ordered[1:][ordered[1:] == ordered[:-1]]
+    if len(repeated) == 0:
+        return first
+    place = np.minimum(np.searchsorted(repeated, hashes), len(repeated) - 1)
+    candidates = np.flatnonzero(repeated[place] == hashes)
+    chosen = rows[candidates]
+    order = np.lexsort(chosen.T)
+    same = (chosen[order[1:]] == chosen[order[:-1]]).all(axis=1)
+    group_start = np.concatenate([[True], ~same])
+    starts = np.flatnonzero(group_start)
+    group = np.cumsum(group_start) - 1
+    first[candidates[order]] = candidates[order[starts[group]]]
+    return first
+
+
+def _row_hashes(rows: NDArray[np.generic]) -> NDArray[np.uint64]:
+    hashes = np.zeros(len(rows), np.uint64)
+    for column in range(rows.shape[1]):
+        plain = np.ascontiguousarray(rows[:, column]) + rows.dtype.type(0)  # -0.0 becomes 0.0
+        hashes = (hashes ^ plain.view(np.uint64)) * np.uint64(_HASH_PRIMES[column])
+        hashes ^= hashes >> np.uint64(29)
+    return hashes
+
+
+def repair(mesh: ParsedMesh) -> ParsedMesh:
+    """Return the mesh with equal positions merged and useless faces and vertices dropped.
+
+    In this order: vertices at exactly equal positions are merged (texture coordinates stay per corner);
+    zero-area faces and repeats of the same three vertices are dropped; unreferenced vertices are dropped.
+    Each step that changed something adds a note.
+    """
+    used = _used(mesh)
+    first = first_equal_row(mesh.vertices)
+    merged = int((used & (first != np.arange(len(first)))).sum())
+    notes = (f"merged {merged} vertices that repeat another's position (seams)",) if merged else ()
+    cleaned = _drop_faces(replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes))
+    return _drop_vertices(cleaned, merged)
+
+
+def _used(mesh: ParsedMesh) -> NDArray[np.bool_]:
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return used
+
+
+def _drop_faces(mesh: ParsedMesh) -> ParsedMesh:
+    flat = _zero_area(mesh.vertices, mesh.faces)
+    keep = ~flat
+    repeats = first_equal_row(np.sort(mesh.faces[keep], axis=1)) != np.arange(int(keep.sum()))
+    keep[np.flatnonzero(keep)[repeats]] = False
+    if keep.all():
+        return mesh
+    told = ((int(flat.sum()), "zero-area"), (int(repeats.sum()), "duplicate"))
+    notes = tuple(f"dropped {count} {kind} faces" for count, kind in told if count)
+    return replace(
+        mesh,
+        faces=mesh.faces[keep],
+        uv=None if mesh.uv is None else mesh.uv[keep],
+        material=None if mesh.material is None else mesh.material[keep],
+        notes=mesh.notes + notes,
+    )
+
+
+def _zero_area(vertices: NDArray[np.float64], faces: IntArray) -> NDArray[np.bool_]:
+    """Return (F,) True for faces without a usable normal, in blocks to spare memory."""
+    flat = np.empty(len(faces), bool)
+    for start in range(0, len(faces), 1 << 20):
+        corner = vertices[faces[start : start + (1 << 20)]]
+        edges = np.roll(corner, -1, axis=1) - corner
+        longest = np.einsum("fij,fij->fi", edges, edges).max(axis=1)
+        doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
+    return flat
+
+
+def _drop_vertices(mesh: ParsedMesh, merged: int) -> ParsedMesh:
+    used = _used(mesh)
+    if used.all():
+        return mesh
+    color = mesh.vertex_color_linear
+    dropped = int((~used).sum()) - merged
+    return replace(
+        mesh,
+        vertices=mesh.vertices[used],
+        faces=(np.cumsum(used) - 1)[mesh.faces],
+        vertex_color_linear=None if color is None else color[used],
+        notes=mesh.notes + ((f"dropped {dropped} unreferenced vertices",) if dropped > 0 else ()),
+    )

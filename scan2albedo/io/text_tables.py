@@ -1,0 +1,198 @@
+"""Numba kernels that read lines of numbers straight from the bytes of a text mesh file."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY = range(6)
+
+_POWERS_OF_TEN = 10.0 ** np.arange(23)
+
+
+@njit(cache=True, nogil=True)
+def _is_blank(byte):  # type: ignore[no-untyped-def]
+    return byte == 32 or byte == 9 or byte == 13 or byte == 11 or byte == 12
+
+
+@njit(cache=True, nogil=True)
+def _keyword_kind(text, start, end):  # type: ignore[no-untyped-def]
+    length = end - start
+    if length == 1 and text[start] == ord("v"):
+        return VERTEX
+    if length == 1 and text[start] == ord("f"):
+        return FACE
+    if length == 2 and text[start] == ord("v") and text[start + 1] == ord("t"):
+        return TEXTURE_COORDINATE
+    if length == 6 and text[start] == ord("u") and text[start + 3] == ord("m"):
+        return USE_MATERIAL
+    if length == 6 and text[start] == ord("m") and text[start + 3] == ord("l"):
+        return MATERIAL_LIBRARY
+    return OTHER
+
+
+@njit(cache=True, nogil=True)
+def split_lines(text):  # type: ignore[no-untyped-def]
+    """Return (kind (L,) uint8, body start (L,), body end (L,)) of each line of `text` (N,) uint8."""
+    count = 1
+    for byte in text:
+        count += byte == 10
+    kinds = np.zeros(count, np.uint8)
+    starts = np.empty(count, np.int64)
+    ends = np.empty(count, np.int64)
+    position = 0
+    for line in range(count):
+        while position < text.size and _is_blank(text[position]):
+            position += 1
+        begin = position
+        while position < text.size and text[position] != 10 and not _is_blank(text[position]):
+            position += 1
+        kinds[line] = _keyword_kind(text, begin, position)
+        starts[line] = position
+        while position < text.size and text[position] != 10:
+            position += 1
+        ends[line] = position
+        position += 1
+    return kinds, starts, ends
+
+
+@njit(cache=True, nogil=True)
+def _parse_unsigned(text, position, end):  # type: ignore[no-untyped-def]
+    """Return (digits as an integer, digits dropped beyond 18, digits seen, position after them)."""
+    value, dropped, seen = 0, 0, 0
+    while position < end and 48 <= text[position] <= 57:
+        if value < 100_000_000_000_000_000:
+            value = value * 10 + (text[position] - 48)
+        else:
+            dropped += 1
+        seen += 1
+        position += 1
+    return value, dropped, seen, position
+
+
+@njit(cache=True, nogil=True)
+def _scaled(mantissa, exponent):  # type: ignore[no-untyped-def]
+    if 0 <= exponent <= 22:
+        return mantissa * _POWERS_OF_TEN[exponent]
+    if -22 <= exponent < 0:
+        return mantissa / _POWERS_OF_TEN[-exponent]
+    return mantissa * 10.0**exponent
+
+
+@njit(cache=True, nogil=True)
+def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
+    """Return (value, whether it is a number) of the token text[position:end]."""
+    sign = 1.0
+    if text[position] == 43 or text[position] == 45:
+        sign = -1.0 if text[position] == 45 else 1.0
+        position += 1
+    if position < end and (text[position] | 32) == ord("n"):
+        return np.nan, True
+    if position < end and (text[position] | 32) == ord("i"):
+        return sign * np.inf, True
+    mantissa, dropped, seen, position = _parse_unsigned(text, position, end)
+    exponent = dropped
+    if position < end and text[position] == ord("."):
+        position += 1
+        while position < end and 48 <= text[position] <= 57:
+            if mantissa < 100_000_000_000_000_000:
+                mantissa = mantissa * 10 + (text[position] - 48)
+                exponent -= 1
+            seen += 1
+            position += 1
+    if position < end and text[position] == ord("#"):
+        return np.nan, seen > 0  # 1.#QNAN and 1.#INF of old Microsoft compilers
+    if position < end and (text[position] | 32) == ord("e"):
+        position += 1
+        negative = position < end and text[position] == 45
+        if position < end and (text[position] == 43 or text[position] == 45):
+            position += 1
+        power, _, digits, position = _parse_unsigned(text, position, end)
+        exponent += -power if negative else power
+        if digits == 0:
+            return np.nan, False
+    return sign * _scaled(float(mantissa), exponent), seen > 0 and position == end
+
+
+@njit(cache=True, nogil=True)
+def parse_float_lines(text, starts, ends, width):  # type: ignore[no-untyped-def]
+    """Return (values (N, width) float64, number of tokens of each line (N,), -1 = not numbers).
+
+    Values are NaN where a line is shorter than `width`.
+    Tokens past `width` are counted, not kept; a token starting with # ends the line.
+    """
+    values = np.full((starts.size, width), np.nan)
+    counts = np.zeros(starts.size, np.int64)
+    for line in range(starts.size):
+        position, end = starts[line], ends[line]
+        while True:
+            while position < end and _is_blank(text[position]):
+                position += 1
+            if position >= end or text[position] == ord("#"):
+                break
+            begin = position
+            while position < end and not _is_blank(text[position]):
+                position += 1
+            if counts[line] < width:
+                value, is_number = _parse_float(text, begin, position)
+                if not is_number:
+                    counts[line] = -1
+                    break
+                values[line, counts[line]] = value
+            counts[line] += 1
+    return values, counts
+
+
+@njit(cache=True, nogil=True)
+def count_corners(text, starts, ends):  # type: ignore[no-untyped-def]
+    """Return (N,) number of blank-separated tokens of each line before a comment."""
+    counts = np.zeros(starts.size, np.int64)
+    for line in range(starts.size):
+        inside = False
+        for position in range(starts[line], ends[line]):
+            blank = _is_blank(text[position])
+            if not inside and text[position] == ord("#"):
+                break
+            counts[line] += not blank and not inside
+            inside = not blank
+    return counts
+
+
+@njit(cache=True, nogil=True)
+def _parse_integer(text, position, end):  # type: ignore[no-untyped-def]
+    """Return (value, whether there was a digit, position after it)."""
+    negative = position < end and text[position] == 45
+    if negative or (position < end and text[position] == 43):
+        position += 1
+    value, dropped, seen, position = _parse_unsigned(text, position, end)
+    return -value if negative else value, seen > 0 and dropped == 0, position
+
+
+@njit(cache=True, nogil=True)
+def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
+    """Read face corners written v, v/vt, v//vn or v/vt/vn.
+
+    Returns
+    -------
+    corners : (sum of counts, 2) int64
+        Vertex and texture indices as written (1-based, negative = from the end); 0 = not given.
+    bad_line : int
+        First line that does not hold such corners, -1 when all do.
+    """
+    corners = np.zeros((counts.sum(), 2), np.int64)
+    row = 0
+    for line in range(starts.size):
+        position = starts[line]
+        for _ in range(counts[line]):
+            while _is_blank(text[position]):
+                position += 1
+            corners[row, 0], good, position = _parse_integer(text, position, text.size)
+            if position < text.size and text[position] == ord("/"):
+                corners[row, 1], _, position = _parse_integer(text, position + 1, text.size)
+                if position < text.size and text[position] == ord("/"):
+                    _, _, position = _parse_integer(text, position + 1, text.size)
+            ended = position == text.size or text[position] == 10 or _is_blank(text[position])
+            if not (good and ended and corners[row, 0] != 0):
+                return corners, line
+            row += 1
+    return corners, -1

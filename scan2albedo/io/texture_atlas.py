@@ -1,0 +1,131 @@
+"""One texture out of several materials, and texture coordinates that stay inside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+GUTTER = 2
+"""Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
+
+_SOLID_SIZE = 4
+_MAX_REPEATED_TEXELS = 8192 * 8192
+
+
+@dataclass(frozen=True)
+class PackedTexture:
+    """Texture, per-corner coordinates and notes for a `RawScan`; both None when there is nothing."""
+
+    uv: FloatArray | None
+    texture_linear: Image | None
+    notes: tuple[str, ...]
+
+
+def pack_texture(mesh: ParsedMesh) -> PackedTexture:
+    """Bring all materials of a mesh into one texture.
+
+    A single texture is kept as it is. Several are laid side by side, each with a gutter, and the
+    coordinates follow. Materials without a texture, and faces without coordinates, become a small patch
+    of their base colour. Coordinates outside [0, 1] repeat the texture, as renderers do: faces are moved
+    by whole periods, and the texture is laid out repeatedly where a face crosses a period's edge.
+    """
+    if mesh.uv is None:
+        reason = "the texture was left out: the faces have no texture coordinates"
+        wasted = any(m.texture_linear is not None for m in mesh.materials)
+        return PackedTexture(None, None, (reason,) if wasted else ())
+    has_uv = np.asarray(np.isfinite(mesh.uv).all(axis=(1, 2)))
+    material = np.zeros(len(mesh.faces), np.int64) if mesh.material is None else mesh.material
+    textured = np.array([m.texture_linear is not None for m in mesh.materials] + [False])
+    mapped = has_uv & textured[material]
+    if not mapped.any():
+        return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
+    tiles, tile, uv, notes = _tiles(mesh, np.where(mapped, material, -1))
+    if len(tiles) == 1:
+        return PackedTexture(uv, tiles[0], notes)
+    texture, boxes = _lay_out(tiles)
+    if not mapped.all():
+        notes = (*notes, f"{int((~mapped).sum())} faces have no texture: they got their material's colour")
+    if textured.sum() > 1:
+        notes = (
+            *notes,
+            f"packed {int(textured.sum())} textures into one of {texture.shape[1]}x{texture.shape[0]}",
+        )
+    return PackedTexture(_into_boxes(uv, boxes[tile], texture.shape), texture, notes)
+
+
+def _tiles(
+    mesh: ParsedMesh, texture_of_face: NDArray[np.int64]
+) -> tuple[list[Image], NDArray[np.int64], FloatArray, tuple[str, ...]]:
+    """Return (tiles, tile of each face (F,), uv inside its tile (F, 3, 2), notes)."""
+    assert mesh.uv is not None
+    uv = np.full(mesh.uv.shape, 0.5)
+    tile = np.full(len(uv), -1)
+    material = np.full(len(uv), -1) if mesh.material is None else mesh.material
+    tiles: list[Image] = []
+    notes: list[str] = []
+    for index in np.unique(texture_of_face[texture_of_face >= 0]):
+        faces = np.flatnonzero(texture_of_face == index)
+        texture = mesh.materials[index].texture_linear
+        assert texture is not None
+        uv[faces], repeated, note = _inside_unit_square(mesh.uv[faces], texture)
+        tile[faces] = len(tiles)
+        tiles.append(repeated)
+        notes += [f"{mesh.materials[index].name}: {note}"] if note else []
+    for index in np.unique(material[tile < 0]):
+        tile[(tile < 0) & (material == index)] = len(tiles)
+        color = mesh.materials[index].base_color_linear if index >= 0 else Material("").base_color_linear
+        tiles.append(np.full((_SOLID_SIZE, _SOLID_SIZE, 3), color, np.float32))
+    return tiles, tile, uv, tuple(notes)
+
+
+def _inside_unit_square(uv: FloatArray, texture: Image) -> tuple[FloatArray, Image, str]:
+    """Return (uv in [0, 1] (F, 3, 2), the texture repeated as often as they need, note)."""
+    texel = 1.0 / np.array([texture.shape[1], texture.shape[0]])
+    if (uv >= -texel).all() and (uv <= 1 + texel).all():
+        return np.clip(uv, 0.0, 1.0), texture, ""
+    period = np.floor(uv.min(axis=1, keepdims=True) + texel)
+    moved = uv - period
+    columns, rows = np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel).astype(int), 1)
+    if columns * rows * texture.shape[0] * texture.shape[1] > _MAX_REPEATED_TEXELS:
+        far = int((moved > 1 + texel).any(axis=(1, 2)).sum())
+        note = f"texture coordinates of {far} faces span {columns}x{rows} repeats: clamped to one"
+        return np.clip(moved, 0.0, 1.0), texture, note
+    note = "texture coordinates outside [0, 1] repeat the texture"
+    if columns * rows > 1:
+        note += f": laid out {columns}x{rows} times"
+        texture = np.tile(texture, (rows, columns, 1))
+    return np.clip(moved / (columns, rows), 0.0, 1.0), texture, note
+
+
+def _lay_out(tiles: list[Image]) -> tuple[Image, NDArray[np.int64]]:
+    """Place tiles on shelves of about square total; return (atlas, (left, top, width, height) of each)."""
+    sizes = [(t.shape[1] + 2 * GUTTER, t.shape[0] + 2 * GUTTER) for t in tiles]
+    width = max(max(w for w, _ in sizes), math.ceil(math.sqrt(sum(w * h for w, h in sizes))))
+    boxes = np.zeros((len(tiles), 4), np.int64)
+    left = top = shelf = 0
+    for i in sorted(range(len(tiles)), key=lambda i: (-sizes[i][1], i)):
+        if left + sizes[i][0] > width:
+            left, top, shelf = 0, top + shelf, 0
+        boxes[i] = (left + GUTTER, top + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
+        left, shelf = left + sizes[i][0], max(shelf, sizes[i][1])
+    atlas = np.zeros((top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3), np.float32)
+    for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
+        area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
+        area[:] = np.pad(tile, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")
+    return atlas, boxes
+
+
+def _into_boxes(uv: FloatArray, box: NDArray[np.int64], shape: tuple[int, ...]) -> FloatArray:
+    """Map uv of a tile into its box of the atlas; texel centres stay texel centres."""
+    left, top, width, height = (box[:, i, None].astype(float) for i in range(4))
+    across = (left + uv[..., 0] * width) / shape[1]
+    down = (top + (1 - uv[..., 1]) * height) / shape[0]
+    return np.stack([across, 1 - down], axis=-1)

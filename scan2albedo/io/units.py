@@ -1,0 +1,71 @@
+"""Millimetres, centimetres or metres: decided from the size of a head."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError
+from scan2albedo.geometry.mesh import vertex_components
+
+Unit = Literal["auto", "mm", "cm", "m"]
+
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+
+PLAUSIBLE_EXTENT_MM = (80.0, 800.0)
+"""From the inner face alone (about 100 mm) to a head with shoulders (about 550 mm): one decade, so that
+at most one of mm and cm fits; metres are two decades off."""
+
+_TRIM_PERCENT = 0.5
+
+
+def largest_extent(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+    """Return how long the scan is along its longest principal axis, in file units.
+
+    Only the largest loose components that together hold at least half of the vertices count, and the
+    outermost 0.5 % of their vertices at either end do not: neither spikes nor far crumbs change the unit.
+    """
+    labels = vertex_components(len(vertices), faces)
+    sizes = np.bincount(labels)
+    order = np.argsort(-sizes, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(sizes[order]), len(vertices) / 2)) + 1
+    kept = vertices[np.isin(labels, order[:enough])]
+    centered = kept - kept.mean(axis=0)
+    scale = np.abs(centered).max() or 1.0
+    _, axes = np.linalg.eigh((centered / scale).T @ (centered / scale))
+    along = centered @ axes
+    low, high = np.percentile(along, [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
+    return float((high - low).max())
+
+
+def millimetres_per_unit(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: Unit, name: str
+) -> tuple[float, str]:
+    """Return (factor to millimetres, note that tells unit and size).
+
+    Raises
+    ------
+    ScanError
+        With ``unit="auto"`` when the size fits a head in none of mm, cm and m.
+    ValueError
+        For an unknown unit.
+    """
+    extent = largest_extent(vertices, faces)
+    if unit == "auto":
+        low, high = PLAUSIBLE_EXTENT_MM
+        fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
+        if not fitting:
+            raise ScanError(
+                f"{name}: the scan is {extent:.4g} units long, which is no head in mm, cm or m "
+                f"(expected {low:g} to {high:g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
+            )
+        return MM_PER_UNIT[fitting[0]], _note(fitting[0], extent, "decided from the size")
+    if unit not in MM_PER_UNIT:
+        raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
+    return MM_PER_UNIT[unit], _note(unit, extent, "as given")
+
+
+def _note(unit: str, extent: float, how: str) -> str:
+    return f"unit: {unit} (largest extent {extent * MM_PER_UNIT[unit]:.4g} mm), {how}"
