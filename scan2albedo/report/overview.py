@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.images import linear_to_srgb
+from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
 if TYPE_CHECKING:
