@@ -1,5 +1,15 @@
 """Synthetic scenes with ground truth."""
 
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
+from scan2albedo.synthetic.renderer import Material
+from scan2albedo.synthetic.scenes import SceneParameters, SyntheticScene, hemisphere, light_at
 
-__all__ = ["RawLikeOptions", "raw_like"]
+__all__ = [
+    "Material",
+    "RawLikeOptions",
+    "SceneParameters",
+    "SyntheticScene",
+    "hemisphere",
+    "light_at",
+    "raw_like",
+]

@@ -1,0 +1,176 @@
+"""A reference renderer written straight from the papers, for ground truth only.
+
+It shares neither shading nor shadow code with the estimators, so that an error in one of them shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.synthetic.ray_scene import RayScene
+
+FloatArray = NDArray[np.float64]
+
+_GRAZING_RAD = np.deg2rad(89.99)
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface reflects, apart from its albedo.
+
+    Parameters
+    ----------
+    sigma_rad : float
+        Oren-Nayar roughness: standard deviation of the facets' slope angle; 0 is Lambert.
+    specular_strength : float
+        Phong's k_s, relative to an albedo of 1; 0 is no highlight.
+    specular_exponent : float
+        Phong's n.
+    """
+
+    sigma_rad: float = 0.3
+    specular_strength: float = 0.0
+    specular_exponent: float = 20.0
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A rendering of N surface points; ambient light is 1.
+
+    Parameters
+    ----------
+    radiance_linear : (N, 3) float64
+        ``albedo * shading + specular``.
+    shading : (N,) float64
+        ``1 + sum of the lights' diffuse shading``, shadows included.
+    specular : (N,) float64
+        Highlights, the same in all channels.
+    visible : (N, L) bool
+        Whether light l reaches the point: in front of the surface and not behind anything.
+    """
+
+    radiance_linear: FloatArray
+    shading: FloatArray
+    specular: FloatArray
+    visible: NDArray[np.bool_]
+
+
+def render(
+    position: ArrayLike,
+    normal: ArrayLike,
+    albedo_linear: ArrayLike,
+    lights: Sequence[PointLight],
+    *,
+    material: Material,
+    occluder: RayScene | None = None,
+    view_direction: ArrayLike = (0.0, 0.0, 1.0),
+    specular_scale: ArrayLike = 1.0,
+    shadow_offset_mm: float = 0.15,
+) -> Rendered:
+    """Shade surface points under ambient light 1 and `lights`.
+
+    ``T = A (1 + sum_l s_l E_l D_l) + sum_l s_l E_l S_l`` with albedo A, shadow s in {0, 1}, irradiance
+    factor E = intensity (distance / r)^2, Oren-Nayar's D and Phong's S.
+
+    Parameters
+    ----------
+    position, normal : (N, 3) array_like
+        Millimetres in the model's frame; unit normals.
+    albedo_linear : (N, 3) array_like
+    lights : sequence of PointLight
+    material : Material
+    occluder : RayScene, optional
+        What casts shadows; nothing when None.
+    view_direction : (3,) or (N, 3) array_like
+        Unit vectors toward the viewer.
+    specular_scale : float or (N,) array_like
+        Factor of the highlights, from the annotation.
+    shadow_offset_mm : float
+        Start of the shadow rays above the surface.
+    """
+    xyz, n = np.asarray(position, float), np.asarray(normal, float)
+    v = np.broadcast_to(np.asarray(view_direction, float), xyz.shape)
+    shading, specular = np.ones(len(xyz)), np.zeros(len(xyz))
+    visible = np.zeros((len(xyz), len(lights)), bool)
+    for column, light in enumerate(lights):
+        toward, reach, irradiance = incident_light(xyz, light)
+        lit = np.einsum("ij,ij->i", n, toward) > 0
+        if occluder is not None:
+            start = xyz[lit] + shadow_offset_mm * n[lit]
+            lit[lit] = ~occluder.occluded(start, toward[lit], reach[lit] if np.isfinite(reach[0]) else np.inf)
+        visible[:, column] = lit
+        arriving = irradiance * lit
+        shading += arriving * oren_nayar(n, toward, v, material.sigma_rad)
+        specular += arriving * material.specular_strength * phong(n, toward, v, material.specular_exponent)
+    specular = specular * np.asarray(specular_scale, float)
+    radiance = np.asarray(albedo_linear, float) * shading[:, None] + specular[:, None]
+    return Rendered(radiance, shading, specular, visible)
+
+
+def incident_light(position: FloatArray, light: PointLight) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return unit directions toward the light (N, 3), distances to it (N,) mm, irradiance factors (N,)."""
+    if np.isinf(light.distance_mm):
+        count = len(position)
+        return (
+            np.tile(light.direction, (count, 1)),
+            np.full(count, np.inf),
+            np.full(count, float(light.intensity)),
+        )
+    offset = light.distance_mm * light.direction - position
+    reach = np.linalg.norm(offset, axis=1)
+    return offset / reach[:, None], reach, light.intensity * (light.distance_mm / reach) ** 2
+
+
+def oren_nayar(
+    normal: FloatArray, toward_light: FloatArray, toward_viewer: FloatArray, sigma_rad: float
+) -> FloatArray:
+    """Return (N,) cos(theta_i) (A + B max(0, cos(phi_r - phi_i)) sin(alpha) tan(beta)).
+
+    ``A = 1 - 0.5 s^2 / (s^2 + 0.33)``, ``B = 0.45 s^2 / (s^2 + 0.09)``, alpha and beta the larger and
+    the smaller of theta_i and theta_r. Angles are computed one by one; a viewer below the horizon counts
+    as at the horizon.
+
+    References
+    ----------
+    .. [1] M. Oren, S. K. Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994, eq. 30.
+    """
+    tangent = normalized(np.cross(normal, _any_other_axis(normal)))
+    bitangent = np.cross(normal, tangent)
+
+    def polar(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+        along = [np.einsum("ij,ij->i", direction, axis) for axis in (tangent, bitangent, normal)]
+        theta = np.arctan2(np.hypot(along[0], along[1]), along[2])
+        return np.minimum(theta, _GRAZING_RAD), np.arctan2(along[1], along[0])
+
+    theta_i, phi_i = polar(toward_light)
+    theta_r, phi_r = polar(toward_viewer)
+    alpha, beta = np.maximum(theta_i, theta_r), np.minimum(theta_i, theta_r)
+    variance = sigma_rad**2
+    a, b = 1 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
+    facets = b * np.maximum(0, np.cos(phi_r - phi_i)) * np.sin(alpha) * np.tan(beta)
+    return np.cos(theta_i) * (a + facets)
+
+
+def phong(
+    normal: FloatArray, toward_light: FloatArray, toward_viewer: FloatArray, exponent: float
+) -> FloatArray:
+    """Return (N,) max(0, r . v)^exponent, r the mirrored light direction.
+
+    References
+    ----------
+    .. [1] B. T. Phong, "Illumination for Computer Generated Pictures", CACM 18(6), 1975.
+    """
+    along = np.einsum("ij,ij->i", normal, toward_light)
+    mirrored = 2 * along[:, None] * normal - toward_light
+    return np.maximum(0, np.einsum("ij,ij->i", mirrored, toward_viewer)) ** exponent
+
+
+def _any_other_axis(normal: FloatArray) -> FloatArray:
+    """Return (N, 3) the coordinate axis each normal leans on least."""
+    return np.eye(3)[np.argmin(np.abs(normal), axis=1)]

@@ -1,0 +1,206 @@
+"""Synthetic scenes: a geometry image, its true albedo, and everything that lit it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.synthetic.camera import auto_exposure, photograph
+from scan2albedo.synthetic.ray_scene import RayScene
+from scan2albedo.synthetic.renderer import Material, render
+from scan2albedo.synthetic.textures import skin, wood
+
+FloatArray = NDArray[np.float64]
+TextureName = Literal["skin", "wood"]
+
+HEMISPHERE_RADIUS_MM = 80.0
+
+
+@dataclass(frozen=True)
+class SceneParameters:
+    """What a scene was made with.
+
+    Parameters
+    ----------
+    material : Material
+    exposure : float
+        Factor from radiance (ambient 1 times albedo) to the picture.
+    noise : float
+        Standard deviation of the noise, picture white = 1.
+    bits : int or None
+    texture : str
+    seed : int
+    """
+
+    material: Material
+    exposure: float
+    noise: float
+    bits: int | None
+    texture: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class SyntheticScene:
+    """A geometry image with its ground truth.
+
+    ``image.texture_linear = camera(exposure (albedo shading + specular))``.
+
+    Parameters
+    ----------
+    image : GeometryImage
+        With texture, ready for `estimate_albedo`.
+    albedo_linear : (H, W, 3) float32
+        The truth; zeros outside the mask.
+    lights : tuple of PointLight
+        Relative to ambient = 1.
+    shadow : (H, W, L) bool
+        True where light l does not reach the texel (turned away or hidden); False outside the mask.
+    shading : (H, W) float64
+        ``1 + sum of lights``, before exposure; zeros outside the mask.
+    specular : (H, W) float64
+        Highlights before exposure.
+    parameters : SceneParameters
+    """
+
+    image: GeometryImage
+    albedo_linear: NDArray[np.float32]
+    lights: tuple[PointLight, ...]
+    shadow: NDArray[np.bool_]
+    shading: FloatArray
+    specular: FloatArray
+    parameters: SceneParameters
+
+
+def light_at(
+    azimuth_deg: float, elevation_deg: float = 0.0, *, distance_mm: float = np.inf, intensity: float = 3.0
+) -> PointLight:
+    """Return a light given in degrees.
+
+    >>> light_at(90).direction.round(6)
+    array([1., 0., 0.])
+    """
+    return PointLight(
+        float(np.deg2rad(azimuth_deg)), float(np.deg2rad(elevation_deg)), distance_mm, intensity
+    )
+
+
+def hemisphere(
+    *,
+    lights: Sequence[PointLight] | None = None,
+    texture: TextureName = "wood",
+    size: int = 512,
+    material: Material | None = None,
+    grain: float = 1.0,
+    noise: float = 0.0,
+    bits: int | None = 8,
+    exposure: float = 1.0,
+    seed: int = 0,
+) -> SyntheticScene:
+    """Return a hemisphere of 80 mm radius about the origin, bulging toward +z.
+
+    The chart is Lambert's azimuthal equal-area map: a disc that fills the square, +u toward +x.
+
+    Parameters
+    ----------
+    lights : sequence of PointLight, optional
+        One distant light at 45 degrees when omitted.
+    texture : "skin" or "wood"
+    size : int
+        Height and width in texels.
+    material : Material, optional
+        Oren-Nayar with sigma 0.3 rad and no highlight when omitted.
+    grain : float
+        Size of the texture's pattern.
+    noise : float
+        Standard deviation of Gaussian noise on the linear picture (white = 1).
+    bits : int or None
+        Quantisation of the sRGB-encoded picture; None for none.
+    exposure : float
+        1 keeps the brightest texel just below white; larger values clip.
+    seed : int
+        Of texture and noise.
+    """
+    uv = texel_coordinates(size)
+    disc = 2 * uv - 1
+    radius = np.linalg.norm(disc, axis=1)
+    mask = radius < 1
+    # Equal area: rho = 2 R sin(theta / 2), scaled so that theta = 90 degrees lies on the rim.
+    z = 1 - radius**2
+    lateral = disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None]
+    normal = np.column_stack([lateral, z])
+    normal[~mask] = 0
+    image = GeometryImage(
+        (HEMISPHERE_RADIUS_MM * normal).reshape(size, size, 3),
+        normal.reshape(size, size, 3),
+        mask.reshape(size, size),
+    )
+    albedo = np.zeros((size * size, 3))
+    albedo[mask] = texture_at(uv[mask], texture, np.random.default_rng(seed), grain)
+    return photographed(
+        image,
+        albedo.reshape(size, size, 3),
+        (light_at(45),) if lights is None else tuple(lights),
+        SceneParameters(material or Material(), exposure, noise, bits, texture, seed),
+    )
+
+
+def texel_coordinates(size: int) -> FloatArray:
+    """Return (size^2, 2) texture coordinates of texel centres in row-major order, row 0 at v = 1."""
+    centers = (np.arange(size) + 0.5) / size
+    u, v = np.meshgrid(centers, 1 - centers)
+    return np.stack([u.ravel(), v.ravel()], 1)
+
+
+def texture_at(uv: FloatArray, texture: str, rng: np.random.Generator, grain: float) -> FloatArray:
+    """Return (N, 3) linear albedo of a named texture."""
+    painters = {"skin": skin, "wood": wood}
+    if texture not in painters:
+        raise ValueError(f"texture is {texture!r}, expected one of {sorted(painters)}")
+    return painters[texture](uv, rng, grain=grain)
+
+
+def photographed(
+    image: GeometryImage,
+    albedo_linear: FloatArray,
+    lights: tuple[PointLight, ...],
+    parameters: SceneParameters,
+) -> SyntheticScene:
+    """Light and photograph the texels of a geometry image; `parameters.exposure` is relative to automatic."""
+    mask, shape = image.mask, image.shape
+    scale = np.ones(int(mask.sum())) if image.specular_scale is None else image.specular_scale[mask]
+    rendered = render(
+        image.position[mask],
+        image.normal[mask],
+        albedo_linear[mask],
+        lights,
+        material=parameters.material,
+        occluder=RayScene(*image.occluder_mesh()),
+        specular_scale=scale,
+    )
+    exposure = parameters.exposure * auto_exposure(rendered.radiance_linear)
+    rng = np.random.default_rng([parameters.seed, 1])
+    picture = photograph(
+        rendered.radiance_linear, exposure=exposure, noise=parameters.noise, bits=parameters.bits, rng=rng
+    )
+
+    def grid(values: NDArray) -> NDArray:
+        full = np.zeros((*shape, *values.shape[1:]), values.dtype)
+        full[mask] = values
+        return full
+
+    return SyntheticScene(
+        replace(image, texture_linear=grid(picture)),
+        np.where(mask[..., None], albedo_linear, 0).astype(np.float32),
+        lights,
+        grid(~rendered.visible),
+        grid(rendered.shading),
+        grid(rendered.specular),
+        replace(parameters, exposure=exposure),
+    )

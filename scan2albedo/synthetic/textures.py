@@ -1,0 +1,95 @@
+"""Procedural albedo: wood and skin, evaluated at any texture coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+
+_LIGHT_WOOD = np.array([0.62, 0.40, 0.22])
+_DARK_WOOD = np.array([0.24, 0.11, 0.05])
+_SKIN_TONES = np.array([[0.66, 0.42, 0.31], [0.60, 0.36, 0.25], [0.45, 0.25, 0.15], [0.28, 0.145, 0.085]])
+MELANIN = np.array([0.45, 0.75, 1.0])
+"""Relative absorption of melanin in red, green, blue."""
+HEMOGLOBIN = np.array([0.12, 1.0, 0.85])
+"""Relative absorption of blood in red, green, blue."""
+
+
+def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Generator) -> FloatArray:
+    """Return (N,) smooth noise of unit variance over the unit square, about `cells` bumps across u and v.
+
+    A lattice of Gaussian numbers interpolated by cubic splines and wrapped around.
+    """
+    xy = np.asarray(uv, float)
+    shape = tuple(max(4, int(np.ceil(c))) for c in cells)
+    lattice = rng.normal(size=shape)
+    coordinates = np.stack([xy[:, 0] * cells[0], xy[:, 1] * cells[1]])
+    values = map_coordinates(lattice, coordinates, order=3, mode="grid-wrap")
+    # Between lattice points a cubic spline through white noise keeps 0.866 of its standard deviation.
+    return np.asarray(values / 0.866)
+
+
+def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
+    """Return (N, 3) linear albedo of a plank: year rings, warped, with fine fibres along v.
+
+    Parameters
+    ----------
+    uv : (N, 2) array_like of float
+    rng : numpy.random.Generator
+    grain : float
+        Size of the pattern, 1 = about 14 rings across the unit square.
+    """
+    xy = np.asarray(uv, float) / grain
+    warp = 0.035 * smooth_noise(xy, (3, 2), rng) + 0.008 * smooth_noise(xy, (11, 4), rng)
+    heart = np.array([0.35, -0.9]) + rng.uniform(-0.1, 0.1, 2)
+    radius = np.hypot((xy[:, 0] - heart[0]) * 1.0, (xy[:, 1] - heart[1]) * 0.25) + warp
+    phase = (radius * 22) % 1.0
+    ring = np.where(phase < 0.8, phase / 0.8, (1 - phase) / 0.2)
+    fibres = smooth_noise(xy, (160, 7), rng)
+    share = np.clip(0.15 + 0.6 * ring**1.5 + 0.13 * fibres, 0, 1)[:, None]
+    return np.clip(_LIGHT_WOOD * (1 - share) + _DARK_WOOD * share, 0.02, 0.95)
+
+
+def skin(
+    uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0, tone: float | None = None
+) -> FloatArray:
+    """Return (N, 3) linear albedo of bare skin: tone, blotches, pores, freckles and moles.
+
+    Pigments absorb exponentially: ``tone exp(-melanin m - hemoglobin h)``.
+
+    Parameters
+    ----------
+    uv : (N, 2) array_like of float
+    rng : numpy.random.Generator
+    grain : float
+        Size of the pattern, 1 = pores of 1/160 of the unit square.
+    tone : float, optional
+        0 lightest ... 1 darkest; drawn when None.
+    """
+    xy = np.asarray(uv, float)
+    depth = rng.uniform(0, 0.75) if tone is None else tone
+    base = np.array([np.interp(depth * 3, range(4), channel) for channel in _SKIN_TONES.T])
+    scaled = xy / grain
+    blood = 0.07 * smooth_noise(scaled, (5, 5), rng) + 0.05 * smooth_noise(scaled, (17, 17), rng)
+    pigment = 0.05 * smooth_noise(scaled, (4, 4), rng) + 0.02 * smooth_noise(scaled, (40, 40), rng)
+    pores = np.maximum(0, smooth_noise(scaled, (160, 160), rng)) * 0.06
+    freckles = spots(xy, rng, count=int(rng.integers(40, 200)), radius=(0.002 * grain, 0.005 * grain))
+    moles = spots(xy, rng, count=int(rng.integers(3, 9)), radius=(0.005 * grain, 0.009 * grain))
+    pigment = pigment + pores + 0.22 * freckles + 0.9 * moles
+    return np.clip(base * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN), 0.01, 0.95)
+
+
+def spots(uv: FloatArray, rng: np.random.Generator, *, count: int, radius: tuple[float, float]) -> FloatArray:
+    """Return (N,) 0 ... 1: soft-edged discs at random places, of random radii."""
+    centers, radii = rng.uniform(size=(count, 2)), rng.uniform(*radius, size=count)
+    distance, nearest = cKDTree(centers).query(uv)
+    return smoothstep(1.3 - distance / radii[nearest])
+
+
+def smoothstep(x: ArrayLike) -> FloatArray:
+    """Return 3 x^2 - 2 x^3 of x clipped to [0, 1]."""
+    t = np.clip(np.asarray(x, float), 0, 1)
+    return t * t * (3 - 2 * t)

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scan2albedo.synthetic import Material, hemisphere, light_at
+
+LAMBERT = Material(sigma_rad=0.0)
+
+
+def test_geometry_is_a_hemisphere_on_an_equal_area_chart():
+    scene = hemisphere(size=128)
+    image, mask = scene.image, scene.image.mask
+    assert np.allclose(image.position[mask], 80 * image.normal[mask])
+    assert np.allclose(np.linalg.norm(image.normal[mask], axis=1), 1)
+    assert mask.mean() == pytest.approx(np.pi / 4, abs=0.003)
+    # Equal area: heights are uniform over texels (Archimedes), and u goes with +x, row 0 with +y.
+    assert np.allclose(np.quantile(image.normal[mask, 2], [0.25, 0.5, 0.75]), [0.25, 0.5, 0.75], atol=0.01)
+    assert image.position[64, 127, 0] > 70
+    assert image.position[0, 64, 1] > 70
+
+
+def test_texture_is_the_albedo_times_the_light():
+    scene = hemisphere(size=96, material=LAMBERT, bits=None, lights=[light_at(40, 10, intensity=2.0)])
+    mask = scene.image.mask
+    cosine = np.maximum(0, scene.image.normal[mask] @ scene.lights[0].direction)
+    expected = scene.albedo_linear[mask] * (1 + 2 * cosine[:, None]) * scene.parameters.exposure
+    assert np.allclose(scene.image.texture_linear[mask], expected, atol=1e-6)
+    assert scene.image.texture_linear.max() == pytest.approx(0.98, abs=1e-6)
+    assert np.array_equal(scene.shadow[mask, 0], scene.image.normal[mask] @ scene.lights[0].direction <= 0)
+
+
+def test_overexposure_clips_and_bits_quantise():
+    scene = hemisphere(size=96, exposure=1.6, material=Material(0.3, 0.3, 20.0))
+    picture = scene.image.texture_linear[scene.image.mask]
+    assert 0.005 < np.mean(picture == 1) < 0.5
+    assert len(np.unique(picture)) <= 256
+
+
+def test_same_seed_same_bits():
+    first, again = (hemisphere(size=64, seed=5, noise=0.02) for _ in range(2))
+    assert np.array_equal(first.image.texture_linear, again.image.texture_linear)
+    other = hemisphere(size=64, seed=6, noise=0.02)
+    assert not np.array_equal(first.image.texture_linear, other.image.texture_linear)
+
+
+def test_no_lights_leave_the_albedo():
+    scene = hemisphere(size=64, lights=[], bits=None)
+    assert np.allclose(scene.image.texture_linear, scene.albedo_linear * scene.parameters.exposure, atol=1e-6)
+    assert scene.shadow.shape == (64, 64, 0)
+
+
+def test_unknown_texture_is_refused():
+    with pytest.raises(ValueError, match=r"'marble'.*'skin', 'wood'"):
+        hemisphere(size=16, texture="marble")
