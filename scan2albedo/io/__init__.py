@@ -12,32 +12,58 @@ if TYPE_CHECKING:
     from scan2albedo.io.atomic import atomic_path
     from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
     from scan2albedo.io.geometry_image import GeometryImage
+    from scan2albedo.io.geometry_image_files import (
+        read_geometry_image,
+        write_geometry_image,
+        write_geometry_image_exr,
+    )
+    from scan2albedo.io.glb import write_glb
     from scan2albedo.io.images import read_image_linear, write_exr, write_image, write_png
+    from scan2albedo.io.input_hash import input_sha256
     from scan2albedo.io.raw_scan import RawScan
+    from scan2albedo.io.result_json import RegistrationRecord, ResultRecord, read_record, write_record
 
 _MODULE_OF = {
     "GeometryImage": "geometry_image",
     "RawScan": "raw_scan",
+    "RegistrationRecord": "result_json",
+    "ResultRecord": "result_json",
     "atomic_path": "atomic",
+    "input_sha256": "input_hash",
     "linear_to_srgb": "color",
+    "read_geometry_image": "geometry_image_files",
     "read_image_linear": "images",
+    "read_record": "result_json",
     "srgb_to_linear": "color",
     "write_exr": "images",
+    "write_geometry_image": "geometry_image_files",
+    "write_geometry_image_exr": "geometry_image_files",
+    "write_glb": "glb",
     "write_image": "images",
     "write_png": "images",
+    "write_record": "result_json",
 }
 
 __all__ = [
     "GeometryImage",
     "RawScan",
+    "RegistrationRecord",
+    "ResultRecord",
     "atomic_path",
+    "input_sha256",
     "linear_to_srgb",
     "load_scan",
+    "read_geometry_image",
     "read_image_linear",
+    "read_record",
     "srgb_to_linear",
     "write_exr",
+    "write_geometry_image",
+    "write_geometry_image_exr",
+    "write_glb",
     "write_image",
     "write_png",
+    "write_record",
 ]
 
 

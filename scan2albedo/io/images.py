@@ -140,7 +140,7 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 
 
 def write_exr(path: str | Path, linear: ArrayLike) -> None:
-    """Write a linear image (H, W, 3), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
+    """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def write_exr(path: str | Path, linear: ArrayLike) -> None:
         write_exr_channels(path, {"Y": image})
     else:
         _check_rgb(image)
-        write_exr_channels(path, {c: image[..., i] for i, c in enumerate("RGB")})
+        write_exr_channels(path, {c: image[..., i] for i, c in enumerate("RGBA"[: image.shape[2]])})
 
 
 def write_png(path: str | Path, image: ArrayLike) -> None:

@@ -12,12 +12,11 @@ from scan2albedo.errors import ScanError
 if TYPE_CHECKING:
     from scan2albedo.io.parsed_mesh import ParsedMesh
     from scan2albedo.io.raw_scan import RawScan
-    from scan2albedo.io.units import Unit
 
 SUPPORTED_SCANS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 
 
-def load_scan(path: str | Path, unit: Unit = "auto", *, name: str | None = None) -> RawScan:
+def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) -> RawScan:
     """Load a scan, repair what is harmless and bring it to millimetres and linear colour.
 
     Parameters

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import vertex_components
-
-Unit = Literal["auto", "mm", "cm", "m"]
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
@@ -41,7 +37,7 @@ def largest_extent(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> f
 
 
 def millimetres_per_unit(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: Unit, name: str
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: str, name: str
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note that tells unit and size).
 

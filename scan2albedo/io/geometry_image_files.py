@@ -1,0 +1,138 @@
+"""Geometry images as NumPy archives (complete, exact) and as multi-layer EXR (for other programs)."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import GeometryImageError, ScanError
+from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.io.images import read_exr_channels, write_exr_channels
+
+FORMAT_VERSION = 1
+
+_NAME_IN_FILE = {
+    "position": "position_mm",
+    "normal": "normal",
+    "mask": "mask",
+    "region": "region",
+    "texture_linear": "texture_linear",
+    "texture_valid": "texture_valid",
+    "specular_scale": "specular_scale",
+    "inpaint": "inpaint",
+}
+_EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB"}
+_DTYPES = {"mask": bool, "texture_valid": bool, "inpaint": bool, "region": np.uint8}
+
+
+def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
+    """Write a geometry image as a compressed ``.npz`` without loss, atomically.
+
+    Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
+    ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``occluder_vertices_mm`` and
+    ``occluder_faces``; ``format_version`` is 1.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
+    for field, stored in _NAME_IN_FILE.items():
+        if getattr(image, field) is not None:
+            arrays[stored] = getattr(image, field)
+    if image.occluder is not None:
+        arrays["occluder_vertices_mm"], arrays["occluder_faces"] = image.occluder
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
+    """Write a geometry image as a 32-bit float EXR with one layer a field, atomically.
+
+    Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G``
+    ``.B``, and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The
+    occluder does not fit into an image and is left out.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    channels: dict[str, NDArray[np.float32]] = {}
+    for field, stored in _NAME_IN_FILE.items():
+        value = getattr(image, field)
+        if value is not None:
+            planes = value[..., None] if value.ndim == 2 else value
+            for i, letter in enumerate(_EXR_CHANNELS.get(field, "Y")):
+                channels[f"{stored}.{letter}"] = planes[..., i].astype(np.float32)
+    write_exr_channels(path, channels)
+
+
+def read_geometry_image(path: str | Path) -> GeometryImage:
+    """Read a geometry image written by `write_geometry_image` or `write_geometry_image_exr`.
+
+    Raises
+    ------
+    GeometryImageError
+        When the file is missing, damaged, of another extension, or lacks position, normal or mask; the
+        message names it.
+    """
+    file = Path(path)
+    readers = {".npz": _read_npz, ".exr": _read_exr}
+    reader = readers.get(file.suffix.lower())
+    if reader is None:
+        raise GeometryImageError(
+            f"{file.name}: geometry images are .npz or .exr, not {file.suffix or 'without extension'}"
+        )
+    arrays = reader(file)
+    missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
+    if missing:
+        raise GeometryImageError(
+            f"{file.name}: holds no {', '.join(missing)}; it is no geometry image of scan2albedo "
+            f"(found: {', '.join(sorted(arrays)) or 'nothing'})"
+        )
+    fields = {field: arrays.get(stored) for field, stored in _NAME_IN_FILE.items()}
+    occluder = None
+    if "occluder_vertices_mm" in arrays and "occluder_faces" in arrays:
+        occluder = (arrays["occluder_vertices_mm"], arrays["occluder_faces"])
+    try:
+        return GeometryImage(**fields, occluder=occluder)  # type: ignore[arg-type]
+    except GeometryImageError as error:
+        raise GeometryImageError(f"{file.name}: {error}") from error
+
+
+def _read_npz(file: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = dict(archive) if isinstance(archive, np.lib.npyio.NpzFile) else {}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise GeometryImageError(
+            f"{file}: cannot be read as a NumPy archive ({error}); write it again"
+        ) from error
+    version = int(arrays.pop("format_version", np.int64(FORMAT_VERSION)))
+    if version > FORMAT_VERSION:
+        raise GeometryImageError(
+            f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
+        )
+    return arrays
+
+
+def _read_exr(file: Path) -> dict[str, NDArray[Any]]:
+    try:
+        channels = read_exr_channels(file)
+    except ScanError as error:
+        raise GeometryImageError(str(error)) from error
+    arrays: dict[str, NDArray[Any]] = {}
+    for field, stored in _NAME_IN_FILE.items():
+        letters = _EXR_CHANNELS.get(field, "Y")
+        planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]
+        if len(planes) == len(letters):
+            value = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
+            arrays[stored] = value.astype(_DTYPES.get(field, value.dtype))
+    return arrays

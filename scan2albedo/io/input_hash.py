@@ -1,0 +1,85 @@
+"""One hash for a scan and everything it refers to: when it changes, results are stale."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io.mtl import find_beside, parse_mtl
+
+if TYPE_CHECKING:
+    from scan2albedo.io.raw_scan import RawScan
+
+
+def input_sha256(source: str | Path | RawScan) -> str:
+    """Return the SHA-256 of a scan file with its material libraries and textures, or of a `RawScan`'s arrays.
+
+    Raises
+    ------
+    ScanError
+        When the file cannot be read.
+    """
+    if not isinstance(source, str | Path):
+        return _arrays_sha256(source)
+    digest = hashlib.sha256()
+    try:
+        for file in files_of_scan(Path(source)):
+            digest.update(f"{file.stat().st_size}:".encode())
+            with file.open("rb") as opened:
+                while block := opened.read(1 << 20):
+                    digest.update(block)
+    except OSError as error:
+        raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
+    return digest.hexdigest()
+
+
+def files_of_scan(path: Path) -> tuple[Path, ...]:
+    """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
+    referred = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf}.get(path.suffix.lower())
+    names = referred(path) if referred else []
+    found = [find_beside(path.parent, name) for name in names]
+    return (path, *dict.fromkeys(file for file in found if file is not None))
+
+
+def _of_obj(path: Path) -> list[str]:
+    names: list[str] = []
+    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", path.read_bytes(), re.MULTILINE):
+        line = match.decode("utf-8", "replace").strip()
+        for library in [line] if find_beside(path.parent, line) else line.split():
+            names.append(library)
+            file = find_beside(path.parent, library)
+            if file is not None:
+                materials = parse_mtl(file.read_text("utf-8", "replace")).values()
+                names += [m.texture_file for m in materials if m.texture_file is not None]
+    return names
+
+
+def _of_ply(path: Path) -> list[str]:
+    with path.open("rb") as file:
+        header = file.read(1 << 16).split(b"end_header", maxsplit=1)[0].decode("latin-1")
+    return re.findall(r"^comment\s+TextureFile\s+(.+?)\s*$", header, re.MULTILINE | re.IGNORECASE)
+
+
+def _of_gltf(path: Path) -> list[str]:
+    try:
+        tree = json.loads(path.read_bytes())
+        entries = [*tree.get("buffers", ()), *tree.get("images", ())]
+        uris = [entry.get("uri", "") for entry in entries]
+    except (ValueError, AttributeError, TypeError):
+        return []  # load_scan tells what is wrong with the file
+    return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
+
+
+def _arrays_sha256(scan: RawScan) -> str:
+    digest = hashlib.sha256()
+    for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear"):
+        value = getattr(scan, field)
+        digest.update(f"{field}:{None if value is None else (value.shape, value.dtype.str)};".encode())
+        if value is not None:
+            digest.update(value.tobytes())
+    return digest.hexdigest()

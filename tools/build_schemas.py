@@ -1,0 +1,50 @@
+"""Write the JSON Schemas of every file we read or write into data_schemas/.
+
+python tools/build_schemas.py            write them
+python tools/build_schemas.py --check    exit 1 when one of them is not current
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
+
+FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
+
+RECORDS: dict[str, type[BaseModel]] = {
+    "result": ResultRecord,
+    "registration": RegistrationRecord,
+}
+
+
+def schema_texts() -> dict[str, str]:
+    """File name and text of every schema."""
+    texts = {}
+    for name, record in RECORDS.items():
+        file = f"{name}.schema.json"
+        head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": file}
+        texts[file] = json.dumps(head | record.model_json_schema(mode="serialization"), indent=2) + "\n"
+    return texts
+
+
+def main(arguments: list[str]) -> int:
+    stale = []
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in schema_texts().items():
+        file = FOLDER / name
+        if not file.exists() or file.read_text(encoding="utf-8") != text:
+            stale.append(name)
+            if "--check" not in arguments:
+                file.write_text(text, encoding="utf-8")
+    verb = "not current" if "--check" in arguments else "written"
+    print(f"{', '.join(stale) or 'no schema'} {verb}")
+    return 1 if stale and "--check" in arguments else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
