@@ -128,7 +128,7 @@ def carried_template(model: AnnotatedFaceModel, control_points: FloatArray) -> F
 def _all_placed(
     template: CleanTemplate, subdivision: LoopSubdivision, control: ControlMesh, inner: SurfacePoints
 ) -> SurfacePoints:
-    """Place all T vertices: cleaned ones where `inner` says, welded and loose ones by the nearest of these."""
+    """Place all T vertices: cleaned ones where `inner` says, the others by the nearest of these."""
     _, nearest = cKDTree(template.vertices).query(template.all_vertices)
     face, barycentric = inner.face[nearest].copy(), inner.barycentric[nearest].copy()
     apart = np.linalg.norm(template.vertices[nearest] - template.all_vertices, axis=1) > 1e-3

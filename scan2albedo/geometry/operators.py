@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.geometry.loop_subdivision import refine
 from scan2albedo.geometry.mesh import vertex_areas
 
 FloatArray = NDArray[np.float64]
@@ -80,3 +81,24 @@ def vertex_average(vertex_count: int, faces: IntArray, face_value: FloatArray) -
     total = np.bincount(faces.ravel(), np.repeat(face_value, 3), minlength=vertex_count)
     count = np.bincount(faces.ravel(), minlength=vertex_count)
     return total / np.maximum(count, 1)
+
+
+def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse.csr_matrix:
+    """Return the (V, C) matrix that interpolates linearly at the vertices of `levels` Loop refinements.
+
+    The vertices are numbered as in `LoopSubdivision`; a flip-free chart stays flip-free under it.
+    """
+    matrix = sparse.identity(vertex_count, format="csr")
+    current = np.asarray(faces, np.int64)
+    for _ in range(levels):
+        _, finer = refine(matrix.shape[0], current)
+        count = matrix.shape[0]
+        ends = np.full((finer.max() + 1 - count, 2), -1, np.int64)
+        for corner, (start, end) in enumerate(((0, 1), (1, 2), (2, 0))):
+            middle = finer[3::4][:, corner]
+            ends[middle - count] = current[:, [start, end]]
+        rows = np.repeat(np.arange(len(ends)), 2)
+        halves = sparse.csr_matrix((np.full(len(rows), 0.5), (rows, ends.ravel())), shape=(len(ends), count))
+        matrix = sparse.vstack([sparse.identity(count), halves]).tocsr() @ matrix
+        current = finer
+    return matrix

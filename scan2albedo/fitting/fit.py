@@ -1,0 +1,175 @@
+"""Deform the model onto a registered scan."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import FitError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.forces import ForceGates
+from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.outcome import fitted_face
+from scan2albedo.fitting.result import FittedFace
+from scan2albedo.fitting.rigid_refinement import Similarity, refine_similarity
+from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
+from scan2albedo.fitting.stages import Deformation, run_stages
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.optimization import Budget, Meter, ProgressCallback
+
+FloatArray = NDArray[np.float64]
+
+CROP_MARGIN = 0.35
+"""Part of the model's size by which the scan may reach beyond the model and still be looked at."""
+RIGID_LEVEL = 1
+MIN_FIRST_CONTACT = 0.03
+
+
+class Posed(Protocol):
+    """Anything that knows the pose of the scan in the model's frame."""
+
+    @property
+    def model_from_scan(self) -> FloatArray:
+        """(4, 4) rigid transform."""
+
+
+def fit(
+    scan: RawScan,
+    model: AnnotatedFaceModel,
+    reg: Posed | ArrayLike,
+    budget: Budget | float | None = None,
+    *,
+    options: FitOptions | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> FittedFace:
+    """Deform the model's limit surface onto a scan.
+
+    The control points P = s P_0 + q follow M q'' + D q' + K q = f, with K the membrane and thin-plate
+    energy of q weighted by each region's stiffness, and f the forces of the scan on samples of the limit
+    surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
+    implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
+    Before that, pose and size s are refined over the stiff regions (`refine_similarity`).
+
+    Parameters
+    ----------
+    scan : RawScan
+    model : AnnotatedFaceModel
+    reg : object with `model_from_scan`, or (4, 4) array_like
+        Rigid pose, good to about 15 degrees and 15 mm.
+    budget : Budget, float or None
+        Seconds, or evaluations (steps). When it ends, the face reached so far is returned with
+        ``converged=False``.
+    options : FitOptions, optional
+    on_progress : callable, optional
+        Called with each trace row.
+
+    Returns
+    -------
+    FittedFace
+        In the model's frame; its `model_from_scan` is the refined pose.
+
+    Raises
+    ------
+    FitError
+        When there is next to no scan where the model is.
+
+    Notes
+    -----
+    The paper's linear finite elements are replaced by the cotangent Laplacian of the control mesh, and
+    its damping by the implicit treatment of the forces' own stiffness. A step costs O(samples).
+
+    References
+    ----------
+    .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An Automated Method for Human Face
+       Modeling and Relighting with Application to Face Recognition", section 3.1.2.
+    .. [2] C. Mandal, H. Qin, B. Vemuri, "A Novel FEM-Based Dynamic Framework for Subdivision Surfaces",
+       Computer-Aided Design 32, 2000.
+    """
+    chosen = options or FitOptions()
+    pose = checked_pose(getattr(reg, "model_from_scan", reg))
+    meter = Meter("fit", "mm", Budget.of(budget), on_progress)
+    surface = _scan_surface(scan, model, pose)
+    similarity = _refined(surface, model, chosen, meter, scan.name)
+    pose = similarity.correction @ pose
+    surface = surface.moved(similarity.correction)
+    reference = similarity.scale * model.control_vertices
+    deformation = Deformation(model, reference, surface, chosen, meter)
+    outcome = run_stages(deformation)
+    return fitted_face(deformation, outcome, pose, similarity.scale, scan.name)
+
+
+def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
+    """Return the pose as a (4, 4) array.
+
+    Raises
+    ------
+    ValueError
+        When it is not a finite rigid (4, 4) transform.
+    """
+    pose = np.asarray(model_from_scan, np.float64)
+    if pose.shape != (4, 4):
+        raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
+    gap = np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max()
+    if not gap < 1e-3 or not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) < 0:
+        raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
+    return pose
+
+
+def _scan_surface(scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray) -> ScanSurface:
+    low, high = model.control_vertices.min(0), model.control_vertices.max(0)
+    margin = CROP_MARGIN * float(np.max(high - low))
+    surface = scan_near_model(scan.vertices, scan.faces, pose, low - margin, high + margin)
+    if surface is None:
+        raise FitError(
+            f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
+            "register the scan first, and check its unit"
+        )
+    return surface
+
+
+def _refined(
+    surface: ScanSurface, model: AnnotatedFaceModel, options: FitOptions, meter: Meter, name: str
+) -> Similarity:
+    samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
+    similarity = refine_similarity(
+        surface,
+        samples,
+        model.control_vertices,
+        samples.area * samples.rigidity,
+        (gates(options, 0.0), gates(options, 1.0)),
+        iterations=options.rigid_iterations,
+        scale_range=options.scale_range,
+        meter=meter,
+    )
+    _require_contact(
+        surface, samples, similarity.apply(samples.matrix @ model.control_vertices), options, name
+    )
+    return similarity
+
+
+def gates(options: FitOptions, progress: float) -> ForceGates:
+    """Return the gates at `progress` 0 (first stage) ... 1 (last), the distance in geometric steps."""
+    first, last = options.gate_mm
+    return ForceGates(
+        first * (last / first) ** progress,
+        options.min_normal_cosine,
+        options.tangential,
+        options.robust_scale,
+        options.min_robust_mm,
+    )
+
+
+def _require_contact(
+    surface: ScanSurface, samples: SurfaceSamples, points: FloatArray, options: FitOptions, name: str
+) -> None:
+    hits = surface.nearest.query(points)
+    near = (hits.distance < options.gate_mm[0]) & ~surface.on_boundary(hits)
+    share = float(samples.area[near].sum() / samples.area.sum())
+    if share < MIN_FIRST_CONTACT:
+        raise FitError(
+            f"{name}: only {100 * share:.1f} % of the model has scan within {options.gate_mm[0]:.0f} mm, at "
+            f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
+        )

@@ -1,0 +1,68 @@
+"""Everything that can be set about the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How `fit` deforms the model; lengths in mm.
+
+    Stiffness is given as a length: features of the displacement shorter than it are smoothed away,
+    longer ones follow the scan. It falls geometrically from the first to the last stage.
+
+    Parameters
+    ----------
+    levels : tuple of int
+        Loop refinements whose limit vertices feel forces, one entry a stage: coarse to fine.
+    steps : int
+        Most time steps a stage.
+    bending_mm : (float, float)
+        Thin-plate smoothing length in the first and last stage.
+    membrane_mm : (float, float)
+        Membrane smoothing length in the first and last stage.
+    tangential : float
+        Part of the force along the surface, relative to 1 across it.
+    gate_mm : (float, float)
+        Scan points farther than this exert no force, first and last stage.
+    min_normal_cosine : float
+        Least cosine between the normals of model and scan where a force acts.
+    robust_scale : float
+        Residuals beyond this many robust standard deviations lose their weight.
+    min_robust_mm : float
+        Floor of the robust standard deviation.
+    time_step, mass, damping : float
+        dt, and M and D as multiples of the surface's area (a unit force is a unit area).
+    rigid_iterations : int
+        Most iterations of the pose and scale refinement; 0 keeps the pose given.
+    scale_range : (float, float)
+        Least and greatest size of the face relative to the model.
+    result_levels : int
+        Loop refinements of the surface returned.
+    residual_gate_mm : float
+        Residuals beyond this count as "no scan near".
+    min_coverage : float
+        Least fraction of the model's area that must have scan near it.
+    gain_tolerance : float
+        A stage ends when five steps gained less than this fraction of the error.
+    """
+
+    levels: tuple[int, ...] = (0, 0, 1, 1, 1, 2)
+    steps: int = 20
+    bending_mm: tuple[float, float] = (60.0, 4.0)
+    membrane_mm: tuple[float, float] = (6.0, 0.6)
+    tangential: float = 0.1
+    gate_mm: tuple[float, float] = (20.0, 5.0)
+    min_normal_cosine: float = 0.6
+    robust_scale: float = 3.0
+    min_robust_mm: float = 0.5
+    time_step: float = 10.0
+    mass: float = 1.0
+    damping: float = 0.1
+    rigid_iterations: int = 30
+    scale_range: tuple[float, float] = (0.75, 1.35)
+    result_levels: int = 2
+    residual_gate_mm: float = 5.0
+    min_coverage: float = 0.1
+    gain_tolerance: float = 0.003

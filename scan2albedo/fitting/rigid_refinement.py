@@ -1,0 +1,143 @@
+"""Refine pose and size before anything bends: a robust point-to-plane similarity over the rigid regions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.fitting.forces import ForceGates, scan_forces
+from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector
+from scan2albedo.optimization import Meter
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """x -> scale R x + t, from the model at rest into the scan as posed so far (model's frame, mm)."""
+
+    scale: float
+    rotation: FloatArray
+    translation: FloatArray
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Return the (N, 3) points moved."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    @property
+    def correction(self) -> FloatArray:
+        """(4, 4) rigid transform that takes the scan to the model scaled by `scale` in its own frame."""
+        return invert_rigid(compose(self.rotation, self.translation))
+
+
+SETTLED_MM = 0.01
+GATE_SHRINK = 0.85
+SCALE_PRIOR = 0.02
+"""Weight that pulls the scale to 1, as a part of what all samples together say."""
+
+
+def refine_similarity(
+    scan: ScanSurface,
+    samples: SurfaceSamples,
+    rest: FloatArray,
+    weight: FloatArray,
+    gates: tuple[ForceGates, ForceGates],
+    *,
+    iterations: int,
+    scale_range: tuple[float, float],
+    meter: Meter,
+) -> Similarity:
+    """Return the similarity that lays the model's rigid regions on the scan.
+
+    Gauss-Newton on (rotation, translation, log scale) of
+    sum_i w_i [ (n_i . d_i)^2 + t |d_i - (n_i . d_i) n_i|^2 ], d_i = y_i - x_i, with the closest points
+    y_i, normals n_i and gated robust weights renewed every iteration.
+
+    Parameters
+    ----------
+    scan : ScanSurface
+    samples : SurfaceSamples
+        Where the surface is sampled.
+    rest : (C, 3) float64
+        Control points at rest.
+    weight : (N,) float64
+        Area times rigidity of each sample.
+    gates : (ForceGates, ForceGates)
+        First and last; the distance gate shrinks from one to the other.
+    iterations : int
+    scale_range : (float, float)
+    meter : Meter
+    """
+    points = samples.matrix @ rest
+    pose = Similarity(1.0, np.eye(3), np.zeros(3))
+    wide, narrow = gates
+    reach = wide.distance_mm
+    for _ in range(iterations):
+        if meter.exhausted:
+            break
+        moved = pose.apply(points)
+        gate = ForceGates(
+            reach, wide.min_normal_cosine, wide.tangential, wide.robust_scale, wide.min_robust_mm
+        )
+        forces = scan_forces(scan, moved, samples.normals(moved), gate)
+        meter.count()
+        meter.record(forces.mean_distance_mm(samples.area))
+        if not forces.weight.any():
+            break
+        step = _gauss_newton_step(
+            moved, forces.offset, forces.normal, weight * forces.weight, gate.tangential, pose.scale
+        )
+        pose = _updated(pose, step, scale_range)
+        settled = reach <= narrow.distance_mm and _largest_motion(step, points) < SETTLED_MM
+        reach = max(reach * GATE_SHRINK, narrow.distance_mm)
+        if settled:
+            break
+    return pose
+
+
+def _gauss_newton_step(
+    points: FloatArray,
+    offset: FloatArray,
+    normal: FloatArray,
+    weight: FloatArray,
+    tangential: float,
+    scale: float,
+) -> FloatArray:
+    """Return (7,) increments: rotation vector, translation, log scale."""
+    count = len(points)
+    jacobian = np.zeros((count, 3, 7))
+    x, y, z = points.T
+    jacobian[:, 0, 1], jacobian[:, 0, 2] = z, -y
+    jacobian[:, 1, 0], jacobian[:, 1, 2] = -z, x
+    jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
+    jacobian[:, [0, 1, 2], [3, 4, 5]] = 1.0
+    jacobian[:, :, 6] = points
+    across = np.einsum("nij,ni->nj", jacobian, normal)
+    gap = np.einsum("ni,ni->n", offset, normal)
+    heavy, light = weight * (1 - tangential), weight * tangential
+    flat = jacobian.reshape(-1, 7)
+    spread = np.repeat(light, 3)
+    system = (across * heavy[:, None]).T @ across + (flat * spread[:, None]).T @ flat
+    right = across.T @ (heavy * gap) + flat.T @ (spread * offset.ravel())
+    prior = SCALE_PRIOR * float(weight @ np.sum(points**2, axis=1))
+    system[6, 6] += prior
+    right[6] -= prior * np.log(scale)
+    size = np.sqrt(np.maximum(np.diag(system), 1e-300))
+    scaled = system / np.outer(size, size) + 1e-6 * np.eye(7)
+    return np.linalg.solve(scaled, right / size) / size
+
+
+def _updated(pose: Similarity, step: FloatArray, scale_range: tuple[float, float]) -> Similarity:
+    turn = rotation_from_vector(step[:3])
+    scale = float(np.clip(pose.scale * np.exp(np.clip(step[6], -0.2, 0.2)), *scale_range))
+    growth = scale / pose.scale
+    return Similarity(scale, turn @ pose.rotation, growth * turn @ pose.translation + step[3:6])
+
+
+def _largest_motion(step: FloatArray, points: FloatArray) -> float:
+    radius = float(np.sqrt(np.mean(np.sum(points**2, axis=1))))
+    return float(np.linalg.norm(step[3:6]) + radius * (np.linalg.norm(step[:3]) + abs(step[6])))

@@ -1,0 +1,142 @@
+"""The coarse-to-fine schedule: which samples, how stiff, how far the forces reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.dynamics import ImplicitSystem, State
+from scan2albedo.fitting.flip_guard import guarded
+from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
+from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.mesh import vertex_areas
+from scan2albedo.geometry.operators import bending, laplacian
+from scan2albedo.optimization import Meter
+
+FloatArray = NDArray[np.float64]
+
+GAIN_WINDOW = 5
+SEARCH_EVERY = 5
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """What all stages share.
+
+    Parameters
+    ----------
+    model : AnnotatedFaceModel
+    reference : (C, 3) float64
+        Control points without displacement: the model at rest, scaled to the scan's size.
+    scan : ScanSurface
+        In the same frame.
+    options : FitOptions
+    meter : Meter
+    """
+
+    model: AnnotatedFaceModel
+    reference: FloatArray
+    scan: ScanSurface
+    options: FitOptions
+    meter: Meter
+
+    def elasticity(self, progress: float) -> sparse.csr_matrix:
+        """Return K (C, C) at `progress` 0 ... 1 of the stiffness schedule."""
+        faces, options = self.model.control_faces, self.options
+        weight = self.model.region_values("stiffness")[self.model.region]
+        membrane = _between(options.membrane_mm, progress) ** 2
+        thin_plate = _between(options.bending_mm, progress) ** 4
+        return membrane * laplacian(self.reference, faces, weight) + thin_plate * bending(
+            self.reference, faces, weight
+        )
+
+    def gates(self, progress: float) -> ForceGates:
+        """Return the force gates at `progress` 0 ... 1."""
+        options = self.options
+        return ForceGates(
+            _between(options.gate_mm, progress),
+            options.min_normal_cosine,
+            options.tangential,
+            options.robust_scale,
+            options.min_robust_mm,
+        )
+
+
+@dataclass(frozen=True)
+class StagesOutcome:
+    """Displacement `q` (C, 3) reached, and whether the whole schedule ran."""
+
+    q: FloatArray
+    converged: bool
+
+
+def run_stages(deformation: Deformation) -> StagesOutcome:
+    """Run all stages, or as many as the budget allows."""
+    levels = deformation.options.levels
+    q = np.zeros_like(deformation.reference)
+    for index, level in enumerate(levels):
+        if deformation.meter.exhausted:
+            return StagesOutcome(q, False)
+        q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), q)
+    return StagesOutcome(q, not deformation.meter.exhausted)
+
+
+def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatArray) -> FloatArray:
+    options, meter, reference = deformation.options, deformation.meter, deformation.reference
+    samples = SurfaceSamples.of(deformation.model, reference, level)
+    system = _system(deformation, samples, progress)
+    gates = deformation.gates(progress)
+    state = State(q, np.zeros_like(q))
+    errors: list[float] = []
+    forces: ScanForces | None = None
+    for step in range(options.steps):
+        if meter.exhausted:
+            break
+        points = samples.matrix @ (reference + state.q)
+        start = forces.hits if forces is not None and step % SEARCH_EVERY else None
+        forces = scan_forces(deformation.scan, points, samples.normals(points), gates, start)
+        meter.count()
+        errors.append(forces.mean_distance_mm(samples.area))
+        meter.record(errors[-1])
+        moved = system.step(state, samples.matrix.T @ (samples.area[:, None] * forces.force))
+        safe = guarded(reference + state.q, reference + moved.q, samples, deformation.model.control_faces)
+        state = State(safe - reference, (safe - reference - state.q) / system.time_step)
+        if _settled(errors, options.gain_tolerance):
+            break
+    return state.q
+
+
+def _system(deformation: Deformation, samples: SurfaceSamples, progress: float) -> ImplicitSystem:
+    options = deformation.options
+    control_area = vertex_areas(deformation.reference, deformation.model.control_faces)
+    lumped = np.maximum(control_area, 1e-6 * control_area.mean())
+    springs = samples.matrix.T @ sparse.diags(samples.area) @ samples.matrix
+    return ImplicitSystem(
+        options.mass * lumped,
+        options.damping * lumped,
+        deformation.elasticity(progress),
+        springs,
+        options.time_step,
+    )
+
+
+def _settled(errors: list[float], tolerance: float) -> bool:
+    """Whether the last GAIN_WINDOW steps gained less than `tolerance` of the error before them."""
+    if len(errors) <= GAIN_WINDOW:
+        return False
+    before, now = errors[-1 - GAIN_WINDOW], errors[-1]
+    return not before - now > tolerance * before
+
+
+def _between(ends: tuple[float, float], progress: float) -> float:
+    """Return the geometric interpolation between two positive values (0 stays 0)."""
+    first, last = ends
+    if first <= 0 or last <= 0:
+        return first + (last - first) * progress
+    return float(first * (last / first) ** progress)
