@@ -97,15 +97,8 @@ def parametrize_disc(
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
     """
     chosen = ChartOptions() if options is None else options
-    xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
-    loop = boundary_loop(len(xyz), index)
-    # SLIM's energy is not scale invariant: unit area on both sides.
-    xyz = (xyz - xyz.mean(0)) / np.sqrt(face_areas(xyz, index).sum())
-    target = boundary_curve(xyz, loop, chosen.squareness)
-    uv = tutte(len(xyz), index, loop, target)
-    if chosen.slim_iterations:
-        uv = _slim(xyz, index, uv, loop, target, chosen)
-    uv = _symmetrized(uv, mirror)
+    index = np.asarray(faces, np.int64)
+    uv = flatten_disc(vertices, index, mirror=mirror, options=chosen)
     uv = _packed(uv, index, chosen)
     flipped = int(np.sum(signed_areas(uv, index) <= 0))
     if flipped:
@@ -114,6 +107,29 @@ def parametrize_disc(
             "remove zero-area faces and ears from the mesh, or give UVs of your own"
         )
     return uv
+
+
+def flatten_disc(
+    vertices: FloatArray,
+    faces: IntArray,
+    *,
+    mirror: IntArray | None = None,
+    options: ChartOptions | None = None,
+) -> FloatArray:
+    """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred.
+
+    A small `boundary_weight` lets SLIM choose the boundary: the chart is then as isometric as it gets.
+    """
+    chosen = ChartOptions() if options is None else options
+    xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    loop = boundary_loop(len(xyz), index)
+    # SLIM's energy is not scale invariant: unit area on both sides.
+    xyz = (xyz - xyz.mean(0)) / np.sqrt(face_areas(xyz, index).sum())
+    target = boundary_curve(xyz, loop, chosen.squareness)
+    uv = tutte(len(xyz), index, loop, target)
+    if chosen.slim_iterations:
+        uv = _slim(xyz, index, uv, loop, target, chosen)
+    return _symmetrized(uv, mirror)
 
 
 def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:

@@ -1,0 +1,206 @@
+"""A face model on disk: `afm.json` with the annotation, an .npz beside it with the arrays."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.io.atomic import write_bytes, write_text
+
+Arrays = dict[str, np.ndarray]
+
+
+class RegionEntry(BaseModel):
+    """One region, as in `annotation.Region`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    index: int = Field(ge=0, le=254, description="value of the `region` array")
+    stiffness: float = Field(gt=0, description="relative stiffness in the fit, 1 = average")
+    specular_scale: float = Field(ge=0, description="relative strength of highlights, 1 = average skin")
+    inpaint: bool = Field(description="whether saturated texels may be filled there")
+
+
+class FaceModelFile(BaseModel):
+    """Annotated Face Model: annotation and where the arrays lie.
+
+    The .npz holds control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where
+    the counts below say so landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
+    template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3).
+    """
+
+    model_config = ConfigDict(extra="forbid", title="scan2albedo annotated face model")
+
+    format: Literal["scan2albedo-afm-1"] = Field(description="name and version of this format")
+    name: str
+    unit: Literal["mm"] = "mm"
+    frame: Literal["+x subject's left, +y up, +z out of the face"] = (
+        "+x subject's left, +y up, +z out of the face"
+    )
+    arrays: str = Field(description="file name of the .npz, in the same folder", pattern=r"^[^/\\]+\.npz$")
+    control_vertices: int = Field(ge=3, description="C")
+    control_faces: int = Field(ge=1, description="F")
+    landmarks: Literal[0, 68] = Field(description="0, or 68 in iBUG order")
+    template_vertices: int = Field(ge=0, description="T, 0 when the model carries no dense template")
+    template_faces: int = Field(ge=0, description="T_F")
+    regions: dict[str, RegionEntry] = Field(description="by name, for example left_cheek")
+
+
+def save_model(model: AnnotatedFaceModel, path: str | Path) -> None:
+    """Write `path` (.json) and, beside it, the arrays in `<stem>.npz`; same model, same bytes.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    target = Path(path)
+    arrays = _arrays_of(model)
+    entry = FaceModelFile(
+        format="scan2albedo-afm-1",
+        name=model.name,
+        arrays=target.with_suffix(".npz").name,
+        control_vertices=len(model.control_vertices),
+        control_faces=len(model.control_faces),
+        landmarks=68 if model.landmark_points is not None else 0,
+        template_vertices=len(arrays.get("template_face", ())),
+        template_faces=len(arrays.get("template_faces", ())),
+        regions={name: _entry_of(region) for name, region in model.regions.items()},
+    )
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    write_bytes(target.with_suffix(".npz"), stream.getvalue())
+    write_text(target, json.dumps(entry.model_dump(), indent=2) + "\n")
+
+
+def _entry_of(region: Region) -> RegionEntry:
+    return RegionEntry(
+        index=region.index,
+        stiffness=region.stiffness,
+        specular_scale=region.specular_scale,
+        inpaint=region.inpaint,
+    )
+
+
+def _arrays_of(model: AnnotatedFaceModel) -> Arrays:
+    arrays: Arrays = {
+        "control_vertices": model.control_vertices.astype(np.float64),
+        "control_faces": model.control_faces.astype(np.int32),
+        "uv": model.uv.astype(np.float64),
+        "region": model.region.astype(np.uint8),
+    }
+    for prefix, points in (("landmark", model.landmark_points), ("template", model.template_points)):
+        if points is not None:
+            arrays[f"{prefix}_face"] = points.face.astype(np.int32)
+            arrays[f"{prefix}_barycentric"] = points.barycentric.astype(np.float64)
+    if model.template_offset is not None:
+        arrays["template_offset"] = model.template_offset.astype(np.float64)
+    if model.template_faces is not None:
+        arrays["template_faces"] = model.template_faces.astype(np.int32)
+    return arrays
+
+
+def load_model(path: str | Path) -> AnnotatedFaceModel:
+    """Read a model that `save_model` wrote.
+
+    Raises
+    ------
+    ModelError
+        When a file is missing, no JSON, truncated, or the two do not belong together.
+    """
+    entry = _read_entry(Path(path))
+    arrays_path = Path(path).with_name(entry.arrays)
+    arrays = _read_arrays(arrays_path)
+    _check_shapes(entry, arrays, arrays_path)
+    template_offset, template_faces = arrays.get("template_offset"), arrays.get("template_faces")
+    return AnnotatedFaceModel(
+        arrays["control_vertices"].astype(np.float64),
+        arrays["control_faces"].astype(np.int64),
+        arrays["uv"].astype(np.float64),
+        arrays["region"].astype(np.uint8),
+        {name: Region(name, **region.model_dump()) for name, region in entry.regions.items()},
+        landmark_points=_points(arrays, "landmark"),
+        template_points=_points(arrays, "template"),
+        template_offset=None if template_offset is None else template_offset.astype(np.float64),
+        template_faces=None if template_faces is None else template_faces.astype(np.int64),
+        name=entry.name,
+    )
+
+
+def _read_entry(path: Path) -> FaceModelFile:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ModelError(f"face model {path}: {error.strerror}; give the .json file of a model") from error
+    except UnicodeDecodeError as error:
+        raise ModelError(f"face model {path} is no text file; give the .json file, not the .npz") from error
+    try:
+        return FaceModelFile.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise ModelError(
+            f"face model {path} is no annotated face model: {where}: {first['msg']} "
+            f"({error.error_count()} problems); expected data_schemas/annotated_face_model.schema.json"
+        ) from error
+
+
+def _read_arrays(path: Path) -> Arrays:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except FileNotFoundError as error:
+        raise ModelError(f"face model: {path} is missing; copy it beside its .json file") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ModelError(
+            f"face model: {path} is truncated or no .npz file ({error}); copy it again"
+        ) from error
+
+
+def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
+    expected: dict[str, tuple[int, ...]] = {
+        "control_vertices": (entry.control_vertices, 3),
+        "control_faces": (entry.control_faces, 3),
+        "uv": (entry.control_vertices, 2),
+        "region": (entry.control_faces,),
+    }
+    if entry.landmarks:
+        expected |= {"landmark_face": (68,), "landmark_barycentric": (68, 3)}
+    if entry.template_vertices:
+        expected |= {
+            "template_face": (entry.template_vertices,),
+            "template_barycentric": (entry.template_vertices, 3),
+        }
+    for name, shape in expected.items():
+        got = arrays[name].shape if name in arrays else None
+        if got != shape:
+            found = "missing" if got is None else f"of shape {got}"
+            raise ModelError(
+                f"face model: {name} in {path} is {found}, the .json file says {shape}; "
+                "the two files do not belong together"
+            )
+    for name, values in arrays.items():
+        if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
+            raise ModelError(f"face model: {name} in {path} holds NaN or infinite values")
+    for name in ("control_faces", "landmark_face", "template_face"):
+        limit = entry.control_vertices if name == "control_faces" else entry.control_faces
+        if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
+            raise ModelError(f"face model: {name} in {path} points outside 0 ... {limit - 1}")
+
+
+def _points(arrays: Arrays, prefix: str) -> SurfacePoints | None:
+    if f"{prefix}_face" not in arrays:
+        return None
+    return SurfacePoints(
+        arrays[f"{prefix}_face"].astype(np.int64), arrays[f"{prefix}_barycentric"].astype(np.float64)
+    )

@@ -1,0 +1,85 @@
+"""The regions of the default model and where they lie."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.generator.layout import inside_polygon
+
+FloatArray = NDArray[np.float64]
+
+MIDDLE_REGIONS = ("forehead", "nose", "upper_lip", "lower_lip", "chin")
+"""Regions that straddle the midline; the others exist left and right."""
+
+# name: (stiffness, specular scale, inpaint). Skull under thin skin is stiff, lips and jaw move with every
+# expression. Oily skin of forehead and nose shines, hair of brows and lashes hardly does.
+_TRAITS: dict[str, tuple[float, float, bool]] = {
+    "forehead": (2.0, 1.3, True),
+    "brow": (1.2, 0.6, False),
+    "eye": (0.9, 0.8, False),
+    "nose": (1.8, 1.5, True),
+    "nostril": (1.2, 0.6, True),
+    "cheek": (1.0, 1.0, True),
+    "upper_lip": (0.5, 1.1, False),
+    "lower_lip": (0.4, 1.1, False),
+    "chin": (0.7, 1.0, True),
+    "jaw": (0.6, 0.7, True),
+    "temple": (1.6, 0.9, True),
+}
+
+
+def default_regions() -> dict[str, Region]:
+    """Return the regions by name, index 0 upward: left and right of a pair follow each other."""
+    names = []
+    for name in _TRAITS:
+        names += [name] if name in MIDDLE_REGIONS else [f"left_{name}", f"right_{name}"]
+    return {
+        name: Region(name, index, *_TRAITS[name.removeprefix("left_").removeprefix("right_")])
+        for index, name in enumerate(names)
+    }
+
+
+def half_region_names(centroids: FloatArray, curves: dict[str, FloatArray]) -> list[str]:
+    """Return the region (without side) of each face of the left half.
+
+    Parameters
+    ----------
+    centroids : (F, 3) float64
+        Face centroids in the design frame (origin at the nasion, mm).
+    curves : dict of str to (N, 3) float64
+        Feature curves of the half in the same frame; lips end at the mouth line.
+    """
+    names = np.full(len(centroids), "cheek", dtype=object)
+    # The first polygon that holds the centroid wins: paint in reverse.
+    for name, polygon in reversed(_front_polygons(curves)):
+        names[inside_polygon(centroids[:, :2], polygon)] = name
+    nostril = np.linalg.norm((centroids - [7.2, -50.0, 7.6]) / [4.2, 3.4, 5.5], axis=1) < 1
+    names[nostril] = "nostril"
+    return [str(name) for name in names]
+
+
+def _front_polygons(curves: dict[str, FloatArray]) -> list[tuple[str, FloatArray]]:
+    """Return closed polygons in the front view (x, y), most particular first."""
+    line = curves["mouth_line"][:, :2]
+    under_nose = [(-1, -53.2), (6, -53.2), (12, -52.4), (17.5, -50.2)]
+    chin_top = [(18, -88), (0, -91.5), (-1, -91.5)]
+    rows: list[tuple[str, list[tuple[float, float]]]] = [
+        ("eye", [(13.5, -6.5), (17, 2), (23, 6.5), (32, 8), (42, 6), (49, 0.5), (51, -4.5), (46, -10),
+                 (38, -13), (28, -13), (19, -11)]),
+        ("brow", [(8, 10), (9, 22), (20, 26.5), (38, 28), (51, 24), (61, 14), (58, 8), (50, 1), (42, 6),
+                  (32, 8), (23, 6.5), (16, 5)]),
+        ("nose", [(-1, 4), (6, 3), (11, -6), (14, -14), (17, -24), (18.3, -34), (19, -43), (17.5, -50.2),
+                  (12, -52.4), (6, -53.2), (-1, -53.2)]),
+        ("upper_lip", [*under_nose, (22, -58), (27, -67), (29.5, -75), *map(tuple, line[::-1]),
+                       (-1, line[0, 1])]),
+        ("lower_lip", [(-1, line[0, 1]), *map(tuple, line), (29.5, -75), (26, -82), *chin_top]),
+        ("chin", [*chin_top[::-1], (26, -85), (30, -96), (28, -130), (-1, -130)]),
+        ("jaw", [(29.5, -75), (45, -66), (60, -52), (90, -40), (90, -130), (28, -130), (30, -96), (26, -85),
+                 (26, -82)]),
+        ("temple", [(46, 48), (52, 26), (60, 14), (57, 6), (56, -4), (66, -10), (90, -12), (90, 60),
+                    (50, 60)]),
+        ("forehead", [(-1, 4), (6, 3), (11, 2), (16, 5), (30, 8), (60, 14), (56, 60), (40, 80), (-1, 80)]),
+    ]  # fmt: skip
+    return [(name, np.array(polygon, float)) for name, polygon in rows]

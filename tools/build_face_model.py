@@ -1,0 +1,31 @@
+"""Rebuild the default face model that ships with the package.
+
+    python tools/build_face_model.py [OUT.json]
+
+Without an argument it overwrites scan2albedo/face_model/data/afm.json and afm.npz.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from scan2albedo.face_model.files import save_model
+from scan2albedo.face_model.generator.build import build_face_model
+from scan2albedo.geometry.parametrization import chart_distortion
+
+SHIPPED = Path(__file__).resolve().parents[1] / "scan2albedo" / "face_model" / "data" / "afm.json"
+
+
+def main(arguments: list[str]) -> None:
+    target = Path(arguments[0]) if arguments else SHIPPED
+    target.parent.mkdir(parents=True, exist_ok=True)
+    model = build_face_model()
+    save_model(model, target)
+    vertices, faces = model.surface(0)
+    print(f"{target}: {len(model.control_vertices)} control vertices, {len(model.control_faces)} faces")
+    print(chart_distortion(vertices, faces, model.uv))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
