@@ -1,1 +1,8 @@
-"""albedo"""
+"""Light found in a geometry image and divided out: the albedo."""
+
+from scan2albedo.albedo.error import AlbedoError, albedo_error
+from scan2albedo.albedo.estimate import estimate_albedo
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.result import AlbedoEstimate
+
+__all__ = ["AlbedoError", "AlbedoEstimate", "EstimateOptions", "albedo_error", "estimate_albedo"]

@@ -1,1 +1,5 @@
-"""lighting"""
+"""Lights, reflectance models and shadows."""
+
+from scan2albedo.lighting.point_light import PointLight
+
+__all__ = ["PointLight"]

@@ -2,6 +2,7 @@
 
 from scan2albedo.optimization.annealing import AnnealingOptions, AnnealingResult, simulated_annealing
 from scan2albedo.optimization.budget import Budget, Meter, ProgressCallback
+from scan2albedo.optimization.plan import Plan, PlanStep
 from scan2albedo.optimization.trace import Trace, TraceRow
 
 __all__ = [
@@ -9,6 +10,8 @@ __all__ = [
     "AnnealingResult",
     "Budget",
     "Meter",
+    "Plan",
+    "PlanStep",
     "ProgressCallback",
     "Trace",
     "TraceRow",

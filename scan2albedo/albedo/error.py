@@ -1,0 +1,59 @@
+"""How far an albedo is from the truth, up to the one scale that no image can tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True)
+class AlbedoError:
+    """`mse_percent` = 100 mean((a A - A_true)^2), `relative_rmse` = ||a A - A_true|| / ||A_true||."""
+
+    mse_percent: float
+    relative_rmse: float
+
+
+def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> AlbedoError:
+    """Return the error of an albedo with the single best global scale a.
+
+    a = sum(A A_true) / sum(A^2): light strength and albedo cannot be told apart.
+
+    Parameters
+    ----------
+    estimate, truth : (H, W, C) or (H, W) array_like of float
+        Linear albedo.
+    mask : (H, W) array_like of bool
+        Texels compared.
+
+    Raises
+    ------
+    ValueError
+        For shapes that disagree, an empty mask, or values that are not finite inside it.
+
+    Examples
+    --------
+    >>> albedo_error([[0.2, 0.4]], [[0.1, 0.2]], [[True, True]]).mse_percent
+    0.0
+    """
+    ours, true, chosen = (
+        np.asarray(estimate, np.float64),
+        np.asarray(truth, np.float64),
+        np.asarray(mask, bool),
+    )
+    if ours.shape != true.shape or ours.shape[: chosen.ndim] != chosen.shape or not chosen.any():
+        raise ValueError(
+            f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape} "
+            f"({int(chosen.sum())} texels) must agree and not be empty"
+        )
+    ours, true = ours[chosen], true[chosen]
+    if not (np.isfinite(ours).all() and np.isfinite(true).all()):
+        raise ValueError("estimate or truth holds NaN or infinite values inside the mask")
+    square = float(np.sum(ours * ours))
+    scale = float(np.sum(ours * true)) / square if square > 0 else 0.0
+    difference = scale * ours - true
+    norm = float(np.sqrt(np.sum(true * true)))
+    rmse = float(np.sqrt(np.sum(difference**2)))
+    return AlbedoError(100 * float(np.mean(difference**2)), rmse / norm if norm > 0 else float(rmse > 0))

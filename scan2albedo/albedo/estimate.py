@@ -1,0 +1,180 @@
+"""`estimate_albedo`: find the light in a geometry image and divide it out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.evidence import LightSearch
+from scan2albedo.albedo.levels import usable_texels, value_channel
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.result import AlbedoEstimate, shade_image
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.optimization import Budget, Meter, ProgressCallback
+from scan2albedo.optimization.plan import Plan, PlanStep
+
+BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
+
+
+def estimate_albedo(
+    image: GeometryImage,
+    lights: str | int = "auto",
+    brdf: str = "oren-nayar",
+    view_direction: Sequence[float] = (0.0, 0.0, 1.0),
+    budget: Budget | float | None = None,
+    seed: int = 0,
+    *,
+    options: EstimateOptions = EstimateOptions(),
+    on_progress: ProgressCallback | None = None,
+) -> AlbedoEstimate:
+    """Estimate the lights of a textured geometry image and return the texture without them.
+
+    The light is found on V of HSV of the linear texture, M_T = M_A (I_d + I_a) + I_s with I_a = 1, as the
+    one whose removal leaves block-wise constant albedo with the least residual; then
+    M_A = (M_T - I_s) / (I_d + I_a), with hue and saturation kept.
+
+    Parameters
+    ----------
+    image : GeometryImage
+        With `texture_linear`. Texels not seen, black or saturated do not vote, but get an albedo.
+    lights : "auto" or int
+        Number of lights; "auto" adds lights while the evidence pays for them.
+    brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
+        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights.
+    view_direction : (3,) sequence of float
+        Toward the viewer, for roughness and highlights.
+    budget : Budget or float, optional
+        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``.
+    seed : int
+        Of simulated annealing.
+    options : EstimateOptions
+    on_progress : callable, optional
+        Called with each trace row.
+
+    Returns
+    -------
+    AlbedoEstimate
+
+    Raises
+    ------
+    LightingError
+        For an image without texture, with an empty mask, or with too few usable texels.
+    ValueError
+        For an unknown `brdf`, `lights` that is neither "auto" nor 1 to 4, or a zero `view_direction`.
+
+    References
+    ----------
+    .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
+       modeling and relighting with application to face recognition", section 3.2.
+    """
+    count = _light_count(lights, brdf)
+    view = _unit_view(view_direction)
+    usable = usable_texels(image, options)
+    meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
+    search = LightSearch(image, usable, brdf, view, seed, options, meter)
+    solution, steps, shadows = search.run(count)
+    return _divide(image, solution, usable, view, steps, shadows, options, meter)
+
+
+def _light_count(lights: str | int, brdf: str) -> int | None:
+    """Return the number of lights asked for, None for "auto"; check it and the reflectance's name."""
+    if brdf not in BRDFS:
+        raise ValueError(f"brdf is {brdf!r}, expected one of {BRDFS}")
+    if lights == "auto":
+        return None
+    if isinstance(lights, bool) or not isinstance(lights, int) or not 1 <= lights <= 4:
+        raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
+    return lights
+
+
+def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:
+    view = np.asarray(view_direction, np.float64)
+    length = float(np.linalg.norm(view)) if view.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > 0):
+        raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
+    x, y, z = (view / length).tolist()
+    return x, y, z
+
+
+def _divide(
+    image: GeometryImage,
+    solution: Solution,
+    usable: NDArray[np.bool_],
+    view: tuple[float, float, float],
+    steps: list[PlanStep],
+    shadows: bool,
+    options: EstimateOptions,
+    meter: Meter,
+) -> AlbedoEstimate:
+    """Remove the light found from the full-size image."""
+    assert image.texture_linear is not None
+    mask = image.mask
+    lights, reflectance = physical_light(
+        solution, float(np.median(value_channel(image.texture_linear)[usable]))
+    )
+    shading, visible = shade_image(image, lights, reflectance, view, shadows, options.shadow_offset_mm)
+    light, specular, shadow = (
+        _on_grid(mask, field) for field in (shading.light, shading.specular, visible.min(0))
+    )
+    value = value_channel(image.texture_linear)
+    quotient = np.where(mask, np.maximum(value - specular, 0.0) / np.maximum(light, 1.0), 0.0)
+    color = recolor(image.texture_linear, value, quotient)
+    confidence = np.where(usable, light / light.max(), 0)
+    return AlbedoEstimate(
+        albedo_linear=color,
+        lights=lights,
+        parameters=_parameters(reflectance, lights),
+        shading=light.astype(np.float32),
+        specular=specular.astype(np.float32),
+        shadow=shadow.astype(np.float32),
+        confidence=confidence.astype(np.float32),
+        plan=Plan(tuple(steps)),
+        trace=meter.trace,
+        converged=not meter.exhausted,
+        iterations=meter.evaluations,
+        residual=solution.cost,
+        image=image,
+        view_direction=view,
+        reflectance=reflectance,
+        shadow_offset_mm=options.shadow_offset_mm,
+    )
+
+
+def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:
+    """Return lights and reflectance with the highlight in the texture's unit (the search's times `unit`)."""
+    found = solution.hypothesis
+    strength = found.reflectance.specular_strength * unit
+    return found.lights(), replace(found.reflectance, specular_strength=strength)
+
+
+def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray[np.float32]:
+    """Return (H, W, 3) the texture scaled to V = `wanted`: hue and saturation stay; black turns grey."""
+    ratio = wanted / np.maximum(value, 1e-9)
+    color = texture_linear * ratio[..., None]
+    return np.where(value[..., None] > 1e-9, color, wanted[..., None]).astype(np.float32)
+
+
+def _on_grid(mask: NDArray[np.bool_], values: NDArray) -> NDArray[np.float64]:
+    grid = np.zeros(mask.shape)
+    grid[mask] = values
+    return grid
+
+
+def _parameters(reflectance: Reflectance, lights: Sequence[PointLight]) -> dict[str, object]:
+    """Return the estimated parameters under their public names."""
+    rough = "minnaert_exponent" if reflectance.brdf == "minnaert" else "sigma_rad"
+    return {
+        "ambient": 1.0,
+        "brdf": reflectance.brdf,
+        rough: reflectance.roughness,
+        "specular_strength": reflectance.specular_strength,
+        "specular_exponent": reflectance.exponent,
+        "light_distance_mm": lights[0].distance_mm if lights else math.inf,
+    }

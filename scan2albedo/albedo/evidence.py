@@ -1,0 +1,189 @@
+"""How many lights there are and which parts of the model they need: decided by what each one explains."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.levels import build_level
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.problem import Problem, Solution
+from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
+from scan2albedo.optimization import Meter
+from scan2albedo.optimization.plan import PlanStep
+
+FloatArray = NDArray[np.float64]
+
+_PARTS = {
+    "near": ("albedo.light_distance", "a finite distance of the light"),
+    "rough": ("albedo.roughness", "surface roughness"),
+    "specular": ("albedo.specular", "a highlight"),
+}
+
+
+@dataclass(frozen=True)
+class LightSearch:
+    """Everything the search for the light needs, and the decisions it takes.
+
+    Parameters
+    ----------
+    image : GeometryImage
+    usable : (H, W) bool
+    brdf : str
+    view : (float, float, float)
+        Unit.
+    seed : int
+    options : EstimateOptions
+    meter : Meter
+    """
+
+    image: GeometryImage
+    usable: NDArray[np.bool_]
+    brdf: str
+    view: tuple[float, float, float]
+    seed: int
+    options: EstimateOptions
+    meter: Meter
+
+    def run(self, lights: int | None) -> tuple[Solution, list[PlanStep], bool]:
+        """Return the light found, the plan's rows and whether shadow rays were used.
+
+        Parameters
+        ----------
+        lights : int or None
+            How many; None lets the evidence decide.
+        """
+        options = self.options
+        directions = cone_directions(options.grid_directions, self.view, options.cone_rad)
+        caster, steps = self._occluder(directions)
+        coarse, middle, fine = (self._problem(size, caster) for size in (options.grid_size, *options.sizes))
+        tables = coarse.table(directions), middle.table(directions)
+        if lights is None:
+            solution, rows = self._count_lights(coarse, middle, tables)
+        else:
+            solution, rows = self._with_parts(
+                middle, self._search(coarse, middle, tables, self._model(lights))
+            )
+            rows.insert(0, PlanStep("albedo.lights", True, f"{lights} asked for"))
+        best = polish(fine, fine.solution_cost(solution), 2 * options.polish_evaluations)
+        return best, [*steps, *rows], caster is not None
+
+    def _model(self, lights: int) -> LightModel:
+        position = self.image.position[self.image.mask]
+        radius = float(np.linalg.norm(position, axis=1).max()) or 1.0
+        return LightModel(lights, self.brdf, self.view, radius)
+
+    def _problem(self, size: int, caster: RayCaster | None) -> Problem:
+        level = build_level(self.image, self.usable, size, self.options)
+        return Problem(
+            level,
+            caster,
+            np.asarray(self.view),
+            self.options.objective,
+            self.options.shadow_offset_mm,
+            self.meter,
+        )
+
+    def _occluder(self, directions: FloatArray) -> tuple[RayCaster | None, list[PlanStep]]:
+        """Return the shadow caster, or None where the surface hardly shades itself from anywhere."""
+        vertices, faces = self.image.occluder_mesh()
+        stage = "albedo.shadows"
+        if not len(faces):
+            return None, [PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")]
+        caster = RayCaster(vertices, faces)
+        level = build_level(self.image, self.usable, self.options.grid_size, self.options)
+        shadows = ShadowMap(caster, level.anchor, level.normal, self.options.shadow_offset_mm)
+        worst = 0.0
+        for direction in directions:
+            # At the terminator facets shade texels whose smooth normal still faces the light.
+            facing = level.normal @ direction > 0.2
+            if facing.any():
+                worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
+        evidence = f"at most {100 * worst:.1f} % of the texels facing a light lie in cast shadow"
+        if worst < self.options.shadow_fraction:
+            return None, [PlanStep(stage, False, "the surface casts no shadow on itself", evidence)]
+        return caster, [PlanStep(stage, True, "the surface shades itself", evidence)]
+
+    def _search(
+        self,
+        coarse: Problem,
+        middle: Problem,
+        tables: tuple[VisibilityTable, VisibilityTable],
+        model: LightModel,
+    ) -> Solution:
+        """Return the best plain solution: grid, polish, and annealing where the starts disagree."""
+        options = self.options
+        starts = direction_grid(coarse, model, tables[0], options)
+        each = options.polish_evaluations * model.lights // 2
+        polished = [polish(middle, middle.solution_cost(start), each) for start in starts]
+        best = min(polished, key=lambda s: s.cost)
+        if options.refiner == "annealing" or (options.refiner == "auto" and disagree(polished)):
+            annealed = anneal(middle, best, tables[1], self.seed, options)
+            polished.append(polish(middle, middle.solution_cost(annealed), each))
+        return min(polished, key=lambda s: s.cost)
+
+    def _count_lights(
+        self, coarse: Problem, middle: Problem, tables: tuple[VisibilityTable, VisibilityTable]
+    ) -> tuple[Solution, list[PlanStep]]:
+        """Add lights while each removes `light_gain` of the cost."""
+        options, stage = self.options, "albedo.lights"
+        current, rows = self._with_parts(middle, self._search(coarse, middle, tables, self._model(1)))
+        decision = PlanStep(stage, True, "one light", "no second one tried")
+        for lights in range(2, options.maximal_lights + 1):
+            if self.meter.exhausted:
+                break
+            trial = self._search(coarse, middle, tables, self._model(lights))
+            same = replace(current.model, lights=lights)
+            trial = polish(
+                middle,
+                Solution(same, trial.model.extend(trial.x, same), math.inf),
+                options.polish_evaluations * lights,
+            )
+            gain = 1 - trial.cost / current.cost
+            evidence = (
+                f"light {lights} removes {100 * gain:.1f} % of the cost, {100 * options.light_gain:g} % asked"
+            )
+            if gain < options.light_gain:
+                decision = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
+                break
+            current, rows = self._with_parts(middle, trial)
+            decision = PlanStep(stage, True, f"{lights} lights", evidence)
+        return current, [decision, *rows]
+
+    def _with_parts(self, problem: Problem, base: Solution) -> tuple[Solution, list[PlanStep]]:
+        """Free distance, roughness and highlight one after another, the most useful first, while it pays."""
+        options = self.options
+        wanted = {"near": options.distance_gain, "specular": options.part_gain}
+        if self.brdf != "lambert":
+            wanted["rough"] = options.part_gain
+        wanted = {part: gain for part, gain in wanted.items() if not getattr(base.model, part)}
+        rows, current = [], base
+        while wanted:
+            trials = {part: self._free(problem, current, part) for part in wanted}
+            gains = {part: 1 - trial.cost / current.cost for part, trial in trials.items()}
+            best = max(wanted, key=lambda part: gains[part] / wanted[part])
+            if gains[best] < wanted[best]:
+                break
+            current = trials[best]
+            rows.append(_part_row(best, True, gains[best], wanted.pop(best)))
+        rows += [_part_row(part, False, gains[part], asked) for part, asked in wanted.items()]
+        return current, rows
+
+    def _free(self, problem: Problem, base: Solution, part: str) -> Solution:
+        model = base.model.with_part(part)
+        start = Solution(model, base.model.extend(base.x, model), math.inf)
+        trial = polish(problem, start, self.options.polish_evaluations)
+        return trial if np.isfinite(trial.cost) else Solution(model, start.x, base.cost)
+
+
+def _part_row(part: str, ran: bool, gain: float, asked: float) -> PlanStep:
+    stage, what = _PARTS[part]
+    reason = f"{what} explains the image better" if ran else f"{what} does not pay"
+    return PlanStep(stage, ran, reason, f"removes {100 * gain:.2f} % of the cost, {100 * asked:g} % asked")

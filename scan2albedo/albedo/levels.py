@@ -1,0 +1,141 @@
+"""The image at several sizes: texels averaged into cells, with weights and the blocks of the objective."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.errors import LightingError
+from scan2albedo.io.geometry_image import GeometryImage
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Level:
+    """N cells of the image at one size.
+
+    Parameters
+    ----------
+    position, normal : (N, 3) float64
+        Weighted means (normals of unit length again).
+    anchor : (N, 3) float64
+        Position of one texel of the cell: it lies on the surface, as the mean need not; shadow rays
+        start there.
+    value : (N,) float64
+        Mean V of the linear texture, divided by `unit`.
+    weight : (N,) float64
+        Part of the cell's texels that can be used.
+    scale : (N,) float64
+        Annotated strength of highlights.
+    blocks : (S, N) int32
+        Block of each cell in S overlapping partitions.
+    block_count : int
+    unit : float
+        Median V of the usable texels.
+    """
+
+    position: FloatArray
+    normal: FloatArray
+    anchor: FloatArray
+    value: FloatArray
+    weight: FloatArray
+    scale: FloatArray
+    blocks: NDArray[np.int32]
+    block_count: int
+    unit: float
+
+
+def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
+    """Return (H, W) V of HSV: the largest of the three channels."""
+    return texture_linear.astype(np.float64).max(-1)
+
+
+def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.bool_]:
+    """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
+
+    Raises
+    ------
+    LightingError
+        When there is no texture, or fewer than `options.minimal_texels` such texels; says why.
+    """
+    if image.texture_linear is None:
+        raise LightingError(
+            "the geometry image has no texture: light cannot be estimated; give a textured scan"
+        )
+    if not image.mask.any():
+        raise LightingError("the mask of the geometry image is empty: there is no surface to light")
+    seen = image.seen
+    value = value_channel(image.texture_linear)
+    black, clipped = value <= 1e-6, value >= options.saturation_linear
+    usable = seen & ~black & ~clipped & (np.linalg.norm(image.normal, axis=-1) > 0.5)
+    if int(usable.sum()) < options.minimal_texels:
+        raise LightingError(
+            f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
+            f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
+            f"saturated {int((seen & clipped).sum())}); at least {options.minimal_texels} are needed: "
+            "check the texture's exposure and `texture_valid`"
+        )
+    return usable
+
+
+def build_level(
+    image: GeometryImage, usable: NDArray[np.bool_], size: int, options: EstimateOptions
+) -> Level:
+    """Average the usable texels into cells so that the longer side has at most `size` of them."""
+    assert image.texture_linear is not None
+    factor = max(1, -(-max(image.shape) // size))
+    rows, columns = np.nonzero(usable)
+    width = -(-image.shape[1] // factor)
+    _, cell, count = np.unique(
+        (rows // factor) * width + columns // factor, return_inverse=True, return_counts=True
+    )
+
+    def mean(field: NDArray) -> FloatArray:
+        flat = field[rows, columns].astype(np.float64).reshape(len(rows), -1)
+        sums = [np.bincount(cell, flat[:, c], len(count)) for c in range(flat.shape[1])]
+        return np.stack(sums, 1) / count[:, None]
+
+    position, value = mean(image.position), mean(value_channel(image.texture_linear))[:, 0]
+    scale = np.ones(len(count)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
+    anchor = image.position[rows, columns][_closest_member(image.position[rows, columns], position, cell)]
+    unit = float(np.median(value))
+    center = np.stack([np.bincount(cell, axis) / count for axis in (rows, columns)], 1)
+    blocks, block_count = _blocks(center, float(np.sqrt(options.block_area * image.mask.sum())))
+    return Level(
+        position,
+        _unit(mean(image.normal)),
+        anchor,
+        value / unit,
+        count / factor**2,
+        scale,
+        blocks,
+        block_count,
+        unit,
+    )
+
+
+def _closest_member(texels: FloatArray, mean: FloatArray, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each cell the index of its texel closest to the cell's mean."""
+    distance = np.sum((texels - mean[cell]) ** 2, 1)
+    order = np.lexsort((distance, cell))
+    return order[np.searchsorted(cell[order], np.arange(len(mean)))]
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+
+
+def _blocks(center: FloatArray, side: float) -> tuple[NDArray[np.int32], int]:
+    """Return two partitions (2, N) into squares of `side` texels, the second shifted by half a square."""
+    low = center.min(0)
+    partitions, total = [], 0
+    for shift in (0.0, 0.5):
+        row, column = (np.floor((center - low) / side + shift).astype(np.int64)).T
+        _, index = np.unique(row * 100_000 + column, return_inverse=True)
+        partitions.append(index + total)
+        total += int(index.max()) + 1
+    return np.stack(partitions).astype(np.int32), total

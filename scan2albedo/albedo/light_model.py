@@ -1,0 +1,146 @@
+"""The unknowns of the light as a vector for an optimiser, and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.lighting.asrm import Reflectance, light_from_direction
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.lighting.shadow_map import view_frame
+
+FloatArray = NDArray[np.float64]
+
+_DEFAULT_EXPONENT = 16.0
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One state of the light: what `shade` needs, in its units."""
+
+    rows: FloatArray
+    """(L, 5) direction, 1/distance, intensity."""
+    reflectance: Reflectance
+
+    def lights(self) -> tuple[PointLight, ...]:
+        """Return the lights, strongest first."""
+        order = np.argsort(-self.rows[:, 4], kind="stable")
+        return tuple(
+            light_from_direction(row[:3], 1 / row[3] if row[3] > 0 else math.inf, row[4])
+            for row in self.rows[order]
+        )
+
+
+@dataclass(frozen=True)
+class LightModel:
+    """Which parameters are free, and how a vector x holds them.
+
+    x = [p_x, p_y, log intensity] of each light, then, where free, radius/distance, roughness,
+    (specular strength, log exponent). p is the direction in exponential coordinates around the view
+    direction: |p| is the angle from it. That has no pole among the directions that light a face.
+
+    Parameters
+    ----------
+    lights : int
+    brdf : str
+    view : tuple of 3 floats
+        View direction.
+    radius_mm : float
+        Largest distance of the surface from the origin: the unit of the lights' distance.
+    near, rough, specular : bool
+        Whether the lights' (common) distance, the roughness, the highlight are free.
+    """
+
+    lights: int
+    brdf: str
+    view: tuple[float, float, float]
+    radius_mm: float
+    near: bool = False
+    rough: bool = False
+    specular: bool = False
+
+    @cached_property
+    def _tail(self) -> list[tuple[str, float, float, float, float]]:
+        """Return (name, start, lower, upper, first step) of the parameters after the lights."""
+        rows = []
+        if self.near:
+            rows.append(("nearness", 0.1, 0.0, 0.6, 0.1))
+        if self.rough:
+            rows.append(
+                ("minnaert", 1.0, 0.3, 2.0, 0.2) if self.brdf == "minnaert" else ("sigma", 0.2, 0.0, 1.0, 0.2)
+            )
+        if self.specular:
+            rows.append(("specular", 0.05, 0.0, 2.0, 0.08))
+            rows.append(("log_exponent", math.log(_DEFAULT_EXPONENT), 0.0, math.log(200.0), 0.6))
+        return rows
+
+    @cached_property
+    def _frame(self) -> FloatArray:
+        return view_frame(self.view)
+
+    @property
+    def size(self) -> int:
+        """Length of x."""
+        return 3 * self.lights + len(self._tail)
+
+    @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Return (lower, upper) of x."""
+        tail = self._tail
+        lower = [-1.95, -1.95, math.log(0.02)] * self.lights + [row[2] for row in tail]
+        upper = [1.95, 1.95, math.log(60.0)] * self.lights + [row[3] for row in tail]
+        return np.array(lower), np.array(upper)
+
+    def steps(self) -> FloatArray:
+        """Return first step lengths of x."""
+        return np.array([0.12, 0.12, 0.3] * self.lights + [row[4] for row in self._tail])
+
+    def from_lights(self, directions: FloatArray, intensities: FloatArray) -> FloatArray:
+        """Return x of lights in `directions` (L, 3), everything else at its start."""
+        head = [[*self.coordinates(d), math.log(e)] for d, e in zip(directions, intensities, strict=True)]
+        return np.array([*(value for light in head for value in light), *(row[1] for row in self._tail)])
+
+    def coordinates(self, direction: FloatArray) -> tuple[float, float]:
+        """Return p of a unit direction (3,)."""
+        x, y, z = self._frame @ direction
+        across = math.hypot(x, y)
+        angle = math.atan2(across, z)
+        return (angle * x / across, angle * y / across) if across > 0 else (angle, 0.0)
+
+    def direction(self, px: float, py: float) -> FloatArray:
+        """Return the unit direction (3,) of p."""
+        angle = math.hypot(px, py)
+        part = math.sin(angle) / angle if angle > 1e-12 else 1.0
+        return np.array([part * px, part * py, math.cos(angle)]) @ self._frame
+
+    def decode(self, x: FloatArray) -> Hypothesis:
+        """Return the hypothesis that x stands for (x clipped to the bounds)."""
+        x = np.clip(x, *self.bounds)
+        tail = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
+        rows = np.zeros((self.lights, 5))
+        for k in range(self.lights):
+            px, py, log_intensity = x[3 * k : 3 * k + 3]
+            rows[k, :3] = self.direction(px, py)
+            rows[k, 3] = tail.get("nearness", 0.0) / self.radius_mm
+            rows[k, 4] = math.exp(log_intensity)
+        plain = 1.0 if self.brdf == "minnaert" else 0.0
+        reflectance = Reflectance(
+            self.brdf,
+            float(tail.get("minnaert", tail.get("sigma", plain))),
+            float(tail.get("specular", 0.0)),
+            math.exp(tail.get("log_exponent", math.log(_DEFAULT_EXPONENT))),
+        )
+        return Hypothesis(rows, reflectance)
+
+    def with_part(self, part: str) -> LightModel:
+        """Return the model with "near", "rough" or "specular" free."""
+        return replace(self, **{part: True})  # type: ignore[arg-type]
+
+    def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
+        """Return x of `other`, which has the same lights and more or fewer free parts, at the same state."""
+        mine = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
+        return np.concatenate([x[: 3 * self.lights], [mine.get(row[0], row[1]) for row in other._tail]])

@@ -1,0 +1,66 @@
+"""Settings of the albedo stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """Settings of `estimate_albedo`."""
+
+    objective: str = "residual"
+    """"residual": what lit block albedos leave of the image; "albedo-deviation": the paper's own, the
+    deviation of the albedo from its block means."""
+    refiner: str = "auto"
+    """"auto": simulated annealing where the polished starts disagree; "annealing": always;
+    "nelder-mead": never."""
+    sizes: tuple[int, int] = (64, 128)
+    """Longer sides, in cells, of the images searched and polished."""
+    grid_size: int = 32
+    """Longer side, in cells, of the image on which the direction grid is evaluated."""
+    block_area: float = 0.125
+    """Area of one block of the objective as a fraction of the chart's; blocks have to be larger than the
+    texture's grain."""
+    grid_directions: int = 80
+    """Light directions of the first search and of the visibility table."""
+    cone_rad: float = 1.92
+    """Half angle around the view direction in which lights are sought."""
+    grid_strengths: tuple[float, ...] = (0.5, 2.0, 6.0)
+    """Light intensities, relative to ambient, of the first search."""
+    starts: int = 3
+    """Distinct directions of the first search that are polished (twice as many for two lights)."""
+    start_separation_rad: float = 0.4
+    """Two starts closer than this are one."""
+    polish_evaluations: int = 160
+    """Evaluations of one polish; one light."""
+    annealing_evaluations: int = 1500
+    """Evaluations of simulated annealing, where it runs."""
+    maximal_lights: int = 2
+    """Most lights that `lights="auto"` tries."""
+    light_gain: float = 0.04
+    """Part of the cost that one more light has to remove."""
+    distance_gain: float = 0.01
+    """Part of the cost that a finite distance of the lights has to remove."""
+    part_gain: float = 0.005
+    """Part of the cost that roughness, or the highlight, has to remove."""
+    shadow_fraction: float = 0.01
+    """Part of the texels facing some light that has to lie in cast shadow for shadow rays to be used."""
+    shadow_offset_mm: float = 0.2
+    """Shadow rays start this far along the normal."""
+    saturation_linear: float = 0.995
+    """Texels at or above this value are clipped: no weight, and candidates for inpainting."""
+    minimal_texels: int = 64
+    """Fewer usable texels than this are an error."""
+    shrink: bool = True
+    """Draw the albedo of badly lit texels toward their neighbourhood instead of amplifying noise."""
+    rectify: bool = True
+    """Repair the albedo along shadow outlines, where it helps."""
+    inpaint: bool = True
+    """Resynthesise texels that a highlight saturated, where the annotation permits."""
+
+    def __post_init__(self) -> None:
+        if self.objective not in ("residual", "albedo-deviation"):
+            raise ValueError(f"objective is {self.objective!r}, expected 'residual' or 'albedo-deviation'")
+        if self.refiner not in ("auto", "annealing", "nelder-mead"):
+            raise ValueError(f"refiner is {self.refiner!r}, expected 'auto', 'annealing' or 'nelder-mead'")

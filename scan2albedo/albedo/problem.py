@@ -1,0 +1,109 @@
+"""The objective at one image size: hypotheses in, costs out, every evaluation counted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.levels import Level
+from scan2albedo.albedo.light_model import Hypothesis, LightModel
+from scan2albedo.albedo.objective import KINDS, evaluate
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
+from scan2albedo.optimization import Meter
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A model, its parameters and their cost."""
+
+    model: LightModel
+    x: FloatArray
+    cost: float
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The state of the light."""
+        return self.model.decode(self.x)
+
+
+class Problem:
+    """The objective over one `Level`.
+
+    Parameters
+    ----------
+    level : Level
+    caster : RayCaster, optional
+        Casts shadows; None leaves them out.
+    view : (3,) float64
+        Unit direction to the viewer.
+    objective : str
+        Name of the objective, see `EstimateOptions`.
+    offset_mm : float
+        Of shadow rays.
+    meter : Meter
+        Counts the evaluations.
+    """
+
+    def __init__(
+        self,
+        level: Level,
+        caster: RayCaster | None,
+        view: FloatArray,
+        objective: str,
+        offset_mm: float,
+        meter: Meter,
+    ) -> None:
+        self.level, self.meter = level, meter
+        self._view, self._kind = view, KINDS[objective]
+        self._shadows = None if caster is None else ShadowMap(caster, level.anchor, level.normal, offset_mm)
+        self._light, self._specular = np.empty_like(level.value), np.empty_like(level.value)
+        self._all_visible = np.ones((4, len(level.value)), np.uint8)
+
+    def visibility(self, rows: FloatArray) -> NDArray[np.uint8]:
+        """Return (L, N) the visibility of the lights in `rows` (L, 5) by exact rays."""
+        if self._shadows is None:
+            return self._all_visible[: len(rows)]
+        return np.stack(
+            [self._shadows.visible(row[:3], 1 / row[3] if row[3] > 0 else math.inf) for row in rows]
+        )
+
+    def cost(self, hypothesis: Hypothesis, visible: NDArray[np.uint8] | None = None) -> float:
+        """Return the objective; `visible` (L, N) saves the rays."""
+        self.meter.count()
+        level, reflectance = self.level, hypothesis.reflectance
+        return evaluate(
+            self._kind,
+            level.position,
+            level.normal,
+            self.visibility(hypothesis.rows) if visible is None else visible,
+            level.value,
+            level.weight,
+            level.scale,
+            level.blocks,
+            level.block_count,
+            hypothesis.rows,
+            self._view,
+            reflectance.kernel_brdf,
+            reflectance.roughness,
+            reflectance.specular_strength,
+            reflectance.exponent,
+            self._light,
+            self._specular,
+        )
+
+    def solution_cost(self, solution: Solution) -> Solution:
+        """Return the solution with its cost at this size."""
+        return Solution(solution.model, solution.x, self.cost(solution.hypothesis))
+
+    def table(self, directions: FloatArray) -> VisibilityTable:
+        """Return the visibility of distant lights from `directions` (D, 3)."""
+        if self._shadows is None:
+            shape = (len(directions), len(self.level.value))
+            return VisibilityTable(directions, np.ones(shape, np.uint8))
+        return self._shadows.table(directions)

@@ -1,0 +1,118 @@
+"""`AlbedoEstimate`: the unlit texture, the light that was removed, and how it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.asrm import Reflectance, Shading, shade_points
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.optimization import Trace
+from scan2albedo.optimization.plan import Plan
+
+
+@dataclass(frozen=True)
+class AlbedoEstimate:
+    """Result of `estimate_albedo`; images are zero outside the mask.
+
+    Parameters
+    ----------
+    albedo_linear : (H, W, 3) float32
+        Up to one global scale, which no image tells: ambient light is 1.
+    lights : tuple of PointLight
+        Strongest first; empty for spherical harmonics.
+    parameters : dict
+        ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
+        light_distance_mm (inf for distant lights); for spherical harmonics sh_coefficients (9 rows of 3).
+    shading : (H, W) float32
+        I_a + I_d, which divided V.
+    specular : (H, W) float32
+        I_s, which was subtracted from V.
+    shadow : (H, W) float32
+        Visibility in [0, 1], the smallest over the lights.
+    confidence : (H, W) float32
+        In [0, 1]: how much of the texel's albedo is its own measurement.
+    plan : Plan
+    trace : Trace
+    converged : bool
+        False when the budget ended the search.
+    iterations : int
+        Evaluations of the objective.
+    residual : float
+        The objective's final value: the part of V that lit block albedos leave.
+    image : GeometryImage
+        The image estimated from.
+    view_direction : (float, float, float)
+        Unit, toward the viewer.
+    shadow_offset_mm : float
+        Of the shadow rays.
+    """
+
+    albedo_linear: NDArray[np.float32]
+    lights: tuple[PointLight, ...]
+    parameters: dict[str, object]
+    shading: NDArray[np.float32]
+    specular: NDArray[np.float32]
+    shadow: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    plan: Plan
+    trace: Trace
+    converged: bool
+    iterations: int
+    residual: float
+    image: GeometryImage
+    view_direction: tuple[float, float, float]
+    reflectance: Reflectance
+    shadow_offset_mm: float
+
+    def relit(self, lights: Sequence[PointLight]) -> NDArray[np.float32]:
+        """Return (H, W, 3) the linear texture under other lights, with shadows and ambient = 1.
+
+        V = A (I_a + I_d) + I_s with the estimated reflectance; hue and saturation are the albedo's.
+        """
+        mask = self.image.mask
+        shading, _ = shade_image(
+            self.image, lights, self.reflectance, self.view_direction, True, self.shadow_offset_mm
+        )
+        albedo = self.albedo_linear[mask].astype(np.float64)
+        value = albedo.max(-1)
+        lit = value * shading.light + shading.specular
+        ratio = np.where(value > 1e-9, lit / np.maximum(value, 1e-9), 0.0)
+        color = np.where(value[:, None] > 1e-9, albedo * ratio[:, None], shading.specular[:, None])
+        result = np.zeros((*mask.shape, 3), np.float32)
+        result[mask] = color
+        return result
+
+
+def shade_image(
+    image: GeometryImage,
+    lights: Sequence[PointLight],
+    reflectance: Reflectance,
+    view_direction: Sequence[float],
+    shadows: bool,
+    offset_mm: float,
+) -> tuple[Shading, NDArray[np.uint8]]:
+    """Return the shading of the masked texels (N,) and each light's visibility (L, N)."""
+    mask = image.mask
+    position, normal = image.position[mask], image.normal[mask]
+    caster = RayCaster(*image.occluder_mesh()) if shadows and lights else None
+    shadow_map = ShadowMap(caster, position, normal, offset_mm)
+    visible = np.ones((len(lights), len(position)), np.uint8)
+    for k, light in enumerate(lights):
+        visible[k] = shadow_map.visible(light.direction, light.distance_mm)
+    shading = shade_points(
+        position,
+        normal,
+        lights,
+        reflectance,
+        visible=visible,
+        view_direction=view_direction,
+        specular_scale=None if image.specular_scale is None else image.specular_scale[mask],
+    )
+    return shading, visible

@@ -1,0 +1,136 @@
+"""The analytical skin reflectance model: ambient, diffuse and specular light of several point lights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.lighting import kernels
+from scan2albedo.lighting.point_light import PointLight
+
+FloatArray = NDArray[np.float64]
+
+_BRDFS = {"oren-nayar": kernels.OREN_NAYAR, "lambert": kernels.OREN_NAYAR, "minnaert": kernels.MINNAERT}
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """How the surface reflects; the albedo is not part of it.
+
+    Parameters
+    ----------
+    brdf : {"oren-nayar", "lambert", "minnaert"}
+    roughness : float
+        Oren-Nayar's sigma in radians (0 is Lambert), or Minnaert's exponent (1 is Lambert).
+    specular_strength : float
+        Phong's k_s for a light of intensity 1, in the unit of the texture.
+    exponent : float
+        Phong's m.
+    """
+
+    brdf: str = "oren-nayar"
+    roughness: float = 0.0
+    specular_strength: float = 0.0
+    exponent: float = 16.0
+
+    def __post_init__(self) -> None:
+        if self.brdf not in _BRDFS:
+            raise ValueError(f"brdf is {self.brdf!r}, expected one of {sorted(_BRDFS)}")
+        if self.brdf == "lambert" and self.roughness != 0:
+            raise ValueError(f"a Lambertian surface has roughness 0, got {self.roughness}")
+
+    @property
+    def kernel_brdf(self) -> int:
+        """The number by which `kernels.shade` knows the diffuse model."""
+        return _BRDFS[self.brdf]
+
+
+@dataclass(frozen=True)
+class Shading:
+    """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture."""
+
+    light: FloatArray
+    specular: FloatArray
+
+
+def light_rows(lights: Sequence[PointLight]) -> FloatArray:
+    """Return (L, 5) float64: direction, 1/distance, intensity, as `kernels.shade` takes them."""
+    rows = np.zeros((len(lights), 5))
+    for row, light in zip(rows, lights, strict=True):
+        row[:3], row[3], row[4] = light.direction, 1.0 / light.distance_mm, light.intensity
+    return rows
+
+
+def light_from_direction(direction: ArrayLike, distance_mm: float, intensity: float) -> PointLight:
+    """Return the `PointLight` in `direction` (3,), of unit length or not.
+
+    >>> round(math.degrees(light_from_direction((1, 0, 1), math.inf, 1.0).azimuth_rad))
+    45
+    """
+    x, y, z = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    return PointLight(math.atan2(x, z), math.asin(max(-1.0, min(1.0, y))), distance_mm, float(intensity))
+
+
+def shade_points(
+    position: ArrayLike,
+    normal: ArrayLike,
+    lights: Sequence[PointLight],
+    reflectance: Reflectance,
+    *,
+    visible: ArrayLike | None = None,
+    view_direction: ArrayLike = (0.0, 0.0, 1.0),
+    specular_scale: ArrayLike | None = None,
+) -> Shading:
+    """Evaluate the ASRM: T = A (I_a + I_d) + I_s.
+
+    I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the
+    visibility and E = intensity (distance/r)^2 (no falloff for a distant light).
+
+    Parameters
+    ----------
+    position, normal : (N, 3) array_like of float
+        Millimetres in the model's frame; unit.
+    lights : sequence of PointLight
+        May be empty: ambient light alone.
+    reflectance : Reflectance
+    visible : (L, N) array_like, optional
+        0 where a light is hidden; everything is visible when omitted.
+    view_direction : (3,) array_like of float
+        Toward the viewer; made unit.
+    specular_scale : (N,) array_like of float, optional
+        Multiplies I_s.
+
+    Returns
+    -------
+    Shading
+
+    References
+    ----------
+    .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
+       modeling and relighting with application to face recognition", section 3.2.1.
+    """
+    xyz, unit = np.ascontiguousarray(position, np.float64), np.ascontiguousarray(normal, np.float64)
+    count = len(xyz)
+    seen = np.ones((len(lights), count), np.uint8) if visible is None else np.asarray(visible)
+    scale = np.ones(count) if specular_scale is None else np.asarray(specular_scale, np.float64)
+    view = np.asarray(view_direction, np.float64)
+    shading = Shading(np.empty(count), np.empty(count))
+    kernels.shade(
+        xyz,
+        unit,
+        np.ascontiguousarray(seen, np.uint8),
+        light_rows(lights),
+        view / np.linalg.norm(view),
+        reflectance.kernel_brdf,
+        float(reflectance.roughness),
+        float(reflectance.specular_strength),
+        float(reflectance.exponent),
+        np.ascontiguousarray(scale),
+        shading.light,
+        shading.specular,
+    )
+    return shading

@@ -1,0 +1,120 @@
+"""Which surface points each light reaches: exact rays, and a table of directions for global searches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.rays import RayCaster
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ShadowMap:
+    """Visibility of lights from N surface points.
+
+    Parameters
+    ----------
+    caster : RayCaster, optional
+        The mesh that casts shadows; None leaves only attached shadows (n.l <= 0).
+    position : (N, 3) float64
+        Millimetres, on the caster's surface.
+    normal : (N, 3) float64
+        Unit outward normals.
+    offset_mm : float
+        Rays start this far along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow
+        itself, more loses shadow at contacts.
+    """
+
+    caster: RayCaster | None
+    position: FloatArray
+    normal: FloatArray
+    offset_mm: float = 0.2
+    _origin: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_origin", self.position + self.offset_mm * self.normal)
+
+    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
+        """Return (N,) uint8, 1 where a light reaches the point.
+
+        Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
+
+        Parameters
+        ----------
+        direction : (3,) array_like of float
+            Unit vector from the origin toward the light.
+        distance_mm : float
+            Of the light from the origin; ``inf`` for a distant one.
+        """
+        toward = np.asarray(direction, np.float64)
+        if math.isinf(distance_mm):
+            rays = np.broadcast_to(toward, self.position.shape)
+        else:
+            rays = distance_mm * toward - self.position
+        lit = np.flatnonzero(np.einsum("ij,ij->i", self.normal, rays) > 0)
+        result = np.zeros(len(self.position), np.uint8)
+        result[lit] = 1
+        if self.caster is not None and len(lit):
+            result[lit[self.caster.occluded(self._origin[lit], rays[lit])]] = 0
+        return result
+
+    def table(self, directions: ArrayLike) -> VisibilityTable:
+        """Return the visibility of distant lights from each of `directions` (D, 3)."""
+        toward = np.asarray(directions, np.float64)
+        return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
+
+    def cast_fraction(self, direction: ArrayLike, distance_mm: float = math.inf) -> float:
+        """Return which part of the points that face the light lies in a cast shadow, in [0, 1]."""
+        toward = np.asarray(direction, np.float64)
+        rays = toward if math.isinf(distance_mm) else distance_mm * toward - self.position
+        facing = np.einsum("ij,ij->i", self.normal, np.broadcast_to(rays, self.position.shape)) > 0
+        return 1.0 - float(self.visible(toward, distance_mm).sum()) / max(int(facing.sum()), 1)
+
+
+@dataclass(frozen=True)
+class VisibilityTable:
+    """Visibility (D, N) uint8 of distant lights from `directions` (D, 3)."""
+
+    directions: FloatArray
+    visibility: NDArray[np.uint8]
+
+    def nearest(self, direction: ArrayLike) -> NDArray[np.uint8]:
+        """Return (N,) the visibility of the tabulated direction closest to `direction`."""
+        return self.visibility[int(np.argmax(self.directions @ np.asarray(direction, np.float64)))]
+
+
+def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> FloatArray:
+    """Return (count, 3) unit vectors spread evenly over the cone around `axis` (a Fibonacci spiral).
+
+    References
+    ----------
+    .. [1] R. Swinbank, R. J. Purser, "Fibonacci grids", Q. J. R. Meteorol. Soc. 132, 2006.
+
+    Examples
+    --------
+    >>> cone_directions(50, (0, 0, 1), 1.0)[:, 2].min() > 0.54
+    np.True_
+    """
+    along = 1 - (1 - math.cos(half_angle_rad)) * (np.arange(count) + 0.5) / count
+    turn = np.arange(count) * math.pi * (3 - math.sqrt(5))
+    across = np.sqrt(1 - along**2)
+    e1, e2, e3 = view_frame(axis)
+    return along[:, None] * e3 + (across * np.cos(turn))[:, None] * e1 + (across * np.sin(turn))[:, None] * e2
+
+
+def view_frame(axis: ArrayLike) -> FloatArray:
+    """Return (3, 3) rows e1, e2, e3: an orthonormal right-handed frame with e3 along `axis`.
+
+    For the axis +z it is the identity.
+    """
+    e3 = np.asarray(axis, np.float64)
+    e3 = e3 / np.linalg.norm(e3)
+    helper = np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
+    e1 = np.cross(helper, e3)
+    e1 /= np.linalg.norm(e1)
+    return np.stack([e1, np.cross(e3, e1), e3])
