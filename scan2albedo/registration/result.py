@@ -32,6 +32,9 @@ class Registration:
         Stages "icp" (mm) and "depth_annealing" (objective).
     notes : tuple of (step, ran, reason, evidence)
         What the steps inside decided, for the plan.
+    face_scale : float
+        Size of the face relative to the model's, about the model's origin; `model_from_scan` is rigid
+        and does not contain it.
     """
 
     model_from_scan: NDArray[np.float64]
@@ -42,3 +45,4 @@ class Registration:
     iterations: int
     trace: Trace
     notes: tuple[tuple[str, bool, str, str], ...] = field(default=())
+    face_scale: float = 1.0

@@ -1,0 +1,95 @@
+"""Refine candidate poses and judge which of them lays the model on a face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.rigid import compose, rotation_angle_rad
+from scan2albedo.optimization import Meter
+from scan2albedo.registration.face_evidence import FaceEvidence
+from scan2albedo.registration.open3d_icp import ScanTarget
+from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
+from scan2albedo.registration.starts import Starts
+from scan2albedo.registration.template import Template
+
+FloatArray = NDArray[np.float64]
+
+_SAMPLES = 400
+_SAME_ROTATION_RAD = np.deg2rad(3)
+_SAME_POSITION_MM = 3.0
+_OTHER_ROTATION_RAD = np.deg2rad(20)
+_OTHER_POSITION_MM = 30.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A refined pose (scan frame centred), the evidence for it and its inlier RMS."""
+
+    pose: SimilarPose
+    evidence: FaceEvidence
+    rms_mm: float
+
+
+@dataclass(frozen=True)
+class ScanView:
+    """The scan, centred, as the candidates are judged on it."""
+
+    vertices: FloatArray
+    faces: NDArray[np.int64]
+    tree: ScanTree
+
+
+def judged_candidates(
+    scan: ScanView, target: ScanTarget, template: Template, starts: Starts, meter: Meter
+) -> tuple[Candidate, ...]:
+    """Refine every start by Open3D's ICP, then with scale, and rank by face evidence, best first.
+
+    At least one is refined however small the budget is.
+    """
+    samples = template.first(_SAMPLES)
+    poses: list[SimilarPose] = []
+    candidates: list[Candidate] = []
+    for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
+        if candidates and meter.exhausted:
+            break
+        refined = target.refine(
+            samples, compose(rotation, translation), max_distance_mm=20.0, scale_mm=8.0, iterations=20
+        )
+        meter.count()
+        pose = SimilarPose(refined[:3, :3], refined[:3, 3])
+        if any(_near(pose, other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
+            continue
+        poses.append(pose)
+        candidates.append(_judged(scan, template, pose))
+        meter.count()
+        meter.record(min(c.rms_mm for c in candidates))
+    return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
+
+
+def _judged(scan: ScanView, template: Template, start: SimilarPose) -> Candidate:
+    samples = template.first(_SAMPLES)
+    pose = robust_icp(scan.tree, samples, samples.areas, start, iterations=15, sigma_mm=(6.0, 3.0))
+    rms_mm = residuals(scan.tree, samples, pose).trimmed_rms_mm(samples.areas)
+    evidence = template.image.evidence(scan.vertices, scan.faces, pose.model_from_scan())
+    return Candidate(pose, evidence, rms_mm)
+
+
+def runner_up_score(candidates: tuple[Candidate, ...]) -> float:
+    """Return the score of the best candidate whose pose clearly differs from the first's, or 0."""
+    best = candidates[0].pose
+    others = [
+        c.evidence.score
+        for c in candidates[1:]
+        if not _near(c.pose, best, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
+    ]
+    return max([0.0, *others])
+
+
+def _near(a: SimilarPose, b: SimilarPose, angle_rad: float, distance_mm: float) -> bool:
+    return (
+        float(np.linalg.norm(a.translation - b.translation)) < distance_mm
+        and rotation_angle_rad(a.rotation @ b.rotation.T) < angle_rad
+    )

@@ -1,0 +1,102 @@
+"""Coarse multi-start search: thousands of starts, thinned in rounds to a few distinct poses."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.rigid import rotation_angle_rad
+from scan2albedo.optimization import Meter
+from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
+from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.oriented_points import OrientedPoints
+from scan2albedo.registration.starts import Starts, anchored_starts
+from scan2albedo.registration.template import Template
+
+FloatArray = NDArray[np.float64]
+
+_BLOCK = 128
+_CELL_MM = 5.0
+_MARGIN_MM = 40.0
+_NORMAL_SMOOTHING_MM = 45.0
+_SAME_ROTATION_RAD = np.deg2rad(8)
+_SAME_POSITION_MM = 10.0
+
+
+def coarse_candidates(
+    scan: OrientedPoints, template: Template, options: RegistrationOptions, meter: Meter, seed: int
+) -> Starts:
+    """Return distinct candidate poses, best first.
+
+    Round 1 runs 5 iterations on 60 model samples from every start; the best 240 go on to 8
+    iterations on 300 samples with a tighter scale. The meter counts one evaluation a start and round;
+    when its budget ends, what has been tried so far is ranked.
+    """
+    grid = NearestGrid.of(scan, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
+    starts = anchored_starts(
+        scan,
+        template.front,
+        rotation_count=options.rotation_count,
+        anchor_spacing_mm=options.anchor_spacing_mm,
+        anchor_limit=options.anchor_limit,
+        cone_rad=np.deg2rad(options.cone_deg),
+        smoothing_mm=_NORMAL_SMOOTHING_MM,
+    )
+    # In random order a budget that ends early has still seen starts from all over the scan.
+    starts = _taken(starts, np.random.default_rng(seed).permutation(len(starts)))
+    starts, _ = _round(grid, template.first(60), starts, 5, (20.0, 10.0), meter)
+    starts = _taken(starts, np.arange(min(240, len(starts))))
+    starts, _ = _round(grid, template.first(300), starts, 8, (12.0, 5.0), meter)
+    return _distinct(starts, options.candidates)
+
+
+def _taken(starts: Starts, index: NDArray[np.int64]) -> Starts:
+    return Starts(starts.rotations[index], starts.translations[index])
+
+
+def _round(
+    grid: NearestGrid,
+    model: OrientedPoints,
+    starts: Starts,
+    iterations: int,
+    sigma_mm: tuple[float, float],
+    meter: Meter,
+) -> tuple[Starts, FloatArray]:
+    """Refine the starts block by block while the budget lasts; return those tried, best first."""
+    rotations, translations = starts.rotations.copy(), starts.translations.copy()
+    scores: list[FloatArray] = []
+    for begin in range(0, len(starts), _BLOCK):
+        if begin and meter.exhausted:
+            break
+        block = slice(begin, begin + _BLOCK)
+        scores.append(
+            refine_on_grid(
+                grid,
+                model,
+                model.areas,
+                rotations[block],
+                translations[block],
+                iterations=iterations,
+                sigma_mm=sigma_mm,
+            )
+        )
+        meter.count(len(scores[-1]))
+    score = np.concatenate(scores)
+    order = np.argsort(-score, kind="stable")
+    return Starts(rotations[order], translations[order]), score[order]
+
+
+def _distinct(starts: Starts, count: int) -> Starts:
+    """Keep the first of every group of like poses, at most `count`."""
+    kept: list[int] = []
+    for i in range(len(starts)):
+        if len(kept) == count:
+            break
+        alike = (
+            np.linalg.norm(starts.translations[i] - starts.translations[k]) < _SAME_POSITION_MM
+            and rotation_angle_rad(starts.rotations[i] @ starts.rotations[k].T) < _SAME_ROTATION_RAD
+            for k in kept
+        )
+        if not any(alike):
+            kept.append(i)
+    return _taken(starts, np.array(kept, np.int64))

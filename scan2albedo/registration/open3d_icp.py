@@ -1,0 +1,92 @@
+"""Open3D's robust point-to-plane ICP, the one place of this package that imports Open3D."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import MissingDependencyError
+from scan2albedo.registration.oriented_points import OrientedPoints
+
+FloatArray = NDArray[np.float64]
+
+
+def import_open3d() -> ModuleType:
+    """Return the open3d module (its import takes seconds, so it waits until it is needed).
+
+    Raises
+    ------
+    MissingDependencyError
+        When it, or a system library it is linked to, is missing.
+    """
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise MissingDependencyError(
+            f"Open3D cannot be loaded ({error}); run tools/bootstrap_system.sh, or install open3d-cpu and "
+            "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
+        ) from error
+    return open3d
+
+
+class ScanTarget:
+    """Scan samples prepared for many ICP runs.
+
+    Parameters
+    ----------
+    samples : OrientedPoints
+        In millimetres.
+    """
+
+    def __init__(self, samples: OrientedPoints) -> None:
+        self._open3d = import_open3d()
+        self._cloud = self._cloud_of(samples)
+
+    def _cloud_of(self, samples: OrientedPoints):  # type: ignore[no-untyped-def]
+        geometry, utility = self._open3d.geometry, self._open3d.utility
+        cloud = geometry.PointCloud(utility.Vector3dVector(samples.points))
+        cloud.normals = utility.Vector3dVector(samples.normals)
+        return cloud
+
+    def refine(
+        self,
+        model: OrientedPoints,
+        scan_from_model: FloatArray,
+        *,
+        max_distance_mm: float,
+        scale_mm: float,
+        iterations: int,
+    ) -> FloatArray:
+        """Return the (4, 4) `scan_from_model` after point-to-plane ICP with Tukey's loss.
+
+        Runs on one thread: Open3D adds up its normal equations in the order the threads finish, so
+        more threads would give other bits each time.
+
+        Parameters
+        ----------
+        model : OrientedPoints
+            Source samples, mm.
+        scan_from_model : (4, 4) float64
+            Start.
+        max_distance_mm : float
+            Greatest distance of a pair.
+        scale_mm : float
+            Tukey's constant: pairs farther apart along the normal have no weight.
+        iterations : int
+            At most so many.
+        """
+        from threadpoolctl import threadpool_limits
+
+        registration = self._open3d.pipelines.registration
+        with threadpool_limits(1, "openmp"):
+            result = registration.registration_icp(
+                self._cloud_of(model),
+                self._cloud,
+                max_distance_mm,
+                scan_from_model,
+                registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=scale_mm)),
+                registration.ICPConvergenceCriteria(1e-6, 1e-6, iterations),
+            )
+        return np.array(result.transformation)

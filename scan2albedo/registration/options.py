@@ -1,0 +1,33 @@
+"""Settings of `register`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RegistrationOptions:
+    """Settings of `register`; lengths are millimetres of the scan."""
+
+    scan_spacing_mm: float = 4.0
+    """Spacing of the scan samples that the search looks at."""
+    model_spacing_mm: float = 6.0
+    """Spacing of the model samples."""
+    rotation_count: int = 300
+    """Super-Fibonacci rotations; each anchor takes those that face outward there."""
+    anchor_spacing_mm: float = 30.0
+    """Distance between the scan points on which the front of the model is put."""
+    anchor_limit: int = 600
+    """Greatest number of anchors (a scan of a whole room is searched more coarsely)."""
+    cone_deg: float = 35.0
+    """Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
+    candidates: int = 8
+    """Distinct poses that Open3D refines, at least 6 to be safe."""
+    coverage_needed: float = 0.25
+    """Least part of the model's depth image that the scan must cover to be a face."""
+    relief_needed: float = 0.42
+    """Least relief correlation (see `face_evidence`) of a face."""
+    annealing_evaluations: int = 1500
+    """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
+    annealing_size: int = 64
+    """Side of the annealing's depth images in pixels."""

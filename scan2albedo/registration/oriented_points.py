@@ -1,0 +1,107 @@
+"""Evenly spread, denoised samples of a surface with normals: what every rigid search works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.mesh import face_cross_products
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_MAX_RAW_SAMPLES = 400_000
+_MAX_SAMPLES_PER_FACE = 256
+_LEAST_AGREEMENT = 0.3
+
+
+@dataclass(frozen=True)
+class OrientedPoints:
+    """Surface samples: `points` (N, 3), unit `normals` (N, 3), `areas` (N,) of the surface they stand for."""
+
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def subset(self, index: IntArray) -> OrientedPoints:
+        """Return the samples at `index`."""
+        return OrientedPoints(self.points[index], self.normals[index], self.areas[index])
+
+
+def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> OrientedPoints:
+    """Sample a mesh at about one point every `spacing`, averaged over cubes of that side.
+
+    Faces larger than a cube are sampled several times, many small faces in one cube are averaged, so
+    neither the tessellation nor vertex noise matters: the normal of a cube is the sum of the
+    area vectors in it. Cubes whose normals cancel (two sides of a thin sheet) are left out.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+    faces : (F, 3) int64
+    spacing : float
+        Side of the cubes, in the unit of the vertices.
+
+    Returns
+    -------
+    OrientedPoints
+        Ordered by cube (x, then y, then z); empty when the mesh has no area.
+    """
+    cross = face_cross_products(vertices, faces)
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    used = np.flatnonzero(area > 0)
+    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, _MAX_SAMPLES_PER_FACE).astype(np.int64)
+    stride = int(np.ceil(per_face.sum() / _MAX_RAW_SAMPLES)) or 1
+    used, per_face = used[::stride], per_face[::stride]
+    owner = np.repeat(used, per_face)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(per_face) - per_face, per_face)
+    share = np.repeat(1 / per_face, per_face) * stride
+    points = np.einsum("nk,nkd->nd", _spread_barycentric(step), vertices[faces[owner]])
+    return _averaged(points, cross[owner] * (0.5 * share)[:, None], area[owner] * share, spacing)
+
+
+def _spread_barycentric(step: IntArray) -> FloatArray:
+    """Return barycentric coordinates (N, 3) of the `step`-th point of an R2 sequence, step 0 the centroid."""
+    a = (2 / 3 + 0.7548776662466927 * step) % 1.0
+    b = (2 / 3 + 0.5698402909980532 * step) % 1.0
+    fold = a + b > 1
+    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
+    return np.stack([1 - a - b, a, b], 1)
+
+
+def _averaged(
+    points: FloatArray, area_vectors: FloatArray, areas: FloatArray, spacing: float
+) -> OrientedPoints:
+    if len(points) == 0:
+        return OrientedPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    cells = np.floor((points - points.min(0)) / spacing).astype(np.int64)
+    extent = cells.max(0) + 1
+    key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    _, cell = np.unique(key, return_inverse=True)
+    total = np.bincount(cell, areas)
+
+    def summed(values: FloatArray) -> FloatArray:
+        return np.stack([np.bincount(cell, values[:, axis]) for axis in range(3)], 1)
+
+    mean, normal = summed(points * areas[:, None]) / total[:, None], summed(area_vectors)
+    length = np.linalg.norm(normal, axis=1)
+    kept = length > _LEAST_AGREEMENT * total
+    return OrientedPoints(mean[kept], normal[kept] / length[kept, None], total[kept])
+
+
+def farthest_points(points: FloatArray, spacing: float, limit: int, first: int = 0) -> IntArray:
+    """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
+    chosen = [first]
+    distance = np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < limit:
+        index = int(np.argmax(distance))
+        if distance[index] < spacing:
+            break
+        chosen.append(index)
+        distance = np.minimum(distance, np.linalg.norm(points - points[index], axis=1))
+    return np.array(chosen, np.int64)

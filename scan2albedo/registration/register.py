@@ -1,0 +1,162 @@
+"""Rigid registration: find the face in a raw scan, in any pose, without landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import RegistrationError
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.rigid import compose, invert_rigid
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.optimization import Budget, Meter, ProgressCallback
+from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates, runner_up_score
+from scan2albedo.registration.coarse_search import coarse_candidates
+from scan2albedo.registration.open3d_icp import ScanTarget
+from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.registration.result import Registration
+from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
+from scan2albedo.registration.template import Template
+
+FloatArray = NDArray[np.float64]
+
+_FEWEST_VERTICES = 50
+_FEWEST_SAMPLES = 150
+
+
+def register(
+    scan: RawScan,
+    model: AnnotatedFaceModel,
+    budget: Budget | float | None = None,
+    seed: int = 0,
+    *,
+    options: RegistrationOptions = RegistrationOptions(),
+    on_progress: ProgressCallback | None = None,
+) -> Registration:
+    """Find the rigid pose of a scan's face in the model's frame.
+
+    Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane
+    ICP, then by one that also estimates the face's size; the pose whose depth image has the relief of
+    a face wins, and is tightened on the rigid regions.
+
+    Parameters
+    ----------
+    scan : RawScan
+        Any pose, mm; hair, shoulders, holes and loose pieces are welcome.
+    model : AnnotatedFaceModel
+    budget : Budget or seconds, optional
+        When it ends the best pose so far is returned with ``converged=False``.
+    seed : int
+        Same seed, scan and budget in evaluations: same bits.
+    options : RegistrationOptions
+    on_progress : callable, optional
+        Called with every trace row.
+
+    Returns
+    -------
+    Registration
+
+    Raises
+    ------
+    RegistrationError
+        When the scan is too small to judge or holds no face; the message carries the figures.
+    MissingDependencyError
+        When Open3D cannot be loaded.
+
+    References
+    ----------
+    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
+       application to face recognition", section 3.1.1.
+    """
+    meter = Meter("icp", "mm", Budget.of(budget), on_progress)
+    center = np.median(scan.vertices, axis=0)
+    vertices = scan.vertices - center
+    cloud = _samples_of(scan, vertices, options)
+    template = Template.of(model, options.model_spacing_mm, seed)
+    starts = coarse_candidates(cloud, template, options, meter, seed)
+    view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
+    candidates = judged_candidates(view, ScanTarget(cloud), template, starts, meter)
+    if not meter.exhausted:
+        _refuse_no_face(scan, candidates, options)
+    best = candidates[0]
+    pose, rms_mm = _tightened(view, template, best.pose, meter)
+    return Registration(
+        model_from_scan=invert_rigid(pose.rigid()) @ compose(np.eye(3), -center),
+        rmse_mm=rms_mm,
+        depth_error=None,
+        converged=not meter.exhausted,
+        confidence=_confidence(candidates, options),
+        iterations=meter.evaluations,
+        trace=meter.trace,
+        notes=(_search_note(candidates, len(starts)),),
+        face_scale=pose.scale,
+    )
+
+
+def _samples_of(scan: RawScan, vertices: FloatArray, options: RegistrationOptions) -> OrientedPoints:
+    if len(vertices) < _FEWEST_VERTICES:
+        raise RegistrationError(
+            f"{scan.name}: {len(vertices)} vertices cannot show a face, at least "
+            f"{_FEWEST_VERTICES} are needed; scan the whole face"
+        )
+    cloud = oriented_points(vertices, scan.faces, options.scan_spacing_mm)
+    if len(cloud) < _FEWEST_SAMPLES:
+        raise RegistrationError(
+            f"{scan.name}: its surface of {cloud.areas.sum():.0f} mm2 (box {_box_text(vertices)}) is too "
+            "small for a face; check the unit of the file"
+        )
+    return cloud
+
+
+def _box_text(vertices: FloatArray) -> str:
+    return " x ".join(f"{side:.0f}" for side in np.ptp(vertices, axis=0)) + " mm"
+
+
+def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:
+    evidence = candidates[0].evidence
+    if evidence.coverage >= options.coverage_needed and evidence.relief_correlation >= options.relief_needed:
+        return
+    raise RegistrationError(
+        f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
+        f"{100 * evidence.coverage:.0f} % of the face (needed: {100 * options.coverage_needed:.0f} %) "
+        f"with a relief correlation of {evidence.relief_correlation:.2f} "
+        f"(needed: {options.relief_needed:.2f}); the scan's box is {_box_text(scan.vertices)}. Give a scan of a face, or process it without a model"
+    )
+
+
+def _tightened(
+    view: ScanView, template: Template, start: SimilarPose, meter: Meter
+) -> tuple[SimilarPose, float]:
+    """Finish on all samples, weighted to the rigid regions."""
+    if meter.exhausted:
+        pose = start
+    else:
+        pose = robust_icp(
+            view.tree, template.samples, template.rigidity, start, iterations=15, sigma_mm=(3.0, 1.5)
+        )
+        meter.count(15)
+    rms_mm = residuals(view.tree, template.samples, pose).trimmed_rms_mm(template.samples.areas)
+    meter.record(rms_mm)
+    return pose, rms_mm
+
+
+def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions) -> float:
+    """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1."""
+    best = candidates[0].evidence
+    clear = (best.relief_correlation - (options.relief_needed - 0.1)) / 0.3
+    alone = (best.score - runner_up_score(candidates)) / 0.15
+    return float(np.clip(min(clear, alone), 0, 1))
+
+
+def _search_note(candidates: tuple[Candidate, ...], kept: int) -> tuple[str, bool, str, str]:
+    best = candidates[0]
+    return (
+        "rigid search",
+        True,
+        "the pose whose depth image has the relief of a face is taken",
+        f"{kept} candidates, {len(candidates)} distinct; "
+        f"relief correlation {best.evidence.relief_correlation:.2f} "
+        f"(next pose {runner_up_score(candidates):.2f}), coverage {100 * best.evidence.coverage:.0f} %, "
+        f"face {100 * best.pose.scale:.0f} % of the model's size",
+    )

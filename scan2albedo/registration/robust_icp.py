@@ -1,0 +1,157 @@
+"""A tight robust point-to-plane ICP with the face's size as a nuisance parameter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.registration.oriented_points import OrientedPoints
+
+FloatArray = NDArray[np.float64]
+
+_SCALE_PRIOR = 0.1
+_PRIOR_SHARE = 0.02
+_FARTHEST_MM = 30.0
+_INLIER_MM = 10.0
+
+
+@dataclass(frozen=True)
+class SimilarPose:
+    """A pose of the model on the scan: x -> scale R x + t.
+
+    Parameters
+    ----------
+    rotation : (3, 3) float64
+        From the model's frame to the scan's.
+    translation : (3,) float64
+        Millimetres, of the model's origin.
+    scale : float
+        Size of the face relative to the model.
+    """
+
+    rotation: FloatArray
+    translation: FloatArray
+    scale: float = 1.0
+
+    def similarity(self) -> FloatArray:
+        """Return (4, 4) `scan_from_model` with the scale."""
+        return compose(self.scale * self.rotation, self.translation)
+
+    def model_from_scan(self) -> FloatArray:
+        """Return (4, 4), the inverse of `similarity`."""
+        turned_back = self.rotation.T / self.scale
+        return compose(turned_back, -turned_back @ self.translation)
+
+    def rigid(self) -> FloatArray:
+        """Return (4, 4) `scan_from_model` without the scale; the model's origin maps to the same point."""
+        return compose(self.rotation, self.translation)
+
+
+@dataclass(frozen=True)
+class ScanTree:
+    """Scan samples with a k-d tree over them."""
+
+    samples: OrientedPoints
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, samples: OrientedPoints) -> ScanTree:
+        """Build the tree."""
+        return cls(samples, cKDTree(samples.points))
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Model samples against the scan's tangent planes: `plane_mm`, `distance_mm`, `agreement` (M,)."""
+
+    plane_mm: FloatArray
+    distance_mm: FloatArray
+    agreement: FloatArray
+
+    def trimmed_rms_mm(self, weights: FloatArray) -> float:
+        """Return the weighted RMS of the plane distances of the inliers; inf when there are none."""
+        inlier = weights * ((self.distance_mm < _INLIER_MM) & (self.agreement > 0.5))
+        total = inlier.sum()
+        return float(np.sqrt(inlier @ self.plane_mm**2 / total)) if total > 0 else float("inf")
+
+    def robust_cost(self, weights: FloatArray, sigma_mm: float) -> float:
+        """Return the weighted mean of min(distance, 3 sigma) with disagreeing normals at the limit."""
+        capped = np.where(self.agreement > 0.5, np.minimum(np.abs(self.plane_mm), 3 * sigma_mm), 3 * sigma_mm)
+        capped = np.where(self.distance_mm < _INLIER_MM, capped, 3 * sigma_mm)
+        return float(weights @ capped / weights.sum())
+
+
+def residuals(scan: ScanTree, model: OrientedPoints, pose: SimilarPose) -> Residuals:
+    """Measure the model samples at a pose against the scan."""
+    return _correspond(scan, model, pose)[0]
+
+
+def _correspond(
+    scan: ScanTree, model: OrientedPoints, pose: SimilarPose
+) -> tuple[Residuals, tuple[FloatArray, FloatArray]]:
+    turned = pose.scale * model.points @ pose.rotation.T
+    normals = model.normals @ pose.rotation.T
+    distance, index = scan.tree.query(turned + pose.translation, distance_upper_bound=_FARTHEST_MM)
+    found = index < len(scan.samples)
+    index = np.where(found, index, 0)
+    offset = turned + pose.translation - scan.samples.points[index]
+    target = scan.samples.normals[index]
+    agreement = np.where(found, np.einsum("ij,ij->i", normals, target), -1.0)
+    measured = Residuals(np.einsum("ij,ij->i", offset, target), distance, agreement)
+    return measured, (turned, target)
+
+
+def robust_icp(
+    scan: ScanTree,
+    model: OrientedPoints,
+    weights: FloatArray,
+    start: SimilarPose,
+    *,
+    iterations: int,
+    sigma_mm: tuple[float, float],
+) -> SimilarPose:
+    """Refine a pose by iteratively reweighted point-to-plane ICP over rotation, translation and scale.
+
+    Minimises sum_i w_i rho_i (n_i . (s R p_i + t - q_i))^2 + W (sigma log s / 0.1)^2 (W a fiftieth of the
+    weights' sum) with Geman-McClure weights
+    rho_i = (sigma^2 / (sigma^2 + r_i^2))^2 times the squared agreement of the normals. The scale takes up
+    that people differ in size, which would otherwise push the pose along the viewing axis.
+
+    Parameters
+    ----------
+    scan : ScanTree
+    model : OrientedPoints
+        (M,) samples.
+    weights : (M,) float64
+        Larger where the model is rigid.
+    start : SimilarPose
+    iterations : int
+    sigma_mm : (float, float)
+        Scale of the weights at the first and last iteration, geometric in between.
+    """
+    pose = start
+    for sigma in np.geomspace(*sigma_mm, iterations):
+        measured, (turned, target) = _correspond(scan, model, pose)
+        r = measured.plane_mm
+        near = np.isfinite(measured.distance_mm)
+        rho = np.where(near, (sigma**2 / (sigma**2 + r**2)) ** 2 * np.maximum(measured.agreement, 0) ** 2, 0)
+        rho *= weights / weights.sum()
+        rows = np.concatenate(
+            [np.cross(turned, target), target, np.einsum("ij,ij->i", turned, target)[:, None]], 1
+        )
+        gram = (rows * rho[:, None]).T @ rows + 1e-9 * np.eye(7)
+        gradient = -(rows * rho[:, None]).T @ r
+        prior = _PRIOR_SHARE * rho.sum() * (sigma / _SCALE_PRIOR) ** 2
+        gram[6, 6] += prior
+        gradient[6] -= prior * np.log(pose.scale)
+        step = np.linalg.solve(gram, gradient)
+        pose = SimilarPose(
+            rotation_from_vector(step[:3]) @ pose.rotation,
+            pose.translation + step[3:6],
+            pose.scale * float(np.exp(np.clip(step[6], -0.05, 0.05))),
+        )
+    return pose

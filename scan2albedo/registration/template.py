@@ -1,0 +1,80 @@
+"""The face model as registration sees it: samples with weights and its depth image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.registration.face_evidence import FaceImage
+from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_LEVELS = 1
+_WEIGHT_RANGE = (0.2, 3.0)
+
+
+@dataclass(frozen=True)
+class Template:
+    """Samples of the face model.
+
+    Parameters
+    ----------
+    samples : OrientedPoints
+        In the model's frame, mm, in random order (a prefix is a fair sample).
+    rigidity : (M,) float64
+        Area times stiffness relative to the mean: large on forehead and nose, small on lips and jaw.
+    front : (3,) float64
+        Where the z axis leaves the face.
+    image : FaceImage
+        What posed scans are compared with.
+    vertices, faces : (V, 3) float64, (F, 3) int64
+        The surface itself.
+    vertex_stiffness : (V,) float64
+        Relative stiffness, clipped.
+    """
+
+    samples: OrientedPoints
+    rigidity: FloatArray
+    front: FloatArray
+    image: FaceImage
+    vertices: FloatArray
+    faces: IntArray
+    vertex_stiffness: FloatArray
+
+    @classmethod
+    def of(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
+        """Sample a model about every `spacing_mm`."""
+        vertices, faces = model.surface(_LEVELS)
+        samples = oriented_points(vertices, faces, spacing_mm)
+        samples = samples.subset(np.random.default_rng(seed).permutation(len(samples)))
+        stiffness = _vertex_stiffness(model, len(vertices), faces)
+        _, nearest = cKDTree(vertices).query(samples.points)
+        middle = int(np.argmin(np.hypot(samples.points[:, 0], samples.points[:, 1])))
+        return cls(
+            samples,
+            samples.areas * stiffness[nearest],
+            samples.points[middle],
+            FaceImage(vertices, faces),
+            vertices,
+            faces,
+            stiffness,
+        )
+
+    def first(self, count: int) -> OrientedPoints:
+        """Return the first `count` samples."""
+        return self.samples.subset(np.arange(min(count, len(self.samples))))
+
+
+def _vertex_stiffness(model: AnnotatedFaceModel, vertex_count: int, faces: IntArray) -> FloatArray:
+    of_face = np.repeat(model.region_values("stiffness")[model.region], 4**_LEVELS)
+    if of_face.mean() <= 0:
+        return np.ones(vertex_count)
+    corners = np.repeat(np.clip(of_face / of_face.mean(), *_WEIGHT_RANGE), 3)
+    total = np.bincount(faces.ravel(), corners, minlength=vertex_count)
+    return total / np.maximum(np.bincount(faces.ravel(), minlength=vertex_count), 1)
