@@ -2,13 +2,14 @@
 
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.scenes import SceneParameters, SyntheticScene, hemisphere, light_at
+from scan2albedo.synthetic.scenes import SceneParameters, SyntheticScene, face, hemisphere, light_at
 
 __all__ = [
     "Material",
     "RawLikeOptions",
     "SceneParameters",
     "SyntheticScene",
+    "face",
     "hemisphere",
     "light_at",
     "raw_like",

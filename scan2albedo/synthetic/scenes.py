@@ -9,9 +9,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.camera import auto_exposure, photograph
+from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface
+from scan2albedo.synthetic.face_paint import paint_face
+from scan2albedo.synthetic.identity import Expression, person
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.renderer import Material, render
 from scan2albedo.synthetic.textures import skin, wood
@@ -146,6 +150,56 @@ def hemisphere(
     return photographed(
         image,
         albedo.reshape(size, size, 3),
+        (light_at(45),) if lights is None else tuple(lights),
+        SceneParameters(material or Material(), exposure, noise, bits, texture, seed),
+    )
+
+
+def face(
+    seed: int = 0,
+    *,
+    expression: Expression = "neutral",
+    lights: Sequence[PointLight] | None = None,
+    texture: TextureName = "skin",
+    size: int = 512,
+    material: Material | None = None,
+    grain: float = 1.0,
+    noise: float = 0.0,
+    bits: int | None = 8,
+    exposure: float = 1.0,
+    model: AnnotatedFaceModel | None = None,
+) -> SyntheticScene:
+    """Return a random person's face on the model's chart, with cast shadows.
+
+    Parameters
+    ----------
+    seed : int
+        Of identity, texture and noise.
+    expression : str
+        One of neutral, smile, frown, pout, puff, surprise.
+    lights : sequence of PointLight, optional
+        One distant light at 45 degrees when omitted.
+    texture : "skin" or "wood"
+        "skin" comes with brows, lips and eyes.
+    size, material, grain, noise, bits, exposure
+        As in `hemisphere`; the model's annotation scales the highlights.
+    model : AnnotatedFaceModel, optional
+        The default model when omitted; it needs landmarks.
+    """
+    template = model or AnnotatedFaceModel.default()
+    control_points = person(template, np.random.default_rng([seed, 2]), expression=expression)
+    image = face_geometry_image(template, face_surface(template, control_points), size)
+    uv = texel_coordinates(size)[image.mask.ravel()]
+    rng = np.random.default_rng(seed)
+    albedo = np.zeros((size, size, 3))
+    albedo[image.mask] = (
+        paint_face(uv, template, rng, grain=grain)
+        if texture == "skin"
+        else texture_at(uv, texture, rng, grain)
+    )
+    return photographed(
+        image,
+        albedo,
         (light_at(45),) if lights is None else tuple(lights),
         SceneParameters(material or Material(), exposure, noise, bits, texture, seed),
     )

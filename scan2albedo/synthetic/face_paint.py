@@ -1,0 +1,120 @@
+"""Paint a face: skin with flushed cheeks, brows, lips and open eyes, placed by the model's landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
+
+FloatArray = NDArray[np.float64]
+
+_SCLERA = np.array([0.66, 0.60, 0.55])
+_BROW = np.array([0.060, 0.042, 0.030])
+_IRISES = np.array([[0.12, 0.16, 0.20], [0.10, 0.055, 0.03], [0.13, 0.12, 0.06]])
+
+
+def paint_face(
+    uv: FloatArray, model: AnnotatedFaceModel, rng: np.random.Generator, *, grain: float = 1.0
+) -> FloatArray:
+    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2)."""
+    landmarks = landmark_uv(model)
+    albedo = skin(uv, rng, grain=grain)
+    pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
+    for k in (31, 35):
+        cheek = landmarks[k] + [0.08 * np.sign(k - 33), 0.02]
+        blood += rng.uniform(0.05, 0.3) * _blob(uv, cheek, 0.06)
+    blood += rng.uniform(0.05, 0.25) * _blob(uv, landmarks[30], 0.03)
+    brows = rng.uniform(0.6, 0.9) * (_brow(uv, landmarks[17:22], rng) + _brow(uv, landmarks[22:27], rng))
+    lips, line = _lips(uv, landmarks)
+    blood += rng.uniform(0.5, 0.9) * lips * (1 + 0.08 * smooth_noise(uv, (220, 60), rng))
+    pigment += 0.15 * lips + 0.9 * line
+    albedo = albedo * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN)
+    albedo += (_BROW - albedo) * np.clip(brows, 0, 0.95)[:, None]
+    iris = _IRISES[rng.integers(len(_IRISES))]
+    for corners in (landmarks[36:42], landmarks[42:48]):
+        albedo = _with_eye(uv, albedo, corners, iris, rng)
+    return np.clip(albedo, 0.01, 0.95)
+
+
+def landmark_uv(model: AnnotatedFaceModel) -> FloatArray:
+    """Return (68, 2) chart coordinates of the model's landmarks."""
+    points = model.landmark_points
+    if points is None:
+        raise ModelError(f"{model.name}: a painted face is placed by landmarks, but it has none")
+    return np.einsum("nk,nkc->nc", points.barycentric, model.uv[model.control_faces[points.face]])
+
+
+def _blob(uv: FloatArray, center: FloatArray, radius: float) -> FloatArray:
+    return np.exp(-np.sum((uv - center) ** 2, axis=1) / (2 * radius**2))
+
+
+def _curve(points: FloatArray, *, closed: bool, count: int = 240) -> FloatArray:
+    """Return `count` points of a cubic spline through (K, 2) points."""
+    through = np.concatenate([points, points[:1]]) if closed else points
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(through, axis=0), axis=1))])
+    spline = CubicSpline(knots, through, bc_type="periodic" if closed else "natural")
+    return spline(np.linspace(0, knots[-1], count, endpoint=not closed))
+
+
+def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
+    """Return (N,) distance to a closed polyline (K, 2), positive inside."""
+    distance, _ = cKDTree(outline).query(uv)
+    near = ((uv >= outline.min(0)) & (uv <= outline.max(0))).all(1)
+    x, y = uv[near].T
+    inside = np.zeros(near.sum(), bool)
+    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if ay != by:
+            inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    signed = -distance
+    signed[near] = np.where(inside, distance[near], -distance[near])
+    return signed
+
+
+def _brow(uv: FloatArray, landmarks: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return (N,) density of brow hair around the five landmarks of one brow."""
+    line = _curve(landmarks - [0, 0.006], closed=False)
+    distance, nearest = cKDTree(line).query(uv)
+    outward = nearest / (len(line) - 1)
+    if landmarks[0, 0] < landmarks[-1, 0]:
+        outward = 1 - outward
+    width = 0.021 * np.sqrt(np.clip(1.12 - outward, 0.05, 1))
+    strands = 1 + 0.35 * smooth_noise(uv @ np.array([[1, 0.6], [-0.6, 1]]), (240, 90), rng)
+    return smoothstep(1.6 * (1 - distance / width)) * np.clip(strands, 0.2, 1.5)
+
+
+def _lips(uv: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (N,) redness of the lips and darkness of the line between them."""
+    outline = np.concatenate(
+        [
+            _curve(landmarks[48:55], closed=False),
+            _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]], closed=False)[1:-1],
+        ]
+    )
+    lips = smoothstep(_signed_distance(uv, outline) / 0.006 + 0.5)
+    middle = _curve((landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2, closed=False)
+    distance, _ = cKDTree(middle).query(uv)
+    return lips, smoothstep(1.5 - distance / 0.004)
+
+
+def _with_eye(
+    uv: FloatArray, albedo: FloatArray, corners: FloatArray, iris: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the albedo with one open eye painted inside its six landmarks (N, 3)."""
+    upper = _curve(corners[:4], closed=False)
+    outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]], closed=False)[1:-1]])
+    opening = smoothstep(_signed_distance(uv, outline) / 0.003 + 0.5)[:, None]
+    width = np.linalg.norm(corners[3] - corners[0])
+    from_pupil = np.linalg.norm(uv - corners.mean(0) - [0, 0.04 * width], axis=1) / width
+    ball = _SCLERA * (1 + 0.02 * smooth_noise(uv, (60, 60), rng))[:, None]
+    rays = iris * (1 + 0.25 * smooth_noise(uv, (300, 300), rng))[:, None]
+    ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
+    ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
+    painted = albedo * (1 - opening) + ball * opening
+    distance, _ = cKDTree(upper).query(uv)
+    lashes = 1.8 * smoothstep(1.4 - distance / 0.0045)
+    return painted * np.exp(-lashes[:, None] * MELANIN)
