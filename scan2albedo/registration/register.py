@@ -121,7 +121,8 @@ def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: R
         f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
         f"{100 * evidence.coverage:.0f} % of the face (needed: {100 * options.coverage_needed:.0f} %) "
         f"with a relief correlation of {evidence.relief_correlation:.2f} "
-        f"(needed: {options.relief_needed:.2f}); the scan's box is {_box_text(scan.vertices)}. Give a scan of a face, or process it without a model"
+        f"(needed: {options.relief_needed:.2f}); the scan's box is {_box_text(scan.vertices)}. "
+        "Give a scan of a face, or process it without a model"
     )
 
 
