@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.evidence import LightSearch
-from scan2albedo.albedo.levels import usable_texels, value_channel
+from scan2albedo.albedo.evidence import LightFound, LightSearch
+from scan2albedo.albedo.levels import median_value, usable_texels, value_channel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.result import AlbedoEstimate, shade_image
@@ -18,7 +18,7 @@ from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.asrm import Reflectance
 from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
-from scan2albedo.optimization.plan import Plan, PlanStep
+from scan2albedo.optimization.plan import Plan
 
 BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
 
@@ -79,8 +79,7 @@ def estimate_albedo(
     usable = usable_texels(image, options)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     search = LightSearch(image, usable, brdf, view, seed, options, meter)
-    solution, steps, shadows = search.run(count)
-    return _divide(image, solution, usable, view, steps, shadows, options, meter)
+    return _divide(image, search.run(count), usable, view, options, meter)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
@@ -105,21 +104,17 @@ def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:
 
 def _divide(
     image: GeometryImage,
-    solution: Solution,
+    found: LightFound,
     usable: NDArray[np.bool_],
     view: tuple[float, float, float],
-    steps: list[PlanStep],
-    shadows: bool,
     options: EstimateOptions,
     meter: Meter,
 ) -> AlbedoEstimate:
     """Remove the light found from the full-size image."""
     assert image.texture_linear is not None
     mask = image.mask
-    lights, reflectance = physical_light(
-        solution, float(np.median(value_channel(image.texture_linear)[usable]))
-    )
-    shading, visible = shade_image(image, lights, reflectance, view, shadows, options.shadow_offset_mm)
+    lights, reflectance = physical_light(found.solution, median_value(image, usable))
+    shading, visible = shade_image(image, lights, reflectance, view, found.caster, options.shadow_offset_mm)
     light, specular, shadow = (
         _on_grid(mask, field) for field in (shading.light, shading.specular, visible.min(0))
     )
@@ -135,14 +130,15 @@ def _divide(
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=confidence.astype(np.float32),
-        plan=Plan(tuple(steps)),
+        plan=Plan(tuple(found.steps)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
-        residual=solution.cost,
+        residual=found.solution.cost,
         image=image,
         view_direction=view,
         reflectance=reflectance,
+        casts_shadows=found.caster is not None,
         shadow_offset_mm=options.shadow_offset_mm,
     )
 
@@ -176,5 +172,7 @@ def _parameters(reflectance: Reflectance, lights: Sequence[PointLight]) -> dict[
         rough: reflectance.roughness,
         "specular_strength": reflectance.specular_strength,
         "specular_exponent": reflectance.exponent,
-        "light_distance_mm": lights[0].distance_mm if lights else math.inf,
+        "light_distance_mm": lights[0].distance_mm
+        if lights and math.isfinite(lights[0].distance_mm)
+        else None,
     }

@@ -22,10 +22,19 @@ from scan2albedo.optimization.plan import PlanStep
 FloatArray = NDArray[np.float64]
 
 _PARTS = {
-    "near": ("albedo.light_distance", "a finite distance of the light"),
+    "near": ("albedo.near_light", "a finite distance of the light"),
     "rough": ("albedo.roughness", "surface roughness"),
     "specular": ("albedo.specular", "a highlight"),
 }
+
+
+@dataclass(frozen=True)
+class LightFound:
+    """The solution, the plan's rows, and the mesh that casts shadows (None where they are left out)."""
+
+    solution: Solution
+    steps: list[PlanStep]
+    caster: RayCaster | None
 
 
 @dataclass(frozen=True)
@@ -52,8 +61,8 @@ class LightSearch:
     options: EstimateOptions
     meter: Meter
 
-    def run(self, lights: int | None) -> tuple[Solution, list[PlanStep], bool]:
-        """Return the light found, the plan's rows and whether shadow rays were used.
+    def run(self, lights: int | None) -> LightFound:
+        """Search for the light.
 
         Parameters
         ----------
@@ -73,7 +82,7 @@ class LightSearch:
             )
             rows.insert(0, PlanStep("albedo.lights", True, f"{lights} asked for"))
         best = polish(fine, fine.solution_cost(solution), 2 * options.polish_evaluations)
-        return best, [*steps, *rows], caster is not None
+        return LightFound(best, [*steps, *rows], caster)
 
     def _model(self, lights: int) -> LightModel:
         position = self.image.position[self.image.mask]
@@ -81,20 +90,24 @@ class LightSearch:
         return LightModel(lights, self.brdf, self.view, radius)
 
     def _problem(self, size: int, caster: RayCaster | None) -> Problem:
-        level = build_level(self.image, self.usable, size, self.options)
+        options = self.options
         return Problem(
-            level,
+            build_level(self.image, self.usable, size, options),
             caster,
             np.asarray(self.view),
-            self.options.objective,
-            self.options.shadow_offset_mm,
+            options.objective,
+            options.shadow_offset_mm,
             self.meter,
+            # A quarter of a cell of the unit sphere's image.
+            direction_step=0.5 / size,
         )
 
     def _occluder(self, directions: FloatArray) -> tuple[RayCaster | None, list[PlanStep]]:
         """Return the shadow caster, or None where the surface hardly shades itself from anywhere."""
         vertices, faces = self.image.occluder_mesh()
-        stage = "albedo.shadows"
+        stage, asked = "albedo.shadows", self.options.shadows
+        if asked is False:
+            return None, [PlanStep(stage, False, "left out by the caller")]
         if not len(faces):
             return None, [PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")]
         caster = RayCaster(vertices, faces)
@@ -107,9 +120,11 @@ class LightSearch:
             if facing.any():
                 worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
         evidence = f"at most {100 * worst:.1f} % of the texels facing a light lie in cast shadow"
-        if worst < self.options.shadow_fraction:
+        if asked is None and worst < self.options.shadow_fraction:
             return None, [PlanStep(stage, False, "the surface casts no shadow on itself", evidence)]
-        return caster, [PlanStep(stage, True, "the surface shades itself", evidence)]
+        return caster, [
+            PlanStep(stage, True, "asked for" if asked else "the surface shades itself", evidence)
+        ]
 
     def _search(
         self,
@@ -122,7 +137,9 @@ class LightSearch:
         options = self.options
         starts = direction_grid(coarse, model, tables[0], options)
         each = options.polish_evaluations * model.lights // 2
-        polished = [polish(middle, middle.solution_cost(start), each) for start in starts]
+        tried = [polish(middle, middle.solution_cost(start), each) for start in starts]
+        tried.sort(key=lambda s: s.cost)
+        polished = [polish(middle, start, each) for start in tried[:2]]
         best = min(polished, key=lambda s: s.cost)
         if options.refiner == "annealing" or (options.refiner == "auto" and disagree(polished)):
             annealed = anneal(middle, best, tables[1], self.seed, options)
@@ -160,11 +177,23 @@ class LightSearch:
     def _with_parts(self, problem: Problem, base: Solution) -> tuple[Solution, list[PlanStep]]:
         """Free distance, roughness and highlight one after another, the most useful first, while it pays."""
         options = self.options
-        wanted = {"near": options.distance_gain, "specular": options.part_gain}
-        if self.brdf != "lambert":
-            wanted["rough"] = options.part_gain
-        wanted = {part: gain for part, gain in wanted.items() if not getattr(base.model, part)}
+        asked = {"near": options.near_light, "specular": options.specular, "rough": options.roughness}
+        if self.brdf == "lambert":
+            del asked["rough"]
         rows, current = [], base
+        for part, choice in asked.items():
+            if choice is not None:
+                rows.append(
+                    PlanStep(_PARTS[part][0], choice, "asked for" if choice else "left out by the caller")
+                )
+            if choice and not getattr(current.model, part):
+                current = self._free(problem, current, part)
+        pay = {"near": options.distance_gain, "specular": options.part_gain, "rough": options.part_gain}
+        wanted = {
+            part: pay[part]
+            for part, choice in asked.items()
+            if choice is None and not getattr(base.model, part)
+        }
         while wanted:
             trials = {part: self._free(problem, current, part) for part in wanted}
             gains = {part: 1 - trial.cost / current.cost for part, trial in trials.items()}

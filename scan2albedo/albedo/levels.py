@@ -54,6 +54,12 @@ def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
     return texture_linear.astype(np.float64).max(-1)
 
 
+def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:
+    """Return the median V of the usable texels: the unit in which the search measures V."""
+    assert image.texture_linear is not None
+    return float(np.median(value_channel(image.texture_linear)[usable]))
+
+
 def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.bool_]:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
@@ -102,7 +108,7 @@ def build_level(
     position, value = mean(image.position), mean(value_channel(image.texture_linear))[:, 0]
     scale = np.ones(len(count)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     anchor = image.position[rows, columns][_closest_member(image.position[rows, columns], position, cell)]
-    unit = float(np.median(value))
+    unit = median_value(image, usable)
     center = np.stack([np.bincount(cell, axis) / count for axis in (rows, columns)], 1)
     blocks, block_count = _blocks(center, float(np.sqrt(options.block_area * image.mask.sum())))
     return Level(

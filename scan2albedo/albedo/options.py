@@ -54,10 +54,18 @@ class EstimateOptions:
     """Fewer usable texels than this are an error."""
     shrink: bool = True
     """Draw the albedo of badly lit texels toward their neighbourhood instead of amplifying noise."""
-    rectify: bool = True
-    """Repair the albedo along shadow outlines, where it helps."""
-    inpaint: bool = True
-    """Resynthesise texels that a highlight saturated, where the annotation permits."""
+    shadows: bool | None = None
+    """Cast shadows: True and False force, None lets the evidence decide; so for the following."""
+    near_light: bool | None = None
+    """A finite distance of the lights, common to all."""
+    roughness: bool | None = None
+    """Oren-Nayar's sigma, or Minnaert's exponent."""
+    specular: bool | None = None
+    """Phong's highlight."""
+    rectification: bool | None = None
+    """Repair of the albedo along shadow outlines."""
+    inpainting: bool | None = None
+    """Resynthesis of texels that a highlight saturated, where the annotation permits."""
 
     def __post_init__(self) -> None:
         if self.objective not in ("residual", "albedo-deviation"):

@@ -48,6 +48,9 @@ class Problem:
         Of shadow rays.
     meter : Meter
         Counts the evaluations.
+    direction_step : float
+        Shadows are computed for lights rounded to this step (of a unit direction, and of the surface's
+        extent over the distance) and kept, so that a local search rarely shoots rays.
     """
 
     def __init__(
@@ -58,20 +61,32 @@ class Problem:
         objective: str,
         offset_mm: float,
         meter: Meter,
+        direction_step: float,
     ) -> None:
         self.level, self.meter = level, meter
         self._view, self._kind = view, KINDS[objective]
         self._shadows = None if caster is None else ShadowMap(caster, level.anchor, level.normal, offset_mm)
         self._light, self._specular = np.empty_like(level.value), np.empty_like(level.value)
+        self._step, self._radius = direction_step, float(np.linalg.norm(level.position, axis=1).max()) or 1.0
+        self._known: dict[tuple[int, ...], NDArray[np.uint8]] = {}
         self._all_visible = np.ones((4, len(level.value)), np.uint8)
 
     def visibility(self, rows: FloatArray) -> NDArray[np.uint8]:
-        """Return (L, N) the visibility of the lights in `rows` (L, 5) by exact rays."""
+        """Return (L, N) the visibility of the lights in `rows` (L, 5) by rays."""
         if self._shadows is None:
             return self._all_visible[: len(rows)]
-        return np.stack(
-            [self._shadows.visible(row[:3], 1 / row[3] if row[3] > 0 else math.inf) for row in rows]
-        )
+        return np.stack([self._reached(row) for row in rows])
+
+    def _reached(self, row: FloatArray) -> NDArray[np.uint8]:
+        """Return (N,) the visibility of the light nearest to `row` on the lattice of lights."""
+        assert self._shadows is not None
+        lattice = np.round(np.append(row[:3], row[3] * self._radius) / self._step)
+        key = tuple(lattice.astype(int).tolist())
+        if key not in self._known:
+            direction, nearness = lattice[:3] * self._step, lattice[3] * self._step / self._radius
+            distance = 1 / nearness if nearness > 0 else math.inf
+            self._known[key] = self._shadows.visible(direction / np.linalg.norm(direction), distance)
+        return self._known[key]
 
     def cost(self, hypothesis: Hypothesis, visible: NDArray[np.uint8] | None = None) -> float:
         """Return the objective; `visible` (L, N) saves the rays."""

@@ -29,7 +29,7 @@ class AlbedoEstimate:
         Strongest first; empty for spherical harmonics.
     parameters : dict
         ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
-        light_distance_mm (inf for distant lights); for spherical harmonics sh_coefficients (9 rows of 3).
+        light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3).
     shading : (H, W) float32
         I_a + I_d, which divided V.
     specular : (H, W) float32
@@ -50,6 +50,10 @@ class AlbedoEstimate:
         The image estimated from.
     view_direction : (float, float, float)
         Unit, toward the viewer.
+    reflectance : Reflectance
+        How the surface reflects.
+    casts_shadows : bool
+        Whether shadow rays were used.
     shadow_offset_mm : float
         Of the shadow rays.
     """
@@ -69,6 +73,7 @@ class AlbedoEstimate:
     image: GeometryImage
     view_direction: tuple[float, float, float]
     reflectance: Reflectance
+    casts_shadows: bool
     shadow_offset_mm: float
 
     def relit(self, lights: Sequence[PointLight]) -> NDArray[np.float32]:
@@ -78,7 +83,12 @@ class AlbedoEstimate:
         """
         mask = self.image.mask
         shading, _ = shade_image(
-            self.image, lights, self.reflectance, self.view_direction, True, self.shadow_offset_mm
+            self.image,
+            lights,
+            self.reflectance,
+            self.view_direction,
+            RayCaster(*self.image.occluder_mesh()) if self.casts_shadows and lights else None,
+            self.shadow_offset_mm,
         )
         albedo = self.albedo_linear[mask].astype(np.float64)
         value = albedo.max(-1)
@@ -95,13 +105,12 @@ def shade_image(
     lights: Sequence[PointLight],
     reflectance: Reflectance,
     view_direction: Sequence[float],
-    shadows: bool,
+    caster: RayCaster | None,
     offset_mm: float,
 ) -> tuple[Shading, NDArray[np.uint8]]:
     """Return the shading of the masked texels (N,) and each light's visibility (L, N)."""
     mask = image.mask
     position, normal = image.position[mask], image.normal[mask]
-    caster = RayCaster(*image.occluder_mesh()) if shadows and lights else None
     shadow_map = ShadowMap(caster, position, normal, offset_mm)
     visible = np.ones((len(lights), len(position)), np.uint8)
     for k, light in enumerate(lights):

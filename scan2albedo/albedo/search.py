@@ -80,7 +80,7 @@ def _distinct(
 
 
 def polish(problem: Problem, start: Solution, evaluations: int) -> Solution:
-    """Improve a solution by Nelder-Mead with exact shadow rays, within the meter's budget.
+    """Improve a solution by Nelder-Mead with shadow rays, within the meter's budget.
 
     References
     ----------
@@ -146,7 +146,10 @@ def anneal(
 
 
 def disagree(solutions: list[Solution]) -> bool:
-    """Return whether the polished starts ended in different places at nearly the same cost."""
+    """Return whether the polished starts ended in different places at nearly the same cost.
+
+    One start alone, or the same place reached from several, is agreement.
+    """
     ordered = sorted(solutions, key=lambda s: s.cost)
     best = ordered[0].hypothesis.rows
     for other in ordered[1:]:
