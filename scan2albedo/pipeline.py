@@ -33,6 +33,7 @@ STAGES = (
     "albedo.shadows",
     "albedo.specular",
     "albedo.near_light",
+    "albedo.roughness",
     "albedo.rectification",
     "albedo.inpainting",
 )
@@ -63,8 +64,13 @@ class ProcessResult:
         Wall-clock seconds of each stage.
     options : mapping of str to object
         What `process` was called with.
+    seed : int
+    source : Path or None
+        File the scan was read from.
     out : Path or None
         Folder with the files, when they were written.
+    messages : tuple of str
+        Warnings that stages gave.
     """
 
     scan: RawScan
@@ -76,9 +82,10 @@ class ProcessResult:
     trace: Trace
     timings_s: Mapping[str, float]
     options: Mapping[str, Any]
+    seed: int
+    source: Path | None = None
     out: Path | None = None
-    messages: tuple[str, ...] = field(default=())
-    """Warnings that stages gave."""
+    messages: tuple[str, ...] = ()
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
@@ -205,7 +212,9 @@ def process(
         run.plan,
         run.trace,
         run.timings_s,
-        {**options, "seed": seed, "model": "none" if template is None else template.name},
+        {**options, "model": "none" if template is None else template.name},
+        seed,
+        source=None if isinstance(source, RawScan) else Path(source),
         messages=tuple(str(warning.message) for warning in caught if warning.category is UserWarning),
     )
     if out is None:
@@ -308,7 +317,9 @@ class _Run:
             )
             return None
         with self.timed("register"):
-            options = RegistrationOptions(depth_annealing=self.choice("register.depth_annealing"))
+            options = RegistrationOptions()
+            if "register.depth_annealing" in self.skip:
+                options = replace(options, annealing_evaluations=0)
             registration = register(
                 scan, model, self.share("register"), self.seed, options=options, on_progress=self.on_progress
             )
@@ -344,8 +355,9 @@ class _Run:
     def estimate_options(self) -> EstimateOptions:
         return EstimateOptions(
             shadows=self.choice("albedo.shadows"),
-            specular=self.choice("albedo.specular"),
             near_light=self.choice("albedo.near_light"),
+            roughness=self.choice("albedo.roughness"),
+            specular=self.choice("albedo.specular"),
             rectification=self.choice("albedo.rectification"),
             inpainting=self.choice("albedo.inpainting"),
         )

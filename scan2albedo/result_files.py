@@ -5,16 +5,28 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scan2albedo import __version__
 from scan2albedo.errors import OutputError
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.result_json import (
+    InputRecord,
+    LightRecord,
+    PlanRecord,
+    RegistrationRecord,
+    ResultRecord,
+    installed_versions,
+    write_record,
+)
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
 
 if TYPE_CHECKING:
@@ -82,8 +94,8 @@ def _write_all(result: ProcessResult, folder: Path) -> None:
             folder / "fitted.glb", result.fitted.vertices, result.fitted.faces, result.fitted.uv, texture
         )
     _write_pictures(result, folder)
-    _write_json(result, folder)
     result.trace.to_csv(folder / "trace.csv")
+    _write_json(result, folder)
 
 
 def _write_pictures(result: ProcessResult, folder: Path) -> None:
@@ -93,3 +105,43 @@ def _write_pictures(result: ProcessResult, folder: Path) -> None:
         panels = chart_panels(result.geometry_image, result.albedo)
     overview_figure(result.summary(), panels).savefig(folder / "overview.png")
     result.trace.plot().savefig(folder / "error_vs_time.png", dpi=110)
+
+
+def _write_json(result: ProcessResult, folder: Path) -> None:
+    scan, estimate, registration = result.scan, result.albedo, result.registration
+    if registration is not None:
+        write_record(
+            folder / "registration.json",
+            RegistrationRecord(
+                model_from_scan=registration.model_from_scan,
+                rmse_mm=registration.rmse_mm,
+                depth_error=registration.depth_error,
+                converged=registration.converged,
+                confidence=registration.confidence,
+                iterations=registration.iterations,
+            ),
+        )
+    texture = scan.texture_linear
+    written = sorted(path.name for path in folder.iterdir())
+    record = ResultRecord(
+        scan2albedo_version=__version__,
+        versions=installed_versions(),
+        name=scan.name,
+        seed=result.seed,
+        options=dict(result.options),
+        input=InputRecord(
+            file=None if result.source is None else str(result.source),
+            sha256=input_sha256(scan if result.source is None else result.source),
+            vertices=len(scan.vertices),
+            faces=len(scan.faces),
+            texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
+        ),
+        plan=tuple(PlanRecord(**asdict(step)) for step in result.plan),
+        metrics=result.metrics(),
+        lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
+        parameters={} if estimate is None else dict(estimate.parameters),
+        timings_s=dict(result.timings_s),
+        notes=(*scan.notes, *result.messages),
+        files=(*written, "result.json"),
+    )
+    write_record(folder / "result.json", record)
