@@ -12,6 +12,7 @@ from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
 
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
 SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
 
 
@@ -41,38 +42,27 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
         data = file.read_bytes()
     except OSError as error:
         raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
-    return decode_image_linear(data, str(file))
-
-
-def decode_image_linear(data: bytes, name: str) -> NDArray[np.float32]:
-    """Decode the bytes of an image file as `read_image_linear` does; `name` is used in messages.
-
-    Raises
-    ------
-    ScanError
-        When the bytes are no complete image.
-    """
-    if data[:4] == b"\x76\x2f\x31\x01":
-        return _decode_exr(data, name)
-    pixels = _decode_pixels(data, name)
+    if data[:4] == _EXR_MAGIC:
+        return _checked_float(_exr_rgb(file), file)
+    pixels = _decode_pixels(data, file)
     if pixels.dtype in (np.uint8, np.uint16):
         return decode_srgb_integers(cast("NDArray[np.uint8]", pixels))
     if pixels.dtype.kind != "f":
-        raise ScanError(f"image {name} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
-    return _checked_float(pixels, name)
+        raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
+    return _checked_float(pixels, file)
 
 
-def _decode_pixels(data: bytes, name: str) -> NDArray[np.generic]:
+def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:
     """Return stored samples as (H, W, 3) RGB."""
     import cv2
 
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error as error:
-        raise ScanError(f"image {name} cannot be decoded: {error.err}; re-export it") from error
+        raise ScanError(f"image {file} cannot be decoded: {error.err}; re-export it") from error
     if pixels is None:
         raise ScanError(
-            f"image {name} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
+            f"image {file} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
             f"re-export it as one of {', '.join(SUPPORTED_IMAGES)}"
         )
     grey = pixels.ndim == 2 or pixels.shape[2] < 3
@@ -82,27 +72,22 @@ def _decode_pixels(data: bytes, name: str) -> NDArray[np.generic]:
     return np.asarray(pixels[..., 2::-1])
 
 
-def _checked_float(pixels: NDArray[np.generic], name: str) -> NDArray[np.float32]:
+def _checked_float(pixels: NDArray[np.generic], file: Path) -> NDArray[np.float32]:
     linear = np.ascontiguousarray(pixels, np.float32)
     if not np.isfinite(linear).all():
-        raise ScanError(f"image {name} holds NaN or infinite samples; re-export it")
+        raise ScanError(f"image {file} holds NaN or infinite samples; re-export it")
     return linear
 
 
-def _decode_exr(data: bytes, name: str) -> NDArray[np.float32]:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "image.exr"
-        file.write_bytes(data)
-        channels = read_exr_channels(file, name)
-    wanted = next((c for c in (("R", "G", "B"), ("Y", "Y", "Y")) if set(c) <= set(channels)), None)
+def _exr_rgb(file: Path) -> NDArray[np.float32]:
+    channels = read_exr_channels(file)
+    wanted = next((c for c in ("RGB", "YYY") if set(c) <= set(channels)), None)
     if wanted is None:
-        raise ScanError(f"image {name} has the channels {', '.join(channels)}; expected R, G, B or Y")
-    return _checked_float(np.stack([channels[c] for c in wanted], axis=-1), name)
+        raise ScanError(f"image {file} has the channels {', '.join(channels)}; expected R, G, B or Y")
+    return np.stack([channels[c] for c in wanted], axis=-1)
 
 
-def read_exr_channels(path: str | Path, name: str | None = None) -> dict[str, NDArray[np.float32]]:
+def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
     """Return every channel of the first part of an EXR file as (H, W) float32, by its full name.
 
     Raises
@@ -116,7 +101,7 @@ def read_exr_channels(path: str | Path, name: str | None = None) -> dict[str, ND
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {k: np.array(c.pixels, np.float32) for k, c in file.channels().items()}
     except (RuntimeError, ValueError, TypeError) as error:
-        raise ScanError(f"image {name or path} is missing or no complete EXR file ({error})") from error
+        raise ScanError(f"image {path} is missing or no complete EXR file ({error})") from error
 
 
 def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,15 @@ if TYPE_CHECKING:
     from scan2albedo.io.parsed_mesh import ParsedMesh
     from scan2albedo.io.raw_scan import RawScan
 
-SUPPORTED_SCANS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
+_READERS = {
+    ".obj": ("obj", "read_obj"),
+    ".ply": ("ply", "read_ply"),
+    ".glb": ("gltf", "read_gltf"),
+    ".gltf": ("gltf", "read_gltf"),
+    ".stl": ("stl", "read_stl"),
+    ".off": ("off", "read_off"),
+}
+SUPPORTED_SCANS = tuple(_READERS)
 
 
 def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) -> RawScan:
@@ -86,14 +95,10 @@ def _read(file: Path) -> ParsedMesh:
 
 
 def _reader(extension: str) -> Callable[[Path], ParsedMesh]:
-    if extension == ".obj":
-        from scan2albedo.io.obj import read_obj
-
-        return read_obj
-    from scan2albedo.io import trimesh_formats as formats
-
-    readers = {".ply": formats.read_ply, ".stl": formats.read_stl, ".off": formats.read_off}
-    return readers.get(extension, formats.read_gltf)
+    """Return the reader of a kind of file; its module is imported only now."""
+    module, function = _READERS[extension]
+    reader: Callable[[Path], ParsedMesh] = getattr(import_module(f"scan2albedo.io.{module}"), function)
+    return reader
 
 
 def _closing_notes(scan: RawScan) -> tuple[str, ...]:

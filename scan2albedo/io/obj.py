@@ -11,6 +11,7 @@ from scan2albedo.errors import ScanError
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.mtl import MaterialText, find_beside, load_material, parse_mtl
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+from scan2albedo.io.polygons import cut_note, fan_triangles
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -20,7 +21,7 @@ class _Lines:
     """The lines of an OBJ file by kind, with the byte ranges of their bodies."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        from scan2albedo.io.text_tables import split_lines
+        from scan2albedo.io.text_tables import line_ranges, split_keywords
 
         if b"\\\n" in data or b"\\\r\n" in data:
             data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
@@ -28,7 +29,8 @@ class _Lines:
             data = data.replace(b"\r", b"\n")
         self.name = name
         self.text = np.frombuffer(data, np.uint8)
-        self.kinds, self.starts, self.ends = split_lines(self.text)
+        begins, self.ends = line_ranges(self.text)
+        self.kinds, self.starts = split_keywords(self.text, begins, self.ends)
 
     def of(self, kind: int) -> IntArray:
         """Return indices of the lines of a kind."""
@@ -75,10 +77,8 @@ def read_obj(path: Path) -> ParsedMesh:
     positions, tokens = lines.numbers(tables.VERTEX, 6, least=3)
     coordinates, _ = lines.numbers(tables.TEXTURE_COORDINATE, 2, least=1)
     corners, counts = _read_corners(lines, len(positions), len(coordinates))
-    triangles, face_of_triangle = _fan(counts)
+    triangles, face_of_triangle = fan_triangles(counts)
     material, materials, notes = _materials(lines, path.parent)
-    if (counts > 3).any():
-        notes = (*notes, f"cut {int((counts > 3).sum())} polygons into triangles")
     return ParsedMesh(
         vertices=np.ascontiguousarray(positions[:, :3]),
         faces=corners[triangles, 0],
@@ -86,7 +86,7 @@ def read_obj(path: Path) -> ParsedMesh:
         material=None if material is None else material[face_of_triangle],
         materials=materials,
         vertex_color_linear=_vertex_colors(positions, tokens),
-        notes=notes,
+        notes=cut_note(counts) + notes,
     )
 
 
@@ -96,7 +96,7 @@ def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntA
 
     rows = lines.of(tables.FACE)
     starts, ends = lines.starts[rows], lines.ends[rows]
-    counts = tables.count_corners(lines.text, starts, ends)
+    counts = tables.count_tokens(lines.text, starts, ends)
     lines.refuse(rows[counts < 3], "expected at least 3 corners")
     corners, bad = tables.parse_corners(lines.text, starts, counts)
     lines.refuse(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
@@ -111,17 +111,6 @@ def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntA
         lines.refuse(outside, f"but there are {total} {'vertices' if column == 0 else 'texture coordinates'}")
         corners[:, column] = written - 1
     return corners, counts
-
-
-def _fan(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Return (corner indices of triangles (T, 3), polygon of each (T,)) of polygons cut into fans."""
-    first = np.cumsum(counts) - counts
-    if (counts == 3).all():
-        return first[:, None] + np.arange(3), np.arange(len(counts))
-    polygon = np.repeat(np.arange(len(counts)), counts - 2)
-    step = np.arange(len(polygon)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
-    start = first[polygon]
-    return np.stack([start, start + step + 1, start + step + 2], axis=1), polygon
 
 
 def _corner_uv(coordinates: FloatArray, index: IntArray, triangles: IntArray) -> FloatArray | None:

@@ -93,7 +93,7 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     used = _used(mesh)
     first = first_equal_row(mesh.vertices)
     merged = int((used & (first != np.arange(len(first)))).sum())
-    notes = (f"merged {merged} vertices that repeat another's position (seams)",) if merged else ()
+    notes = (f"vertices merged at equal positions (seams): {merged}",) if merged else ()
     cleaned = _drop_faces(replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes))
     return _drop_vertices(cleaned, merged)
 
@@ -112,7 +112,7 @@ def _drop_faces(mesh: ParsedMesh) -> ParsedMesh:
     if keep.all():
         return mesh
     told = ((int(flat.sum()), "zero-area"), (int(repeats.sum()), "duplicate"))
-    notes = tuple(f"dropped {count} {kind} faces" for count, kind in told if count)
+    notes = tuple(f"{kind} faces dropped: {count}" for count, kind in told if count)
     return replace(
         mesh,
         faces=mesh.faces[keep],
@@ -145,5 +145,5 @@ def _drop_vertices(mesh: ParsedMesh, merged: int) -> ParsedMesh:
         vertices=mesh.vertices[used],
         faces=(np.cumsum(used) - 1)[mesh.faces],
         vertex_color_linear=None if color is None else color[used],
-        notes=mesh.notes + ((f"dropped {dropped} unreferenced vertices",) if dropped > 0 else ()),
+        notes=mesh.notes + ((f"unreferenced vertices dropped: {dropped}",) if dropped > 0 else ()),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY = range(6)
+OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY, STL_VERTEX = range(7)
 
 _POWERS_OF_TEN = 10.0 ** np.arange(23)
 
@@ -26,34 +26,45 @@ def _keyword_kind(text, start, end):  # type: ignore[no-untyped-def]
         return TEXTURE_COORDINATE
     if length == 6 and text[start] == ord("u") and text[start + 3] == ord("m"):
         return USE_MATERIAL
+    if length == 6 and (text[start] | 32) == ord("v") and (text[start + 5] | 32) == ord("x"):
+        return STL_VERTEX
     if length == 6 and text[start] == ord("m") and text[start + 3] == ord("l"):
         return MATERIAL_LIBRARY
     return OTHER
 
 
 @njit(cache=True, nogil=True)
-def split_lines(text):  # type: ignore[no-untyped-def]
-    """Return (kind (L,) uint8, body start (L,), body end (L,)) of each line of `text` (N,) uint8."""
+def line_ranges(text):  # type: ignore[no-untyped-def]
+    """Return (start (L,), end (L,)) of each line of `text` (N,) uint8, newline excluded."""
     count = 1
     for byte in text:
         count += byte == 10
-    kinds = np.zeros(count, np.uint8)
-    starts = np.empty(count, np.int64)
-    ends = np.empty(count, np.int64)
-    position = 0
-    for line in range(count):
-        while position < text.size and _is_blank(text[position]):
+    starts = np.zeros(count, np.int64)
+    ends = np.full(count, text.size, np.int64)
+    line = 0
+    for position in range(text.size):
+        if text[position] == 10:
+            ends[line] = position
+            line += 1
+            starts[line] = position + 1
+    return starts, ends
+
+
+@njit(cache=True, nogil=True)
+def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
+    """Return the kind (L,) uint8 of each line and where its body starts (L,), after the keyword."""
+    kinds = np.zeros(starts.size, np.uint8)
+    bodies = np.empty(starts.size, np.int64)
+    for line in range(starts.size):
+        position, end = starts[line], ends[line]
+        while position < end and _is_blank(text[position]):
             position += 1
         begin = position
-        while position < text.size and text[position] != 10 and not _is_blank(text[position]):
+        while position < end and not _is_blank(text[position]):
             position += 1
         kinds[line] = _keyword_kind(text, begin, position)
-        starts[line] = position
-        while position < text.size and text[position] != 10:
-            position += 1
-        ends[line] = position
-        position += 1
-    return kinds, starts, ends
+        bodies[line] = position
+    return kinds, bodies
 
 
 @njit(cache=True, nogil=True)
@@ -144,7 +155,7 @@ def parse_float_lines(text, starts, ends, width):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def count_corners(text, starts, ends):  # type: ignore[no-untyped-def]
+def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
     """Return (N,) number of blank-separated tokens of each line before a comment."""
     counts = np.zeros(starts.size, np.int64)
     for line in range(starts.size):
@@ -196,3 +207,45 @@ def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
                 return corners, line
             row += 1
     return corners, -1
+
+
+@njit(cache=True, nogil=True)
+def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: ignore[no-untyped-def]
+    """Find the properties of `count` binary rows with lists of any length.
+
+    Parameters
+    ----------
+    body : (N,) uint8
+    count : int
+    item_sizes, counter_sizes : (P,) int64
+        Bytes of an item and of a list's counter, 0 for a property that is no list.
+    big_endian : bool
+
+    Returns
+    -------
+    offsets : (count, P) int64
+        Where the first item stands.
+    counts : (count, P) int64
+        How many items there are, 1 for a property that is no list.
+    size : int
+        Bytes of all rows, -1 when `body` ends before.
+    """
+    offsets = np.zeros((count, item_sizes.size), np.int64)
+    counts = np.ones((count, item_sizes.size), np.int64)
+    position = 0
+    for row in range(count):
+        for i in range(item_sizes.size):
+            width = counter_sizes[i]
+            if position + width > body.size:
+                return offsets, counts, -1
+            if width > 0:
+                value = np.int64(0)
+                for k in range(width):
+                    value = value * 256 + body[position + (k if big_endian else width - 1 - k)]
+                counts[row, i] = value
+                position += width
+            offsets[row, i] = position
+            position += counts[row, i] * item_sizes[i]
+            if position > body.size or position < 0:
+                return offsets, counts, -1
+    return offsets, counts, position

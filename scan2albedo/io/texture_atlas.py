@@ -52,7 +52,7 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
         return PackedTexture(uv, tiles[0], notes)
     texture, boxes = _lay_out(tiles)
     if not mapped.all():
-        notes = (*notes, f"{int((~mapped).sum())} faces have no texture: they got their material's colour")
+        notes = (*notes, f"faces without texture, given their material's colour: {int((~mapped).sum())}")
     if textured.sum() > 1:
         notes = (
             *notes,

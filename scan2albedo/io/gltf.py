@@ -1,0 +1,192 @@
+"""GLB and glTF files, read through trimesh."""
+
+from __future__ import annotations
+
+import json
+import logging
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io.color import decode_srgb_integers
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+_PARSER_ERRORS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NameError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+"""What trimesh's parser was seen to raise, or may raise, on damaged files."""
+
+
+def read_gltf(path: Path) -> ParsedMesh:
+    """Read a GLB or glTF file: scene transforms applied, all meshes joined, base colours as materials.
+
+    Base colour textures are sRGB; base colour factors and vertex colours are linear (glTF 2.0, 3.7.2 and
+    3.9.2).
+
+    Raises
+    ------
+    ScanError
+        When the file is damaged; the message names it.
+    """
+    import trimesh
+
+    scene = _load_scene(path)
+    textured = _textured_material_names(path)
+    materials: dict[int, Material] = {}
+    notes: list[str] = []
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        transform, geometry = scene.graph[node]
+        mesh = scene.geometry[geometry]
+        if isinstance(mesh, trimesh.Trimesh):
+            part = _part(mesh, materials, notes)
+            parts.append(_placed(part, np.asarray(transform, np.float64)))
+    lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
+    notes += [f"the texture of {name} is missing or of an unknown kind: went on without it" for name in lost]
+    return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
+
+
+def _load_scene(path: Path) -> trimesh.Scene:
+    """Load through trimesh; what its parser trips over, or warns of, becomes one error that names the file."""
+    import trimesh
+
+    warned = _Warnings()
+    logging.getLogger("trimesh").addHandler(warned)
+    try:
+        scene = trimesh.load_scene(path, process=False)
+    except _PARSER_ERRORS as error:
+        kind = path.suffix[1:].upper()
+        raise ScanError(
+            f"{path.name}: cannot be read as {kind} ({type(error).__name__}: {error}); "
+            "the file is damaged, truncated or refers to a missing file: export it again"
+        ) from error
+    finally:
+        logging.getLogger("trimesh").removeHandler(warned)
+    if warned.messages:
+        raise ScanError(f"{path.name}: {warned.messages[0]}; export it again without compression")
+    return scene
+
+
+def _textured_material_names(path: Path) -> set[str]:
+    """Return the names of the materials that declare a base colour texture, which trimesh drops silently."""
+    data = path.read_bytes()
+    if data[:4] == b"glTF":
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    declared = json.loads(data).get("materials", [])
+    return {
+        m.get("name", "material") for m in declared if "baseColorTexture" in m.get("pbrMetallicRoughness", {})
+    }
+
+
+class _Warnings(logging.Handler):
+    """Keeps what trimesh warns of: it goes on with zeros where it cannot decode a compression."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.messages.append(record.getMessage())
+
+
+def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], notes: list[str]) -> ParsedMesh:
+    """Return one mesh with the index of its material, which is added to `materials` when it is new."""
+    visual: Any = mesh.visual
+    source = getattr(visual, "material", None)
+    if id(source) not in materials:
+        materials[id(source)], note = _material(source)
+        notes += [note] if note else []
+    faces = np.asarray(mesh.faces, np.int64)
+    uv = getattr(visual, "uv", None)
+    colors = visual.vertex_colors if visual.kind == "vertex" else visual.vertex_attributes.get("color")
+    return ParsedMesh(
+        vertices=np.asarray(mesh.vertices, np.float64),
+        faces=faces,
+        uv=None if uv is None or len(uv) != len(mesh.vertices) else np.asarray(uv, np.float64)[faces],
+        material=np.full(len(faces), list(materials).index(id(source))),
+        vertex_color_linear=None if colors is None else _scaled(np.asarray(colors)),
+    )
+
+
+def _material(material: Any) -> tuple[Material, str | None]:
+    factor = getattr(material, "baseColorFactor", None)
+    color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0]
+    base = (float(color[0]), float(color[1]), float(color[2]))
+    image = getattr(material, "baseColorTexture", None)
+    name = str(getattr(material, "name", None) or "material")
+    if image is None:
+        return Material(name, None, base), None
+    try:
+        pixels = np.asarray(image.convert("RGB"), np.uint8)
+    except (OSError, SyntaxError, ValueError) as error:
+        return Material(name, None, base), f"the texture of {name} is damaged: {error}"
+    texture = decode_srgb_integers(pixels)
+    return Material(name, texture if (color == 1).all() else texture * color, base), None
+
+
+def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
+    """Return (N, 3) in [0, 1] from integers of the full range or floats, without decoding."""
+    top = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0
+    return (colors[:, :3] / top).astype(np.float32)
+
+
+def _placed(part: ParsedMesh, transform: NDArray[np.float64]) -> ParsedMesh:
+    """Apply a scene transform; a mirroring one turns the faces over, so that they keep facing out."""
+    flipped = np.linalg.det(transform[:3, :3]) < 0
+    order = slice(None, None, -1) if flipped else slice(None)
+    return ParsedMesh(
+        vertices=part.vertices @ transform[:3, :3].T + transform[:3, 3],
+        faces=part.faces[:, order],
+        uv=None if part.uv is None else part.uv[:, order],
+        material=part.material,
+        vertex_color_linear=part.vertex_color_linear,
+    )
+
+
+def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tuple[str, ...]) -> ParsedMesh:
+    """Concatenate parts; those without coordinates get NaN, without vertex colours their base colour."""
+    if not parts:
+        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=notes)
+    offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
+    uvs = [np.full((len(p.faces), 3, 2), np.nan) if p.uv is None else p.uv for p in parts]
+    material = [p.material for p in parts if p.material is not None]
+    return ParsedMesh(
+        vertices=np.concatenate([p.vertices for p in parts]),
+        faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets, strict=False)]),
+        uv=np.concatenate(uvs) if any(p.uv is not None for p in parts) else None,
+        material=np.concatenate(material),
+        materials=materials,
+        vertex_color_linear=_joined_colors(parts, materials),
+        notes=notes,
+    )
+
+
+def _joined_colors(parts: list[ParsedMesh], materials: tuple[Material, ...]) -> NDArray[np.float32] | None:
+    if all(p.vertex_color_linear is None for p in parts):
+        return None
+    colors = []
+    for part in parts:
+        base = Material("").base_color_linear
+        if part.material is not None and len(part.material):
+            base = materials[part.material[0]].base_color_linear
+        plain = np.tile(np.array(base, np.float32), (len(part.vertices), 1))
+        colors.append(plain if part.vertex_color_linear is None else part.vertex_color_linear)
+    return np.concatenate(colors)

@@ -1,0 +1,80 @@
+"""ASCII OFF files, with vertex colours when they are COFF."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.parsed_mesh import ParsedMesh
+from scan2albedo.io.polygons import cut_note, fan_triangles
+
+_HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
+
+
+def read_off(path: Path) -> ParsedMesh:
+    """Read an ASCII OFF file.
+
+    Raises
+    ------
+    ScanError
+        When the file is damaged, binary, or shorter than its header says; the message names it.
+    """
+    from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines
+
+    data = path.read_bytes()
+    header = _HEADER.match(data)
+    if header is None or header[0].endswith(b"BINARY"):
+        raise _damaged(
+            path, "it does not begin with OFF" if header is None else "binary OFF is not supported"
+        )
+    text = np.frombuffer(data, np.uint8, offset=header.end())
+    starts, ends = line_ranges(text)
+    counts = count_tokens(text, starts, ends)
+    starts, ends, counts = starts[counts > 0], ends[counts > 0], counts[counts > 0]
+    table, read = parse_float_lines(text, starts, ends, int(counts.max(initial=0)))
+    if len(read) == 0 or read[0] < 2 or (read < 0).any():
+        raise _damaged(path, "a line is not made of numbers")
+    if not np.isfinite(table[0, :2]).all():
+        raise _damaged(path, "its counts are not numbers")
+    vertex_count, face_count = int(table[0, 0]), int(table[0, 1])
+    if vertex_count < 0 or face_count < 0 or len(table) < 1 + vertex_count + face_count:
+        raise _damaged(
+            path, f"it declares {vertex_count} vertices and {face_count} faces, but ends before that"
+        )
+    vertices = table[1 : 1 + vertex_count]
+    if vertex_count and read[1 : 1 + vertex_count].min() < 3:
+        raise _damaged(path, "a vertex has fewer than 3 coordinates")
+    rows = slice(1 + vertex_count, 1 + vertex_count + face_count)
+    faces, notes = _faces(path, table[rows], read[rows])
+    colors = _colors(vertices[:, 3:], bool(header[2]) and not (header[1] or header[3]))
+    return ParsedMesh(vertices[:, :3].copy(), faces, vertex_color_linear=colors, notes=notes)
+
+
+def _damaged(path: Path, what: str) -> ScanError:
+    return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no ASCII OFF: export it again")
+
+
+def _faces(
+    path: Path, rows: NDArray[np.float64], read: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    if len(rows) == 0:
+        return np.zeros((0, 3), np.int64), ()
+    counts = np.nan_to_num(rows[:, 0]).astype(np.int64)
+    if (counts < 3).any() or (counts + 1 > read).any():
+        raise _damaged(path, "a face has fewer than 3 corners, or fewer than it declares")
+    corners = rows[:, 1:][np.arange(rows.shape[1] - 1) < counts[:, None]]
+    index = np.nan_to_num(corners, nan=-1).astype(np.int64)
+    return index[fan_triangles(counts).corners], cut_note(counts)
+
+
+def _colors(values: NDArray[np.float64], declared: bool) -> NDArray[np.float32] | None:
+    """Return linear colours from sRGB in [0, 1] or [0, 255]."""
+    if not declared or values.shape[1] < 3 or not np.isfinite(values[:, :3]).all():
+        return None
+    srgb = values[:, :3].clip(0)
+    return srgb_to_linear(srgb / 255 if srgb.max(initial=0) > 1 else srgb).astype(np.float32)
