@@ -12,11 +12,12 @@ from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
 from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates, runner_up_score
 from scan2albedo.registration.coarse_search import coarse_candidates
+from scan2albedo.registration.finish import annealed, rms_mm, tightened
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.result import Registration
-from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
+from scan2albedo.registration.robust_icp import ScanTree
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +39,8 @@ def register(
 
     Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane
     ICP, then by one that also estimates the face's size; the pose whose depth image has the relief of
-    a face wins, and is tightened on the rigid regions.
+    a face wins, is tightened on the rigid regions, and annealed on depth derivatives [1]_; the annealed
+    pose counts only when the surface distance is no worse for it.
 
     Parameters
     ----------
@@ -79,18 +81,28 @@ def register(
     candidates = judged_candidates(view, ScanTarget(cloud), template, starts, meter)
     if not meter.exhausted:
         _refuse_no_face(scan, candidates, options)
-    best = candidates[0]
-    pose, rms_mm = _tightened(view, template, best.pose, meter)
+    pose = tightened(view, template, candidates[0].pose, meter)
+    annealing = Meter("depth_annealing", "truncated slope difference", _rest(meter), on_progress)
+    final = annealed(view, template, pose, options, annealing, seed)
     return Registration(
-        model_from_scan=invert_rigid(pose.rigid()) @ compose(np.eye(3), -center),
-        rmse_mm=rms_mm,
-        depth_error=None,
-        converged=not meter.exhausted,
+        model_from_scan=invert_rigid(final.pose.rigid()) @ compose(np.eye(3), -center),
+        rmse_mm=rms_mm(view, template, final.pose),
+        depth_error=final.depth_error,
+        converged=not (meter.exhausted or annealing.exhausted),
         confidence=_confidence(candidates, options),
-        iterations=meter.evaluations,
-        trace=meter.trace,
-        notes=(_search_note(candidates, len(starts)),),
-        face_scale=pose.scale,
+        iterations=meter.evaluations + annealing.evaluations,
+        trace=meter.trace + annealing.trace,
+        notes=(_search_note(candidates, len(starts)), final.note),
+        face_scale=final.pose.scale,
+    )
+
+
+def _rest(meter: Meter) -> Budget:
+    """Return what a meter leaves of its budget (the least there is when it ended)."""
+    seconds, evaluations = meter.budget.seconds, meter.budget.evaluations
+    return Budget(
+        None if seconds is None else max(seconds - meter.elapsed_s, 1e-9),
+        None if evaluations is None else max(evaluations - meter.evaluations, 1),
     )
 
 
@@ -126,22 +138,6 @@ def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: R
     )
 
 
-def _tightened(
-    view: ScanView, template: Template, start: SimilarPose, meter: Meter
-) -> tuple[SimilarPose, float]:
-    """Finish on all samples, weighted to the rigid regions."""
-    if meter.exhausted:
-        pose = start
-    else:
-        pose = robust_icp(
-            view.tree, template.samples, template.rigidity, start, iterations=15, sigma_mm=(3.0, 1.5)
-        )
-        meter.count(15)
-    rms_mm = residuals(view.tree, template.samples, pose).trimmed_rms_mm(template.samples.areas)
-    meter.record(rms_mm)
-    return pose, rms_mm
-
-
 def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions) -> float:
     """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1."""
     best = candidates[0].evidence
@@ -153,7 +149,7 @@ def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions)
 def _search_note(candidates: tuple[Candidate, ...], kept: int) -> tuple[str, bool, str, str]:
     best = candidates[0]
     return (
-        "rigid search",
+        "search",
         True,
         "the pose whose depth image has the relief of a face is taken",
         f"{kept} candidates, {len(candidates)} distinct; "

@@ -33,19 +33,19 @@ class Template:
         Where the z axis leaves the face.
     image : FaceImage
         What posed scans are compared with.
-    vertices, faces : (V, 3) float64, (F, 3) int64
-        The surface itself.
-    vertex_stiffness : (V,) float64
-        Relative stiffness, clipped.
+    coarse_vertices, coarse_faces : (C, 3) float64, (F, 3) int64
+        The limit surface at the control vertices: light enough to be drawn thousands of times.
+    coarse_stiffness : (C,) float64
+        Relative stiffness there, clipped.
     """
 
     samples: OrientedPoints
     rigidity: FloatArray
     front: FloatArray
     image: FaceImage
-    vertices: FloatArray
-    faces: IntArray
-    vertex_stiffness: FloatArray
+    coarse_vertices: FloatArray
+    coarse_faces: IntArray
+    coarse_stiffness: FloatArray
 
     @classmethod
     def of(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
@@ -53,16 +53,17 @@ class Template:
         vertices, faces = model.surface(_LEVELS)
         samples = oriented_points(vertices, faces, spacing_mm)
         samples = samples.subset(np.random.default_rng(seed).permutation(len(samples)))
-        stiffness = _vertex_stiffness(model, len(vertices), faces)
-        _, nearest = cKDTree(vertices).query(samples.points)
+        coarse_vertices, coarse_faces = model.surface(0)
+        stiffness = _vertex_stiffness(model, len(coarse_vertices), coarse_faces)
+        _, nearest = cKDTree(coarse_vertices).query(samples.points)
         middle = int(np.argmin(np.hypot(samples.points[:, 0], samples.points[:, 1])))
         return cls(
             samples,
             samples.areas * stiffness[nearest],
             samples.points[middle],
             FaceImage(vertices, faces),
-            vertices,
-            faces,
+            coarse_vertices,
+            coarse_faces,
             stiffness,
         )
 
@@ -72,7 +73,7 @@ class Template:
 
 
 def _vertex_stiffness(model: AnnotatedFaceModel, vertex_count: int, faces: IntArray) -> FloatArray:
-    of_face = np.repeat(model.region_values("stiffness")[model.region], 4**_LEVELS)
+    of_face = model.region_values("stiffness")[model.region]
     if of_face.mean() <= 0:
         return np.ones(vertex_count)
     corners = np.repeat(np.clip(of_face / of_face.mean(), *_WEIGHT_RANGE), 3)

@@ -1,0 +1,176 @@
+"""Simulated annealing of the pose on the derivatives of depth images (the seed paper's second step)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.depth_image import DepthFrame, depth_image, render_depth
+from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.optimization import AnnealingOptions, Meter, simulated_annealing
+from scan2albedo.registration.robust_icp import SimilarPose
+from scan2albedo.registration.template import Template
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_TRUNCATION = 0.5
+_LARGEST_ANGLE_RAD = np.deg2rad(8.0)
+_LARGEST_SHIFT_MM = 8.0
+_LOOK_THROUGH_MM = 30.0
+
+
+@dataclass(frozen=True)
+class AnnealedPose:
+    """What annealing found: the pose, the objective before and at it, and whether the schedule ended."""
+
+    pose: SimilarPose
+    start_error: float
+    error: float
+    converged: bool
+
+
+class DepthDerivativeObjective:
+    """Truncated weighted L1 difference between the depth derivatives of model and scan.
+
+    cost = sum_p w_p (min(|dx_p - dx'_p|, tau) + min(|dy_p - dy'_p|, tau)) / (2 tau sum_p w_p), 0 ... 1,
+    over the pixels where the scan has derivatives; a pixel the model does not reach counts as tau. The scan is
+    drawn once in the start pose, the model at every evaluation. Derivatives do not see a shift along the
+    viewing axis, so there are five parameters (rotation vector in radians and x, y in mm, about the
+    model's origin) and z is solved apart.
+
+    Parameters
+    ----------
+    scan_vertices, scan_faces : (V, 3) float64 mm, (F, 3) int64
+    template : Template
+    start : SimilarPose
+    size : int
+        Pixels a side.
+    """
+
+    def __init__(
+        self,
+        scan_vertices: FloatArray,
+        scan_faces: IntArray,
+        template: Template,
+        start: SimilarPose,
+        size: int,
+    ) -> None:
+        frame = DepthFrame(template.image.frame.center, template.image.frame.width, size)
+        self._vertices, self._faces = template.coarse_vertices, template.coarse_faces
+        self._view = (frame.center[0], frame.center[1], frame.pixel)
+        limit = float(self._vertices[:, 2].max()) + _LOOK_THROUGH_MM
+        self._scan = depth_image(scan_vertices, scan_faces, frame, start.model_from_scan(), z_limit=limit)
+        self._weights = _weight_image(self._vertices, self._faces, template.coarse_stiffness, frame)
+        self._projected, self._image = np.empty_like(self._vertices), np.empty((size, size))
+
+    def __call__(self, parameters: FloatArray) -> float:
+        """Return the cost at (rx, ry, rz, tx, ty)."""
+        self._draw(_moved(parameters, 0.0))
+        return float(_derivative_cost(self._image, self._scan, self._weights, self._view[2], _TRUNCATION))
+
+    def depth_shift_mm(self, parameters: FloatArray) -> float:
+        """Return the weighted median of scan depth minus model depth: the z that derivatives cannot see."""
+        self._draw(_moved(parameters, 0.0))
+        common = np.isfinite(self._image) & np.isfinite(self._scan) & (self._weights > 0)
+        if not common.any():
+            return 0.0
+        difference = (self._scan - np.where(common, self._image, 0.0))[common]
+        order = np.argsort(difference, kind="stable")
+        cumulated = np.cumsum(self._weights[common][order])
+        return float(difference[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
+
+    def _draw(self, pose: FloatArray) -> None:
+        render_depth(self._vertices, self._faces, pose, self._view, np.inf, self._projected, self._image)
+
+
+def anneal_depth_derivatives(
+    scan_vertices: FloatArray,
+    scan_faces: IntArray,
+    template: Template,
+    start: SimilarPose,
+    *,
+    size: int,
+    evaluations: int,
+    seed: int,
+    meter: Meter,
+) -> AnnealedPose:
+    """Anneal the pose within 8 degrees and 8 mm of the start.
+
+    Parameters
+    ----------
+    scan_vertices, scan_faces : (V, 3) float64 mm, (F, 3) int64
+    template : Template
+    start : SimilarPose
+        Its scale is kept.
+    size : int
+        Pixels a side of the depth images.
+    evaluations : int
+        Length of the cooling schedule.
+    seed : int
+    meter : Meter
+        Records the objective's improvements.
+
+    References
+    ----------
+    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
+       application to face recognition", section 3.1.1.
+    """
+    objective = DepthDerivativeObjective(scan_vertices, scan_faces, template, start, size)
+    bounds = np.array([_LARGEST_ANGLE_RAD] * 3 + [_LARGEST_SHIFT_MM] * 2)
+    start_error = objective(np.zeros(5))
+    meter.count()
+    meter.record(start_error)
+    result = simulated_annealing(
+        objective,
+        np.zeros(5),
+        -bounds,
+        bounds,
+        seed=seed,
+        options=AnnealingOptions(evaluations=evaluations, initial_temperature=0.1),
+        meter=meter,
+    )
+    delta = _moved(result.x, objective.depth_shift_mm(result.x))
+    rotation = start.rotation @ delta[:3, :3]
+    translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
+    pose = SimilarPose(rotation, translation, start.scale)
+    return AnnealedPose(pose, start_error, result.cost, result.converged)
+
+
+def _moved(parameters: FloatArray, z_mm: float) -> FloatArray:
+    return compose(rotation_from_vector(parameters[:3]), [parameters[3], parameters[4], z_mm])
+
+
+def _weight_image(
+    vertices: FloatArray, faces: IntArray, vertex_weights: FloatArray, frame: DepthFrame
+) -> FloatArray:
+    """Return (size, size) weights of the model at rest, 0 outside."""
+    half = (frame.size - 1) / 2
+    column = (vertices[:, 0] - frame.center[0]) / frame.pixel + half
+    row = half - (vertices[:, 1] - frame.center[1]) / frame.pixel
+    raster = rasterize(np.stack([column, row], 1), vertices[:, 2], faces, (frame.size, frame.size))
+    return interpolate(raster, faces, vertex_weights)
+
+
+@njit(cache=True, nogil=True)
+def _derivative_cost(model, scan, weights, pixel, truncation):  # type: ignore[no-untyped-def]
+    cost, total = 0.0, 0.0
+    for row in range(model.shape[0] - 1):
+        for column in range(model.shape[1] - 1):
+            weight = weights[row, column]
+            here, right, below = scan[row, column], scan[row, column + 1], scan[row + 1, column]
+            if weight == 0.0 or here == -np.inf or right == -np.inf or below == -np.inf:
+                continue
+            total += weight
+            here_m, right_m, below_m = model[row, column], model[row, column + 1], model[row + 1, column]
+            if here_m == -np.inf or right_m == -np.inf or below_m == -np.inf:
+                cost += 2 * weight * truncation
+                continue
+            across = abs((right_m - here_m) - (right - here)) / pixel
+            down = abs((below_m - here_m) - (below - here)) / pixel
+            cost += weight * (min(across, truncation) + min(down, truncation))
+    return cost / (2 * truncation * total) if total > 0 else 1.0
