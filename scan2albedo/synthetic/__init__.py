@@ -1,16 +1,20 @@
 """Synthetic scenes with ground truth."""
 
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
+from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.scenes import SceneParameters, SyntheticScene, face, hemisphere, light_at
 
 __all__ = [
     "Material",
     "RawLikeOptions",
+    "RawScanOptions",
     "SceneParameters",
     "SyntheticScene",
+    "SyntheticTruth",
     "face",
     "hemisphere",
     "light_at",
     "raw_like",
+    "raw_scan",
 ]

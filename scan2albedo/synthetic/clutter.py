@@ -15,7 +15,7 @@ Mesh = tuple[FloatArray, IntArray]
 
 SKULL_CENTER_FROM_NOSE_MM = np.array([0.0, 40.0, -105.0])
 HEAD_AXIS_FROM_NOSE_MM = np.array([0.0, 0.0, -100.0])
-_SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
+SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
 _CROWN = np.array([0.0, 0.75, -0.66])
 
 
@@ -48,6 +48,7 @@ def hair_shell(
     rng: np.random.Generator,
     *,
     thickness_mm: float = 11.0,
+    side_drop_deg: float = 0.0,
     size: tuple[int, int] = (90, 220),
 ) -> Mesh:
     """Return a bumpy cap of hair that hugs a head (or continues a bare face) down to a ragged hairline.
@@ -59,14 +60,16 @@ def hair_shell(
     rng : numpy.random.Generator
     thickness_mm : float
         Of the hair at the crown; it thins out toward the hairline.
+    side_drop_deg : float
+        How much lower the hair hangs at the sides than a short cut; 25 covers the ears.
     size : (rows from crown to hairline, columns around it)
     """
     center = nose_tip(vertices) + SKULL_CENTER_FROM_NOSE_MM
-    directions, share = _cap_directions(size, rng)
+    directions, share = _cap_directions(size, side_drop_deg, rng)
     flat = directions.reshape(-1, 3)
     far = 400.0
     hits = RayScene(vertices, faces).first_hit(center + far * flat, -flat)
-    skull = 1 / np.linalg.norm(flat / _SKULL_SEMI_AXES_MM, axis=1)
+    skull = 1 / np.linalg.norm(flat / SKULL_SEMI_AXES_MM, axis=1)
     surface = np.where(hits.face >= 0, far - hits.distance, 0.0)
     radius = gaussian_filter(np.maximum(skull, surface).reshape(size), (3, 5), mode=("nearest", "wrap"))
     radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + _locks(size, rng) * (1.2 - share)
@@ -74,26 +77,29 @@ def hair_shell(
     return shell.reshape(-1, 3), grid_faces(*size, wrap=True)
 
 
-def _cap_directions(size: tuple[int, int], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _cap_directions(
+    size: tuple[int, int], side_drop_deg: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """Return unit directions (R, C, 3) from the centre of the skull and the share (R, C) of the way down."""
     rows, columns = size
     around = np.linspace(0, 2 * np.pi, columns, endpoint=False)
     fringe = gaussian_filter(rng.normal(size=columns), 1.5, mode="wrap") * 4.0
-    lowest_deg = 93 - 9 * np.cos(around) + 4 * np.cos(2 * around + np.pi) + fringe
+    side = np.sin(around) ** 2 * np.where(np.cos(around) < 0, 1.0, np.abs(np.sin(around)))
+    lowest_deg = 89 - 9 * np.cos(around) + (8 + side_drop_deg) * side + fringe
     share = np.linspace(0, 1, rows)[:, None] * np.ones(columns)
     polar = np.deg2rad(lowest_deg) * (0.02 + 0.98 * share)
     right = np.array([1.0, 0.0, 0.0])
     forward = np.cross(right, _CROWN)
     forward *= np.sign(forward[2]) / np.linalg.norm(forward)
     crown = _CROWN / np.linalg.norm(_CROWN)
-    side = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
-    return np.cos(polar)[..., None] * crown + np.sin(polar)[..., None] * side, share
+    level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
+    return np.cos(polar)[..., None] * crown + np.sin(polar)[..., None] * level, share
 
 
 def _locks(size: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     """Return millimetres of relief: strands that run from the crown down, over broader waves."""
     relief = np.zeros(size)
-    for amplitude, sigma in ((1.1, (9, 1.2)), (1.6, (14, 3.5)), (2.0, (12, 14))):
+    for amplitude, sigma in ((0.6, (9, 1.2)), (1.3, (14, 3.5)), (2.2, (12, 14))):
         noise = gaussian_filter(rng.normal(size=size), sigma, mode=("nearest", "wrap"))
         relief += amplitude * noise / noise.std()
     return relief
@@ -107,7 +113,7 @@ def shoulder_sheet(
     rows, columns = size
     x = np.linspace(-185, 185, columns)[None] * np.ones((rows, 1))
     down = np.linspace(0, 1, rows)[:, None] * np.ones((1, columns))
-    crest = -132 - 50 * np.abs(x / 185) ** 1.5
+    crest = -126 - 50 * np.abs(x / 185) ** 1.5
     folds = gaussian_filter(rng.normal(size=size), (6, 2.5))
     y = crest - 105 * down**1.2
     z = -135 + 78 * np.sin(down * np.pi / 2) - 35 * (x / 185) ** 2 + 2.5 * folds / folds.std()

@@ -19,11 +19,16 @@ _IRISES = np.array([[0.12, 0.16, 0.20], [0.10, 0.055, 0.03], [0.13, 0.12, 0.06]]
 
 
 def paint_face(
-    uv: FloatArray, model: AnnotatedFaceModel, rng: np.random.Generator, *, grain: float = 1.0
+    uv: FloatArray,
+    model: AnnotatedFaceModel,
+    rng: np.random.Generator,
+    *,
+    grain: float = 1.0,
+    tone: float | None = None,
 ) -> FloatArray:
-    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2)."""
+    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); `grain` and `tone` as in `skin`."""
     landmarks = landmark_uv(model)
-    albedo = skin(uv, rng, grain=grain)
+    albedo = skin(uv, rng, grain=grain, tone=tone)
     pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
     for k in (31, 35):
         cheek = landmarks[k] + [0.08 * np.sign(k - 33), 0.02]
@@ -61,60 +66,71 @@ def _curve(points: FloatArray, *, closed: bool, count: int = 240) -> FloatArray:
     return spline(np.linspace(0, knots[-1], count, endpoint=not closed))
 
 
+def _near(uv: FloatArray, points: FloatArray, margin: float) -> NDArray[np.bool_]:
+    """Return (N,) which coordinates lie in the points' bounding box widened by `margin`."""
+    return ((uv > points.min(0) - margin) & (uv < points.max(0) + margin)).all(1)
+
+
+def _distance(uv: FloatArray, line: FloatArray) -> FloatArray:
+    """Return (N,) distance to a polyline's points (K, 2), inf beyond 0.04 of its bounding box."""
+    distance = np.full(len(uv), np.inf)
+    near = _near(uv, line, 0.04)
+    distance[near] = cKDTree(line).query(uv[near])[0]
+    return distance
+
+
 def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
-    """Return (N,) distance to a closed polyline (K, 2), positive inside."""
-    distance, _ = cKDTree(outline).query(uv)
-    near = ((uv >= outline.min(0)) & (uv <= outline.max(0))).all(1)
+    """Return (N,) distance to a closed polyline (K, 2), positive inside, -inf far outside."""
+    signed = -_distance(uv, outline)
+    near = _near(uv, outline, 0.0)
     x, y = uv[near].T
     inside = np.zeros(near.sum(), bool)
     for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if ay != by:
             inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
-    signed = -distance
-    signed[near] = np.where(inside, distance[near], -distance[near])
+    signed[near] *= np.where(inside, -1, 1)
     return signed
 
 
 def _brow(uv: FloatArray, landmarks: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return (N,) density of brow hair around the five landmarks of one brow."""
     line = _curve(landmarks - [0, 0.006], closed=False)
-    distance, nearest = cKDTree(line).query(uv)
+    density, near = np.zeros(len(uv)), _near(uv, line, 0.04)
+    distance, nearest = cKDTree(line).query(uv[near])
     outward = nearest / (len(line) - 1)
     if landmarks[0, 0] < landmarks[-1, 0]:
         outward = 1 - outward
     width = 0.021 * np.sqrt(np.clip(1.12 - outward, 0.05, 1))
-    strands = 1 + 0.35 * smooth_noise(uv @ np.array([[1, 0.6], [-0.6, 1]]), (240, 90), rng)
-    return smoothstep(1.6 * (1 - distance / width)) * np.clip(strands, 0.2, 1.5)
+    strands = 1 + 0.35 * smooth_noise(uv[near] @ np.array([[1, 0.6], [-0.6, 1]]), (240, 90), rng)
+    density[near] = smoothstep(1.6 * (1 - distance / width)) * np.clip(strands, 0.2, 1.5)
+    return density
 
 
 def _lips(uv: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (N,) redness of the lips and darkness of the line between them."""
-    outline = np.concatenate(
-        [
-            _curve(landmarks[48:55], closed=False),
-            _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]], closed=False)[1:-1],
-        ]
-    )
-    lips = smoothstep(_signed_distance(uv, outline) / 0.006 + 0.5)
-    middle = _curve((landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2, closed=False)
-    distance, _ = cKDTree(middle).query(uv)
-    return lips, smoothstep(1.5 - distance / 0.004)
+    upper = _curve(landmarks[48:55], closed=False)
+    lower = _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]], closed=False)
+    lips = smoothstep(_signed_distance(uv, np.concatenate([upper, lower[1:-1]])) / 0.006 + 0.5)
+    middle = (landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2
+    return lips, smoothstep(1.5 - _distance(uv, _curve(middle, closed=False)) / 0.004)
 
 
 def _with_eye(
     uv: FloatArray, albedo: FloatArray, corners: FloatArray, iris: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the albedo with one open eye painted inside its six landmarks (N, 3)."""
+    """Return the albedo (N, 3) with one open eye painted inside its six landmarks."""
     upper = _curve(corners[:4], closed=False)
     outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]], closed=False)[1:-1]])
-    opening = smoothstep(_signed_distance(uv, outline) / 0.003 + 0.5)[:, None]
+    near = _near(uv, outline, 0.03)
+    here = uv[near]
+    opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
     width = np.linalg.norm(corners[3] - corners[0])
-    from_pupil = np.linalg.norm(uv - corners.mean(0) - [0, 0.04 * width], axis=1) / width
-    ball = _SCLERA * (1 + 0.02 * smooth_noise(uv, (60, 60), rng))[:, None]
-    rays = iris * (1 + 0.25 * smooth_noise(uv, (300, 300), rng))[:, None]
+    from_pupil = np.linalg.norm(here - corners.mean(0) - [0, 0.04 * width], axis=1) / width
+    ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
+    rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
     ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
     ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
-    painted = albedo * (1 - opening) + ball * opening
-    distance, _ = cKDTree(upper).query(uv)
-    lashes = 1.8 * smoothstep(1.4 - distance / 0.0045)
-    return painted * np.exp(-lashes[:, None] * MELANIN)
+    lashes = 1.8 * smoothstep(1.4 - _distance(here, upper) / 0.0045)
+    painted = albedo.copy()
+    painted[near] = (albedo[near] * (1 - opening) + ball * opening) * np.exp(-lashes[:, None] * MELANIN)
+    return painted

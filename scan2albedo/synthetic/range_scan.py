@@ -51,16 +51,19 @@ class Pod:
 
 
 def two_pods(
-    vertices: FloatArray, *, distance_mm: float = 1000.0, yaw_deg: float = 35.0, elevation_deg: float = 5.0
+    center: FloatArray,
+    *,
+    reach_mm: float,
+    distance_mm: float = 1000.0,
+    yaw_deg: float = 35.0,
+    elevation_deg: float = 5.0,
 ) -> tuple[Pod, Pod]:
-    """Return the pods at the subject's left (+x) and right (-x) that see the whole scene."""
-    center = (vertices.min(0) + vertices.max(0)) / 2
-    radius = np.linalg.norm(vertices - center, axis=1).max()
+    """Return the pods at the subject's left and right; pictures span +-`reach_mm` about `center` (3,)."""
     pods = []
     for yaw in np.deg2rad([yaw_deg, -yaw_deg]):
         lift = np.deg2rad(elevation_deg)
         toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
-        pods.append(Pod(center + distance_mm * toward, center, float(np.arcsin(radius / distance_mm))))
+        pods.append(Pod(center + distance_mm * toward, center, float(np.arctan(reach_mm / distance_mm))))
     return pods[0], pods[1]
 
 
@@ -157,6 +160,7 @@ def _facing(
 ) -> FloatArray:
     """Return (F,) cosine between each triangle's normal and the pod, -1 where the pod cannot see it."""
     toward = normalized(pod.position_mm - points)
-    hidden = scene.occluded(points + 0.5 * toward, toward)
+    hidden = np.asarray((np.abs(pod.project(points)) > 0.995).any(1))
+    hidden[~hidden] = scene.occluded((points + 0.5 * toward)[~hidden], toward[~hidden])
     cosine = np.einsum("ij,ij->i", normals, toward[triangles[:, 0]])
     return np.where(hidden[triangles].any(1), -1.0, cosine)

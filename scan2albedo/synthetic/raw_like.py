@@ -91,9 +91,11 @@ def raw_like(
     if settings.shoulders:
         parts.append(shoulder_sheet(shape, rng))
     scene = join(parts)
+    shape_center = (scene[0].min(0) + scene[0].max(0)) / 2
+    reach = 1.3 * float(np.linalg.norm(scene[0] - shape_center, axis=1).max())
     measured = capture(
         *scene,
-        two_pods(scene[0]),
+        two_pods(shape_center, reach_mm=reach),
         spacing_mm=settings.spacing_mm,
         rng=rng,
         axis_mm=nose_tip(shape) + HEAD_AXIS_FROM_NOSE_MM,

@@ -1,0 +1,264 @@
+"""A raw scan of a synthetic person, textured by flash photographs, with everything known about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.synthetic.camera import auto_exposure, photograph
+from scan2albedo.synthetic.clutter import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
+from scan2albedo.synthetic.face_chart import face_geometry_image
+from scan2albedo.synthetic.identity import Expression
+from scan2albedo.synthetic.range_scan import Pod, RangeMesh, capture, two_pods
+from scan2albedo.synthetic.raw_like import disturbed, random_pose
+from scan2albedo.synthetic.ray_scene import RayScene
+from scan2albedo.synthetic.renderer import Material, render
+from scan2albedo.synthetic.scenes import light_at, texel_coordinates
+from scan2albedo.synthetic.sitter import FACE, Sitter, sit_down
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_PICTURE_CENTER_FROM_NOSE_MM = np.array([0.0, -15.0, -70.0])
+_BACKDROP = np.array([0.010, 0.016, 0.030])
+
+
+@dataclass(frozen=True)
+class RawScanOptions:
+    """How the scan is taken.
+
+    Parameters
+    ----------
+    spacing_mm : float
+        Distance of neighbouring samples on the head.
+    noise_mm : float
+        Standard deviation of the noise along the normals.
+    holes, spikes, crumbs : int
+        Holes of 2 to 6 mm radius, vertices thrown off, loose patches in the air.
+    rotation_max_deg, translation_max_mm : float
+        Random pose, as in `RawLikeOptions`.
+    picture_size : int
+        Height and width of each pod's picture in pixels.
+    picture_reach_mm : float
+        Half of what a picture spans at the head.
+    picture_noise : float
+        Standard deviation of the pictures' noise, white = 1.
+    size : int
+        Texels of the truth's geometry image.
+    """
+
+    spacing_mm: float = 2.2
+    noise_mm: float = 0.2
+    holes: int = 5
+    spikes: int = 15
+    crumbs: int = 5
+    rotation_max_deg: float = 180.0
+    translation_max_mm: float = 300.0
+    picture_size: int = 900
+    picture_reach_mm: float = 205.0
+    picture_noise: float = 0.004
+    size: int = 512
+
+
+@dataclass(frozen=True)
+class SyntheticTruth:
+    """Everything about a synthetic scan that the pipeline has to find out.
+
+    Parameters
+    ----------
+    model_from_scan : (4, 4) float64
+        True pose: maps scan points into the model's frame.
+    image : GeometryImage
+        True position and normal of each texel of the model's chart (model's frame, mm).
+    albedo_linear : (H, W, 3) float32
+        True albedo on the model's chart; zeros outside ``image.mask``.
+    landmarks : (68, 3) float64
+        True landmarks in the model's frame, mm.
+    control_points : (C, 3) float64
+        Control points of the true face in the model's frame.
+    lights : tuple of PointLight
+        In the model's frame, relative to ambient = 1.
+    material : Material
+    exposure : float
+        Factor from radiance to the picture.
+    """
+
+    model_from_scan: FloatArray
+    image: GeometryImage
+    albedo_linear: NDArray[np.float32]
+    landmarks: FloatArray
+    control_points: FloatArray
+    lights: tuple[PointLight, ...]
+    material: Material
+    exposure: float
+
+    @property
+    def landmarks_in_scan(self) -> FloatArray:
+        """(68, 3) true landmarks in the scan's frame, mm."""
+        return transform_points(invert_rigid(self.model_from_scan), self.landmarks)
+
+
+def raw_scan(
+    seed: int = 0,
+    *,
+    expression: Expression = "neutral",
+    lights: Sequence[PointLight] | None = None,
+    material: Material | None = None,
+    model: AnnotatedFaceModel | None = None,
+    options: RawScanOptions | None = None,
+) -> tuple[RawScan, SyntheticTruth]:
+    """Scan a random synthetic person with a virtual two-pod stereo scanner.
+
+    Parameters
+    ----------
+    seed : int
+        Of the person, the noise and the pose; same seed, same scan.
+    expression : str
+        One of neutral, smile, frown, pout, puff, surprise.
+    lights : sequence of PointLight, optional
+        One flash at 0.9 m for even seeds, two for odd ones, when omitted.
+    material : Material, optional
+        Rough skin with a soft highlight when omitted.
+    model : AnnotatedFaceModel, optional
+        The default model when omitted; it needs landmarks.
+    options : RawScanOptions, optional
+
+    Returns
+    -------
+    scan : RawScan
+        In a random pose; its texture holds both pods' pictures side by side.
+    truth : SyntheticTruth
+    """
+    settings, rng = options or RawScanOptions(), np.random.default_rng([seed, 7])
+    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
+    flashes = _flashes(seed) if lights is None else tuple(lights)
+    finish = material or Material(0.3, 0.12, 14.0)
+    tip = nose_tip(sitter.face.vertices)
+    pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=settings.picture_reach_mm)
+    measured = capture(
+        sitter.vertices,
+        sitter.faces,
+        pods,
+        spacing_mm=settings.spacing_mm,
+        rng=rng,
+        axis_mm=tip + HEAD_AXIS_FROM_NOSE_MM,
+    )
+    scan_from_model = random_pose(rng, settings.rotation_max_deg, settings.translation_max_mm)
+    texture, exposure = _pictures(sitter, pods, flashes, finish, settings, rng)
+    scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, f"synthetic-{seed}")
+    return scan, _truth(sitter, scan_from_model, flashes, finish, exposure, settings.size)
+
+
+def _flashes(seed: int) -> tuple[PointLight, ...]:
+    if seed % 2 == 0:
+        return (light_at(-32, 18, distance_mm=900.0, intensity=2.5),)
+    return (
+        light_at(40, 15, distance_mm=900.0, intensity=1.8),
+        light_at(-40, 15, distance_mm=900.0, intensity=1.4),
+    )
+
+
+def _pictures(
+    sitter: Sitter,
+    pods: tuple[Pod, Pod],
+    lights: tuple[PointLight, ...],
+    material: Material,
+    settings: RawScanOptions,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float32], float]:
+    """Return both pods' pictures side by side (H, 2 H, 3) and the exposure they share."""
+    scene = RayScene(sitter.vertices, sitter.faces)
+    seen = [_radiance(sitter, scene, pod, lights, material, settings.picture_size) for pod in pods]
+    exposure = auto_exposure(np.concatenate([radiance[on_face] for radiance, on_face in seen]))
+    both = np.concatenate([radiance for radiance, _ in seen], axis=1)
+    picture = photograph(both, exposure=exposure, noise=settings.picture_noise, bits=8, rng=rng)
+    return picture, exposure
+
+
+def _radiance(
+    sitter: Sitter,
+    scene: RayScene,
+    pod: Pod,
+    lights: tuple[PointLight, ...],
+    material: Material,
+    size: int,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return what one pod sees (H, H, 3) and which pixels show the face (H, H)."""
+    rays = pod.directions(2 * texel_coordinates(size) - 1)
+    hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
+    hit = hits.face >= 0
+    face, barycentric = hits.face[hit], hits.barycentric[hit]
+    corners = sitter.faces[face]
+    rendered = render(
+        np.einsum("nk,nkc->nc", barycentric, sitter.vertices[corners]),
+        normalized(np.einsum("nk,nkc->nc", barycentric, sitter.normals[corners])),
+        sitter.albedo_at(face, barycentric),
+        lights,
+        material=material,
+        occluder=scene,
+        view_direction=-rays[hit],
+        specular_scale=sitter.specular_scale_at(face),
+    )
+    radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
+    radiance[hit] = rendered.radiance_linear
+    on_face[hit] = sitter.part[face] == FACE
+    return radiance.reshape(size, size, 3), on_face.reshape(size, size)
+
+
+def _assembled(
+    measured: RangeMesh,
+    pods: tuple[Pod, Pod],
+    texture: NDArray[np.float32],
+    scan_from_model: FloatArray,
+    settings: RawScanOptions,
+    rng: np.random.Generator,
+    name: str,
+) -> RawScan:
+    """Return the scan: noise, holes and crumbs on the measured mesh, textured, posed."""
+    points = disturbed(measured.vertices, measured.faces, rng, settings.noise_mm, settings.spikes)
+    centers = points[rng.choice(len(points), settings.holes)]
+    kept = np.ones(len(measured.faces), bool)
+    for center, radius in zip(centers, rng.uniform(2, 6, settings.holes), strict=True):
+        kept &= (np.linalg.norm(points[measured.faces] - center, axis=2) > radius).all(1)
+    vertices, faces = join([(points, measured.faces[kept]), *crumbs(points, rng, settings.crumbs)])
+    pod = np.zeros(len(faces), np.int64)
+    pod[: kept.sum()] = measured.face_pod[kept]
+    uv = np.zeros((len(faces), 3, 2))
+    for index, camera in enumerate(pods):
+        plane = camera.project(vertices)[faces[pod == index]]
+        uv[pod == index] = np.stack([(plane[..., 0] + 1) / 4 + index / 2, (plane[..., 1] + 1) / 2], -1)
+    used, renumbered = np.unique(faces, return_inverse=True)
+    posed = transform_points(scan_from_model, vertices[used])
+    return RawScan(posed, renumbered.reshape(-1, 3), uv=uv, texture_linear=texture, name=name)
+
+
+def _truth(
+    sitter: Sitter,
+    scan_from_model: FloatArray,
+    lights: tuple[PointLight, ...],
+    material: Material,
+    exposure: float,
+    size: int,
+) -> SyntheticTruth:
+    image = face_geometry_image(sitter.model, sitter.face, size)
+    albedo = np.zeros((*image.shape, 3), np.float32)
+    albedo[image.mask] = sitter.face_albedo(texel_coordinates(size)[image.mask.ravel()])
+    return SyntheticTruth(
+        invert_rigid(scan_from_model),
+        image,
+        albedo,
+        sitter.face.landmarks,
+        sitter.control_points,
+        lights,
+        material,
+        exposure,
+    )

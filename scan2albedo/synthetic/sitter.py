@@ -1,0 +1,158 @@
+"""A synthetic person in front of the scanner: face, head and neck, hair, clothes, each with its albedo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.synthetic.clutter import hair_shell, join, shoulder_sheet
+from scan2albedo.synthetic.face_chart import FaceSurface, face_surface
+from scan2albedo.synthetic.face_paint import paint_face
+from scan2albedo.synthetic.head import boundary_loop, head_around
+from scan2albedo.synthetic.identity import Expression, person
+from scan2albedo.synthetic.textures import skin, smooth_noise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+FACE, HEAD, HAIR, CLOTHES = range(4)
+
+_HAIR_COLORS = np.array(
+    [[0.035, 0.024, 0.018], [0.085, 0.050, 0.028], [0.22, 0.14, 0.07], [0.12, 0.045, 0.02]]
+)
+_CLOTH_COLORS = np.array([[0.62, 0.66, 0.64], [0.08, 0.11, 0.20], [0.30, 0.06, 0.07], [0.20, 0.26, 0.20]])
+
+
+@dataclass(frozen=True)
+class Sitter:
+    """A person's surface, part by part, and how to colour any point of it.
+
+    Parameters
+    ----------
+    model : AnnotatedFaceModel
+    control_points : (C, 3) float64
+        Of the face, in the model's frame, mm.
+    face : FaceSurface
+    vertices : (V, 3) float64
+        All parts.
+    faces : (F, 3) int64
+    normals : (V, 3) float64
+    part : (F,) int64
+        FACE, HEAD, HAIR or CLOTHES.
+    corner_uv : (F, 3, 2) float64
+        Coordinates each part's texture is painted at; the model's chart on the face.
+    tone, hair_color, cloth_color : float, (3,), (3,)
+    seed : int
+        Of the textures.
+    """
+
+    model: AnnotatedFaceModel
+    control_points: FloatArray
+    face: FaceSurface
+    vertices: FloatArray
+    faces: IntArray
+    normals: FloatArray
+    part: IntArray
+    corner_uv: FloatArray
+    tone: float
+    hair_color: FloatArray
+    cloth_color: FloatArray
+    seed: int
+
+    def face_albedo(self, uv: FloatArray) -> FloatArray:
+        """Return (N, 3) linear albedo of the face at chart coordinates (N, 2)."""
+        return paint_face(uv, self.model, np.random.default_rng(self.seed), tone=self.tone)
+
+    def albedo_at(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
+        """Return (N, 3) linear albedo at surface points given by face (N,) and barycentric (N, 3)."""
+        uv = np.einsum("nk,nkc->nc", barycentric, self.corner_uv[face])
+        part, albedo = self.part[face], np.zeros((len(face), 3))
+        painters = {FACE: self.face_albedo, HEAD: self._head_albedo, HAIR: self._hair_albedo}
+        for name, paint in (painters | {CLOTHES: self._cloth_albedo}).items():
+            chosen = part == name
+            albedo[chosen] = paint(uv[chosen])
+        return albedo
+
+    def _head_albedo(self, uv: FloatArray) -> FloatArray:
+        return skin(uv, np.random.default_rng([self.seed, 3]), tone=self.tone)
+
+    def _hair_albedo(self, uv: FloatArray) -> FloatArray:
+        rng = np.random.default_rng([self.seed, 4])
+        strands = 0.45 * smooth_noise(uv, (700, 5), rng) + 0.35 * smooth_noise(uv, (160, 4), rng)
+        return np.clip(self.hair_color * np.exp(strands)[:, None], 0.004, 0.9)
+
+    def _cloth_albedo(self, uv: FloatArray) -> FloatArray:
+        rng = np.random.default_rng([self.seed, 5])
+        weave = 0.05 * smooth_noise(uv, (300, 300), rng) + 0.06 * smooth_noise(uv, (9, 9), rng)
+        return np.clip(self.cloth_color * np.exp(weave)[:, None], 0.01, 0.95)
+
+    def specular_scale_at(self, face: IntArray) -> FloatArray:
+        """Return (N,) relative strength of highlights on faces (N,)."""
+        by_part = np.array([1.0, 0.8, 0.5, 0.0])
+        scale = by_part[self.part[face]]
+        on_face = self.part[face] == FACE
+        regions = self.face.region[face[on_face]]
+        scale[on_face] = self.model.region_values("specular_scale")[regions]
+        return scale
+
+
+def sit_down(seed: int, *, expression: Expression, model: AnnotatedFaceModel) -> Sitter:
+    """Return a random person, head upright in the model's frame."""
+    rng = np.random.default_rng([seed, 6])
+    control_points = person(model, np.random.default_rng([seed, 2]), expression=expression)
+    face = face_surface(model, control_points)
+    head_vertices, head_faces, head_uv = head_around(face.vertices, face.faces, face.normals)
+    bare = join([(face.vertices, face.faces), (head_vertices, head_faces)])
+    hair = hair_shell(*bare, rng, thickness_mm=16.0, side_drop_deg=rng.uniform(18, 30), size=(140, 420))
+    clothes = shoulder_sheet(face.vertices, rng)
+    parts = [(face.vertices, face.faces), (head_vertices, head_faces), hair, clothes]
+    vertices, faces = join(parts)
+    corner_uv = [face.corner_uv, head_uv[head_faces], _hair_uv(hair), _flat_uv(clothes)]
+    return Sitter(
+        model,
+        control_points,
+        face,
+        vertices,
+        faces,
+        _welded_normals(parts),
+        np.repeat(np.arange(4), [len(f) for _, f in parts]),
+        np.concatenate(corner_uv),
+        tone=float(rng.uniform(0, 0.8)),
+        hair_color=_HAIR_COLORS[rng.integers(len(_HAIR_COLORS))],
+        cloth_color=_CLOTH_COLORS[rng.integers(len(_CLOTH_COLORS))],
+        seed=seed,
+    )
+
+
+def _hair_uv(hair: tuple[FloatArray, IntArray]) -> FloatArray:
+    """Return (F, 3, 2): around the crown and from it down, so that strands hang."""
+    vertices, faces = hair
+    low, high = vertices.min(0), vertices.max(0)
+    crown = np.array([(low[0] + high[0]) / 2, 0.0, low[2] + 0.35 * (high[2] - low[2])])
+    offset = vertices - crown
+    around = np.arctan2(offset[:, 0], offset[:, 2]) / (2 * np.pi) + 0.5
+    corners = np.stack([around, (vertices[:, 1] - low[1]) / (high[1] - low[1])], 1)[faces]
+    # A face across the seam at the back takes its low corners a turn further.
+    wide = np.ptp(corners[..., 0], axis=1) > 0.5
+    corners[wide, :, 0] += corners[wide, :, 0] < 0.5
+    return corners
+
+
+def _flat_uv(mesh: tuple[FloatArray, IntArray]) -> FloatArray:
+    """Return (F, 3, 2) of a mesh seen from the front, one unit for 200 mm."""
+    vertices, faces = mesh
+    return ((vertices[:, :2] - vertices[:, :2].min(0)) / 200)[faces]
+
+
+def _welded_normals(parts: list[tuple[FloatArray, IntArray]]) -> FloatArray:
+    """Return (V, 3) vertex normals of the joined parts; face and head share theirs along the rim."""
+    vertices, faces = join(parts)
+    normals = vertex_normals(vertices, faces)
+    rim = boundary_loop(parts[0][1])
+    twin = len(parts[0][0]) + np.arange(len(rim))
+    normals[rim] = normals[twin] = normalized(normals[rim] + normals[twin])
+    return normals

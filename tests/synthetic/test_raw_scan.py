@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import boundary_vertex_mask
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.synthetic import Material, RawScanOptions, raw_scan
+from scan2albedo.synthetic.head import boundary_loop, head_around
+from scan2albedo.synthetic.range_scan import two_pods
+from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, HEAD, sit_down
+
+SMALL = RawScanOptions(picture_size=400, size=128, spacing_mm=3.5)
+
+
+@pytest.fixture(scope="module")
+def sitter():
+    return sit_down(0, expression="neutral", model=AnnotatedFaceModel.default())
+
+
+@pytest.fixture(scope="module")
+def made():
+    return raw_scan(0, options=SMALL, material=Material(sigma_rad=0.0))
+
+
+def test_pods_project_their_own_rays_back():
+    for pod in two_pods(np.array([1.0, 2.0, 3.0]), reach_mm=200.0):
+        plane = np.random.default_rng(0).uniform(-1, 1, (50, 2))
+        assert np.allclose(pod.project(pod.position_mm + 800 * pod.directions(plane)), plane)
+        assert np.allclose(pod.project(np.array([[1.0, 2.0, 3.0]])), 0)
+        assert pod.project(np.array([[1.0, 50.0, 3.0]]))[0, 1] > 0
+
+
+def test_the_head_continues_the_face_without_a_crack(sitter):
+    face = sitter.face
+    loop = boundary_loop(face.faces)
+    assert set(loop.tolist()) == set(
+        np.flatnonzero(boundary_vertex_mask(len(face.vertices), face.faces)).tolist()
+    )
+    vertices, faces, uv = head_around(face.vertices, face.faces, face.normals)
+    assert np.allclose(vertices[: len(loop)], face.vertices[loop], atol=1e-9)
+    assert np.isfinite(vertices).all()
+    assert len(uv) == len(vertices)
+    first_ring = vertices[faces[faces.min(1) < len(loop)]]
+    assert np.linalg.norm(np.ptp(first_ring, axis=1), axis=1).max() < 12
+
+
+def test_two_rims_are_no_disc():
+    with pytest.raises(ValueError, match="6 boundary vertices but one loop holds 3"):
+        boundary_loop(np.array([[0, 1, 2], [3, 4, 5]]))
+
+
+def test_parts_are_coloured_apart(sitter):
+    rng = np.random.default_rng(0)
+    mean = []
+    for part in (FACE, HEAD, HAIR, CLOTHES):
+        faces = rng.choice(np.flatnonzero(sitter.part == part), 500)
+        albedo = sitter.albedo_at(faces, np.full((500, 3), 1 / 3))
+        assert albedo.min() > 0
+        mean.append(albedo.mean(0))
+    assert np.allclose(mean[FACE], mean[HEAD], rtol=0.25)
+    assert np.linalg.norm(mean[HAIR] - mean[FACE]) > 0.1
+
+
+def test_the_true_pose_lays_the_scan_on_the_true_face(made):
+    scan, truth = made
+    points = transform_points(truth.model_from_scan, scan.vertices)
+    distance = ClosestPointQuery(*truth.image.occluder_mesh()).query(points).distance
+    near = distance < 1
+    assert near.sum() > 2500
+    assert distance[near].mean() == pytest.approx(0.2 * np.sqrt(2 / np.pi), rel=0.2)
+    covered = cKDTree(points).query(truth.landmarks[17:])[0]
+    assert np.quantile(covered, 0.9) < 4
+    on_scan = transform_points(truth.model_from_scan, truth.landmarks_in_scan)
+    assert np.allclose(on_scan, truth.landmarks)
+
+
+def test_texture_is_the_true_albedo_under_the_true_light(made):
+    scan, truth = made
+    points = transform_points(truth.model_from_scan, scan.vertices[scan.faces].mean(1))
+    height, width = scan.texture_linear.shape[:2]
+    uv = scan.uv.mean(1)
+    pixel = scan.texture_linear[((1 - uv[:, 1]) * height).astype(int), (uv[:, 0] * width).astype(int)]
+    mask = truth.image.mask
+    distance, texel = cKDTree(truth.image.position[mask]).query(points)
+    light = truth.lights[0]
+    toward = light.distance_mm * light.direction - points
+    reach = np.linalg.norm(toward, axis=1)
+    cosine = np.einsum("ij,ij->i", truth.image.normal[mask][texel], toward) / reach
+    # Well-lit, unhidden places only: the front of the nearer cheek, forehead and chin.
+    usable = (distance < 1.2) & (cosine > 0.6)
+    shading = 1 + light.intensity * (light.distance_mm / reach) ** 2 * cosine
+    predicted = truth.exposure * truth.albedo_linear[mask][texel] * shading[:, None]
+    typical = np.median(np.abs(pixel - predicted)[usable] / predicted[usable])
+    assert usable.sum() > 1000
+    assert typical < 0.06
+
+
+def test_same_seed_same_scan(made):
+    scan, truth = made
+    again, same = raw_scan(0, options=SMALL, material=Material(sigma_rad=0.0))
+    assert np.array_equal(scan.vertices, again.vertices)
+    assert np.array_equal(scan.texture_linear, again.texture_linear)
+    assert np.array_equal(truth.albedo_linear, same.albedo_linear)
+
+
+def test_it_is_raw(made):
+    scan, truth = made
+    assert len(np.unique(scan.components)) >= 3
+    assert boundary_vertex_mask(len(scan.vertices), scan.faces).sum() > 200
+    assert np.abs(truth.model_from_scan[:3, :3] - np.eye(3)).max() > 0.1
+    assert scan.texture_linear.shape == (400, 800, 3)
+    assert len(np.unique(scan.texture_linear)) <= 256
+    assert scan.uv.min() >= 0
+    assert scan.uv.max() <= 1
+    extent = np.ptp(transform_points(truth.model_from_scan, scan.vertices), axis=0)
+    assert 200 < extent[0] < 450
+    assert 250 < extent[1] < 450
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_full_size_scans_have_20_to_40_thousand_vertices(seed):
+    scan, truth = raw_scan(seed, expression="smile")
+    assert 20_000 < len(scan.vertices) < 40_000
+    assert truth.albedo_linear.shape == (512, 512, 3)
+    assert np.bincount(scan.components)[0] > 0.9 * len(scan.vertices)
+    assert len(truth.lights) == (2 if seed % 2 else 1)
