@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from scan2albedo.face_model.generator.anthropometry import Measurements
 from scan2albedo.face_model.generator.key_points import half_face
 from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE, half_landmarks
-from scan2albedo.face_model.generator.layout import layout_of, mirrored_mesh
+from scan2albedo.face_model.generator.layout import FaceLayout, layout_of, mirrored_mesh
 from scan2albedo.face_model.generator.meshing import HalfMesh, MeshOptions, mesh_half
 from scan2albedo.face_model.generator.regions import MIDDLE_REGIONS, default_regions, half_region_names
 from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
@@ -22,22 +22,27 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 CURVE_EDGE_MM = {
-    "upper_lid": 3.6,
-    "lower_lid": 3.6,
-    "upper_vermilion": 4.0,
-    "mouth_line": 4.0,
-    "lower_vermilion": 4.0,
-    "alar_crease": 3.2,
+    "upper_lid": 3.2,
+    "lower_lid": 3.2,
+    "upper_vermilion": 3.4,
+    "mouth_line": 3.4,
+    "lower_vermilion": 3.4,
+    "upper_lip": 3.4,
+    "lower_lip": 3.4,
+    "alar_crease": 3.0,
 }
 """Edge lengths along the features on which vertices are spent."""
+
+FIT_LEVELS = 2
+"""Refinements at whose vertices the limit surface is fitted to the design."""
 
 
 def build_face_model(measurements: Measurements | None = None) -> AnnotatedFaceModel:
     """Make an annotated face model with the given (by default average) measurements.
 
     Key points of half a face are laid out in a plane, meshed along the feature curves, lifted by a
-    thin-plate spline, mirrored, and the control vertices P solved from ``L P = X`` with L the Loop limit
-    matrix, so that the limit surface passes through the lifted points X.
+    thin-plate spline and mirrored; the control vertices follow from least squares, so that the Loop limit
+    surface (not the control mesh, which it shrinks) is the designed one.
 
     Notes
     -----
@@ -49,10 +54,8 @@ def build_face_model(measurements: Measurements | None = None) -> AnnotatedFaceM
     mesh = mesh_half(curves, ("midline", "outline"), MeshOptions(CURVE_EDGE_MM))
     on_middle = mesh.flat[:, 0] < 1e-9
     flat, faces, mirror = mirrored_mesh(mesh.flat, mesh.faces, on_middle)
-    lifted = layout.lift(flat)
-    lifted = 0.5 * (lifted + lifted[mirror] * [-1, 1, 1])
-    control = splu(limit_matrix(len(lifted), faces).tocsc()).solve(lifted)
-    control = 0.5 * (control + control[mirror] * [-1, 1, 1])
+    control = _symmetric(_control_vertices(layout, flat, faces), mirror)
+    lifted = limit_matrix(len(control), faces) @ control
     center = _centroid(control, faces)
     regions = default_regions()
     lifted_curves = {name: lifted[index] for name, index in mesh.curves.items()}
@@ -65,6 +68,22 @@ def build_face_model(measurements: Measurements | None = None) -> AnnotatedFaceM
         landmark_points=_landmark_points(control, faces, lifted_curves),
         name="default annotated face model",
     )
+
+
+def _control_vertices(layout: FaceLayout, flat: FloatArray, faces: IntArray) -> FloatArray:
+    """Solve for control vertices P whose limit surface S P is closest to the lifted layout.
+
+    The plane's own control mesh Q has the layout as its limit, ``L Q = flat``; then ``S P = lift(S Q)`` in
+    the least-squares sense over the vertices of two refinements, so lines between vertices count too.
+    """
+    plane = splu(limit_matrix(len(flat), faces).tocsc()).solve(flat)
+    refined = LoopSubdivision.of(len(flat), faces, FIT_LEVELS).matrix
+    target = layout.lift(refined @ plane)
+    return splu((refined.T @ refined).tocsc()).solve(refined.T @ target)
+
+
+def _symmetric(points: FloatArray, mirror: IntArray) -> FloatArray:
+    return 0.5 * (points + points[mirror] * [-1, 1, 1])
 
 
 def _centroid(control: FloatArray, faces: IntArray) -> FloatArray:

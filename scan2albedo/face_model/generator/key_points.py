@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from scan2albedo.face_model.generator.anthropometry import Measurements
 
@@ -42,9 +43,20 @@ class HalfFace:
 def half_face(m: Measurements) -> HalfFace:
     """Lay out the left half of the face from its measurements."""
     middle = _midline(m)
+    eye, mouth, nose = _eye(m), _mouth(m, middle), _nose(m)
     curves = {"midline": np.array(list(middle.values())), "outline": _outline(m, middle)}
-    curves |= _eye(m) | _mouth(m, middle) | _nose(m)
-    return HalfFace(curves, np.concatenate([_nose_fill(m), _orbit_fill(), _section_fill(), _mouth_fill()]))
+    # Between sparse points the spline would let creases fade and swell.
+    curves |= {name: _dense(curve) for name, curve in (eye.curves | mouth.curves).items()} | nose.curves
+    return HalfFace(curves, np.concatenate([eye.fill, mouth.fill, nose.fill, _section_fill()]))
+
+
+def _dense(curve: FloatArray, step_mm: float = 2.0) -> FloatArray:
+    """Return points about `step_mm` apart on a smooth curve through the given ones."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    at = np.linspace(0, arc[-1], round(arc[-1] / step_mm) + 1)
+    dense = PchipInterpolator(arc, curve)(at)
+    dense[[0, -1]] = curve[[0, -1]]
+    return dense
 
 
 def _xyz(rows: list[tuple[float, float, float]]) -> FloatArray:
@@ -58,10 +70,10 @@ def _at(distance: float, origin: tuple[float, float], depth: float) -> float:
 
 def _midline(m: Measurements) -> dict[str, tuple[float, float, float]]:
     """Return the profile from the hairline to under the chin, by name."""
-    sn_z, sto_z, gn_z = 8.0, 4.0, -7.0
+    sn_z, sto_z, gn_z = 8.2, 4.0, -7.0
     sn, sto = _at(m.nose_height_mm, (0, 0), sn_z), _at(m.upper_face_height_mm, (0, 0), sto_z)
     gn = _at(m.face_height_mm, (0, 0), gn_z)
-    prn_z = sn_z + 14.5
+    prn_z = sn_z + 13.8
     prn = sn + float(np.sqrt(m.nose_protrusion_mm**2 - (prn_z - sn_z) ** 2))
     tr_z = -15.0
     tr = -_at(m.hairline_height_mm, (0, 0), tr_z)
@@ -75,9 +87,9 @@ def _midline(m: Measurements) -> dict[str, tuple[float, float, float]]:
         "glabella_low": (0, 9.0, -0.2),
         "n": (0, 0, 0),
         "bridge_high": (0, 0.14 * prn, 2.8),
-        "bridge": (0, 0.33 * prn, 7.6),
-        "rhinion": (0, 0.55 * prn, 13.2),
-        "supratip": (0, 0.8 * prn, 19.6),
+        "bridge": (0, 0.33 * prn, 7.8),
+        "rhinion": (0, 0.56 * prn, 14.0),
+        "supratip": (0, 0.81 * prn, 20.0),
         "prn": (0, prn, prn_z),
         "infratip": (0, prn + 0.42 * (sn - prn), prn_z - 2.4),
         "columella": (0, prn + 0.76 * (sn - prn), prn_z - 8.5),
@@ -104,126 +116,160 @@ def _outline(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> 
     tr, throat = middle["tr"], middle["throat"]
     inner = _xyz(
         [
-            (14, tr[1] + 0.6, tr[2] - 1.5),
-            (28, tr[1] - 0.6, tr[2] - 7.5),
-            (40, 58, -30),
-            (50, 50.5, -37.5),
-            (57, 40, -41.5),
-            (61, 29, -44),
-            (65, 15, -50),
-            (68.3, 1, -60),
-            (69.8, -11, -67),
-            (70.3, -24, -71),
-            (69.3, -41, -71),
-            (66.3, -59, -70),
-            (60, -76, -68.5),
-            (m.jaw_width_mm / 2, -90, -63),
-            (42, -104, -52.5),
-            (31, -114.5, -40.5),
-            (16, throat[1] + 2.0, -29),
+            (14, tr[1] + 0.6, tr[2] - 1.5), (28, tr[1] - 0.9, tr[2] - 6.5), (40, 58.5, -28), (49, 51, -32.5),
+            (56, 41, -35.5), (61, 29, -38.5), (65, 15.5, -46), (68.3, 2, -56), (70.2, -11, -65),
+            (71.3, -24, -71), (70.8, -41, -71.5), (68, -59, -70.5), (61.5, -76, -68.5),
+            (m.jaw_width_mm / 2 + 1, -89.5, -63), (42.5, -103, -52.5), (31, -112.8, -41),
+            (16, throat[1] + 3.0, -31),
         ]
-    )
+    )  # fmt: skip
     return np.concatenate([[tr], inner, [throat]])
 
 
-def _eye(m: Measurements) -> dict[str, FloatArray]:
-    """Return the lid margins from the inner to the outer corner; between them lies the eyeball."""
+def _eye(m: Measurements) -> HalfFace:
+    """Return the lid margins from the inner to the outer corner, the eyeball between them, the orbit.
+
+    Rows run from corner to corner; a column holds (share of the eye's width, height in half openings
+    above the pupil, depth) for each row.
+    """
     en, ex, half = m.inner_eye_width_mm / 2, m.outer_eye_width_mm / 2, m.eye_opening_mm / 2
-    inner, outer = (en, -6.0, -15.5), (ex, -3.5, -22.0)
-    across = ex - en
 
-    def lid(offsets: list[tuple[float, float, float]]) -> FloatArray:
-        rows = [(en + a * across, -2.6 + b * half, z) for a, b, z in offsets]
-        return _xyz([inner, *rows, outer])
+    def row(columns: list[tuple[float, float, float]]) -> FloatArray:
+        return _xyz([(en + share * (ex - en), -3.0 + up * half, depth) for share, up, depth in columns])
 
-    upper = [(0.1, 0.0, -14.2), (0.25, 0.65, -12.6), (0.46, 1.0, -11.9), (0.68, 0.82, -13.5)]
-    lower = [(0.14, -0.78, -14.2), (0.35, -0.95, -13.2), (0.57, -1.0, -13.2), (0.78, -0.68, -15.8)]
-    return {
-        "upper_lid": lid([*upper, (0.86, 0.3, -17.2)]),
-        "lower_lid": lid([*lower, (0.91, -0.35, -19.0)]),
+    inner, outer = row([(0, -0.52, -15.6)]), row([(1, -0.12, -21.2)])
+    upper = row(
+        [(0.1, 0.1, -14.2), (0.27, 0.72, -12.4), (0.48, 1, -11.7), (0.7, 0.8, -13.4), (0.87, 0.36, -17.2)]
+    )
+    lower = row(
+        [
+            (0.1, -0.78, -14.9),
+            (0.27, -0.94, -13.5),
+            (0.48, -1, -13.1),
+            (0.7, -0.88, -14.6),
+            (0.87, -0.58, -17.8),
+        ]
+    )
+    ball = row(
+        [(0.1, -0.4, -15), (0.27, -0.1, -12.5), (0.48, 0, -11.4), (0.7, -0.05, -13), (0.87, -0.1, -17.2)]
+    )
+    fold = row(
+        [(-0.06, 0.62, -12.6), (0.2, 1.45, -11.6), (0.48, 1.75, -10.6), (0.74, 1.5, -11.8), (0.97, 0.75, -17)]
+    )
+    socket = row(
+        [(-0.16, 1.7, -7), (0.12, 2.2, -7), (0.46, 2.4, -7.8), (0.78, 2.25, -9.9), (1.1, 1.5, -16.6)]
+    )
+    under = row(
+        [
+            (0.02, -1.4, -14.2),
+            (0.24, -1.7, -13.2),
+            (0.5, -1.75, -13.2),
+            (0.76, -1.6, -15.2),
+            (0.98, -1.1, -19.4),
+        ]
+    )
+    bag = row([(0.24, -2.5, -11.8), (0.52, -2.55, -12.4), (0.8, -2.4, -14.8), (1.04, -1.9, -19.4)])
+    side = row([(1.12, -0.1, -21.8)])
+    curves = {
+        "upper_lid": np.concatenate([inner, upper, outer]),
+        "lower_lid": np.concatenate([inner, lower, outer]),
     }
+    return HalfFace(curves, np.concatenate([ball, fold, socket, under, bag, side]))
 
 
-def _mouth(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> dict[str, FloatArray]:
-    """Return vermilion borders and the mouth line from the midline to the corner."""
-    ls, sto, li = middle["ls"], middle["sto"], middle["li"]
-    corner = (m.mouth_width_mm / 2, sto[1] - 1.6, -6.5)
-    side = m.mouth_width_mm / 52
-    upper = [(3.2, 0.5, 9.6), (6.4, 0.9, 8.6), (11.0, -0.8, 6.4), (16.5, -3.2, 3.0), (21.5, -6.0, -1.8)]
-    line = [(5.0, -0.4, 3.9), (10.0, -0.4, 2.7), (15.5, -0.5, 0.4), (21.0, -1.0, -3.2)]
-    lower = [(5.0, 0.2, 6.1), (10.5, 1.2, 4.4), (16.0, 2.9, 1.2), (21.5, 5.3, -3.0)]
-    return {
-        "upper_vermilion": _xyz([ls, *((x * side, ls[1] + y, z) for x, y, z in upper), corner]),
-        "mouth_line": _xyz([sto, *((x * side, sto[1] + y, z) for x, y, z in line), corner]),
-        "lower_vermilion": _xyz([li, *((x * side, li[1] + y, z) for x, y, z in lower), corner]),
+def _mouth(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> HalfFace:
+    """Return vermilion borders and mouth line from the midline to the corner, and the lips between.
+
+    Every row has the same columns (shares of the half width), so that the lips are lofted without
+    wrinkles; a column holds (height above the mouth line, depth before it).
+    """
+    half, sto = m.mouth_width_mm / 2, middle["sto"]
+    shares = np.array([0.2, 0.4, 0.6, 0.8])
+    line = np.stack([half * shares, sto[1] - 1.4 * shares**2, sto[2] - 10.5 * shares**2.2], 1)
+    corner = (half, sto[1] - 1.4, sto[2] - 10.5)
+
+    def row(height: tuple[float, ...], before: tuple[float, ...]) -> FloatArray:
+        return line + np.stack([np.zeros(4), np.array(height), np.array(before)], 1)
+
+    top, bottom = middle["ls"][1] - sto[1], middle["li"][1] - sto[1]
+    upper_border = row((top + 0.9, top - 0.9, top - 3.0, top - 5.5), (5.9, 5.2, 3.6, 1.8))
+    lower_border = row((bottom + 0.2, bottom + 1.1, bottom + 3.0, bottom + 5.6), (2.9, 2.7, 2.0, 1.0))
+    upper_lip = row((4.4, 3.9, 2.8, 1.5), (5.8, 4.8, 3.2, 1.5))
+    lower_lip = row((-4.4, -3.9, -2.9, -1.7), (4.5, 4.0, 2.8, 1.3))
+    above = row((12.2, 11.6, 10.6, 9.4), (5.2, 4.2, 3.6, 3.2))
+    below = row((-13.2, -12.4, -10.4, -7.6), (-1.2, -0.8, 0.2, 0.8))
+    aside = [
+        (29, -69, -4.6),
+        (30.5, -75, -7.4),
+        (28, -81, -6.4),
+        (26.5, -64, -2.4),
+        (16.5, -57, 2.4),
+        (9.5, -57.4, 6.4),
+    ]
+    chin = [(9, sto[1] - 18, 0.6), (17.5, sto[1] - 17, -2.2)]
+    curves = {
+        "upper_vermilion": np.concatenate([[middle["ls"]], upper_border, [corner]]),
+        "mouth_line": np.concatenate([[sto], line, [corner]]),
+        "lower_vermilion": np.concatenate([[middle["li"]], lower_border, [corner]]),
+        "upper_lip": np.concatenate([[middle["upper_lip"]], upper_lip[:3]]),
+        "lower_lip": np.concatenate([[middle["lower_lip"]], lower_lip[:3]]),
     }
+    return HalfFace(curves, np.concatenate([above, below, _xyz(aside), _xyz(chin)]))
 
 
-def _nose(m: Measurements) -> dict[str, FloatArray]:
-    """Return the crease around the wing from its top to the nostril's sill."""
+def _nose(m: Measurements) -> HalfFace:
+    """Return the crease around the wing, from its top to the nostril's sill, and the nose's surface."""
     wing = m.nose_width_mm / 33
-    crease = [(13.2, -36.2, 3.4), (16.4, -40.0, -1.4), (17.2, -44.6, -2.4), (15.6, -49.0, -0.8)]
-    return {"alar_crease": _xyz([(x * wing, y, z) for x, y, z in [*crease, (11.6, -51.2, 2.2)]])}
-
-
-def _nose_fill(m: Measurements) -> FloatArray:
-    wing = m.nose_width_mm / 33
+    crease = [
+        (13.4, -36.4, 3.4),
+        (15.9, -39.6, -0.8),
+        (16.9, -44.2, -2.4),
+        (15.8, -48.6, -1.2),
+        (12.4, -51.2, 1.6),
+    ]
     bridge = [
         (5, 2, -2.6), (9.5, 2.5, -7.2), (5, -5, 0), (9.5, -6, -7), (13, -7, -12.2),
-        (4.5, -12, 5.6), (8.5, -13, -1.2), (12.5, -14, -8.4), (16, -15, -11),
-        (5, -21, 10.8), (9, -22, 4), (13, -23, -3.4), (16.5, -24, -7.2),
-        (5.5, -29, 16.2), (9.5, -30, 9.4), (13.5, -31, 1.6), (17, -32, -3.6),
+        (4.5, -12, 5.8), (8.5, -12.5, -0.8), (12.5, -13.5, -8), (16, -14.5, -11.2),
+        (4.5, -20.5, 11.6), (8.5, -21, 5.2), (12.5, -22, -2.4), (16.5, -23, -7.2),
+        (4.5, -29, 17.2), (8.8, -29.5, 11.6), (12.8, -30.5, 3.6), (16.8, -31.5, -3.2),
     ]  # fmt: skip
     tip = [
-        (5.5, -37, 19.6), (9, -38.5, 13.6), (11.5, -38.0, 8.2), (5, -43.5, 18), (8.6, -43, 14.4),
-        (13, -41.5, 6.6), (15.4, -42, 3.8), (16.5, -45.6, 2.2), (14.4, -46.5, 6.2), (12, -45.8, 9.4),
-        (10.8, -48.6, 8.6), (14, -50, 3.4), (3.2, -47.6, 13.8), (6.8, -48.2, 11.2), (3.4, -51.6, 8.4),
-        (8.2, -50.4, 6.2), (6, -52.4, 6.6), (9.6, -52.6, 4.2),
+        (5, -35, 20.2), (9, -35.6, 14.2), (12, -36, 7.4), (5.4, -39.6, 20.2), (9.2, -40.6, 15),
+        (4.6, -43.6, 18.6),        (8.4, -44.4, 14.8), (10.8, -42.4, 10.6), (10.6, -46.4, 11),
     ]  # fmt: skip
-    rows = [*bridge, *((x * wing, y, z) for x, y, z in tip)]
-    return _xyz(rows)
-
-
-def _orbit_fill() -> FloatArray:
-    rows = [
-        (30, -2.2, -10.6), (24, -3.6, -12.2), (37, -3, -13.4),
-        (20, 4.5, -12.6), (27, 6.5, -11.2), (35, 7.2, -11.6), (43, 5.2, -15.2), (48.5, 0.5, -19.6),
-        (17, -11.5, -13), (24, -12.5, -13), (32, -13.2, -13), (40, -12.6, -15.4), (47, -9.5, -20),
+    ala = [
+        (12.8, -39.8, 7.4), (14.6, -41.2, 4), (16, -42.6, 1.8), (14.4, -43.8, 6.8), (16.5, -45.4, 1.6),
+        (14.6, -46.8, 5.8), (12.8, -46.8, 9), (15.4, -48.4, 2.2), (13, -49.4, 5),
     ]  # fmt: skip
-    return _xyz(rows)
+    under = [
+        (3.2, -48.2, 13.2), (7, -48.2, 11.6), (9, -48.2, 8.8), (3.6, -51.4, 8.8), (9.6, -50.8, 5.4),
+        (6.2, -52.6, 6.8), (10, -53.4, 4.2),
+    ]  # fmt: skip
+    rows = [*bridge, *((x * wing, y, z) for x, y, z in [*tip, *ala, *under])]
+    return HalfFace({"alar_crease": _xyz([(x * wing, y, z) for x, y, z in crease])}, _xyz(rows))
 
 
 def _section_fill() -> FloatArray:
     """Return horizontal sections: (height, then (x, z) pairs outward)."""
     sections: list[tuple[float, list[tuple[float, float]]]] = [
-        (51, [(12, -8.8), (24, -12), (36, -18.5), (46, -28), (53, -36)]),
-        (38, [(12, -4.8), (24, -7.5), (36, -13.5), (46, -21.5), (53.5, -30)]),
-        (25, [(10, -0.4), (20, -1.8), (30, -4.8), (40, -10.5), (49, -18.8), (56.5, -29), (61, -38.5)]),
-        (16, [(8, 0), (16, -1.4), (26, -3.8), (36, -6.8), (44, -10.8), (51, -16.8), (57, -26), (62, -37.5)]),
-        (9, [(7, -1.8), (13, -5.8), (19, -7.8), (26, -7.8), (33, -8.2), (41, -11), (48, -15.6), (54, -22)]),
-        (7, [(60, -32), (65, -44.5)]),
-        (-5, [(50.5, -23.5), (56, -29), (62, -38.5), (67, -52)]),
-        (-16, [(46, -18.8), (54, -25.5), (60.5, -34.5), (65.5, -46.5), (68.8, -60)]),
-        (-20, [(22, -10), (30, -11.4), (38, -13.6)]),
-        (-27, [(22, -7.6), (30, -9.6), (38, -12.6), (46, -16.4), (54, -23.2), (61, -34), (67, -52)]),
-        (-37, [(22, -4.8), (30, -7.8), (38, -11.2), (46, -15.8), (54, -23.2), (61, -35.5), (66, -50.5)]),
-        (-48, [(22, -3.6), (30, -6.8), (38, -10.8), (46, -16.4), (54, -25.4), (60.5, -38.5), (65, -53.5)]),
-        (-60, [(23, -1), (31, -6.4), (39, -12), (47, -19.6), (54, -29.6), (59.5, -42), (63, -56)]),
-        (-74, [(33, -9.5), (40, -15), (47, -23.2), (53, -33.5), (57.5, -46), (60, -58)]),
-        (-86, [(27, -7), (34, -12), (41, -20), (47.5, -31.5), (52, -44), (54, -56)]),
-        (-97, [(9, 1.6), (17, -2.4), (25, -8), (33, -16), (40, -27), (45, -39.5), (47.5, -51)]),
+        (51, [(12, -8.8), (24, -12), (36, -18.5), (44, -25.5)]),
+        (38, [(12, -4.8), (24, -7.5), (36, -13.5), (46, -21.5), (53, -29.2)]),
+        (25, [(10, -0.4), (20, -1.8), (30, -4.8), (40, -10.5), (49, -18.8), (56.5, -29)]),
+        (16, [(8, 0), (16, -1.4), (26, -3.8), (36, -6.8), (44, -10.8), (51, -16.8), (57, -26), (62, -37)]),
+        (9, [(7, -1.8), (55, -22.5)]),
+        (6, [(60, -32), (65, -44.5)]),
+        (-5, [(56, -29), (62, -38.5), (67, -52)]),
+        (-16, [(46, -18.8), (54, -25.5), (60.5, -34.5), (65.8, -46.5), (69.6, -60)]),
+        (-21, [(22, -9.6), (30, -11.2), (38, -13.4)]),
+        (-28, [(22, -7.2), (30, -9.4), (38, -12.4), (46, -16.4), (54, -23.4), (61, -34.2), (67.25, -52)]),
+        (-38, [(22, -4.6), (30, -7.6), (38, -11), (46, -15.8), (54, -23.4), (61.2, -36), (67, -51)]),
+        (-48, [(22, -3.6), (30, -6.8), (38, -10.8), (46, -16.4), (54, -25.2), (61, -38.2), (66, -53.5)]),
+        (-60, [(23, -1), (31, -6.4), (39, -12), (47, -19.6), (54, -29.2), (60, -41.6), (64.2, -56)]),
+        (-74, [(37, -12.6), (44, -19.6), (50.5, -28.8), (56, -39.6), (60, -50), (62, -59)]),
+        (-86, [(27, -7), (34, -12), (41, -20), (47.8, -31), (53, -43), (56, -56)]),
+        (-97, [(9, 1.6), (17, -2.4), (25, -8), (33, -16), (40, -26.6), (45.5, -39), (48.5, -51)]),
         (-107, [(8, 2), (17, -3.2), (25, -11), (32, -21.5), (38, -35)]),
         (-115, [(8, -3.6), (16, -8.6), (24, -18), (30, -30)]),
         (-120, [(8, -13.5), (16, -20)]),
     ]  # fmt: skip
     return _xyz([(x, y, z) for y, pairs in sections for x, z in pairs])
-
-
-def _mouth_fill() -> FloatArray:
-    rows = [
-        (5.2, -58.2, 8.4), (10.5, -58, 6), (16.5, -56.6, 2.4), (16, -62, 3.4), (21, -66.5, -0.4),
-        (6.4, -69, 8.8), (12.5, -70, 5.4), (18.5, -72, 0.6), (6, -77.4, 7.4), (12.5, -77.2, 4.6),
-        (19, -75.8, -0.6), (26.5, -67.6, -3.8), (28.8, -75, -7.2), (25, -79.6, -5.4), (18.5, -83.2, -1.4),
-        (9, -86, 3), (8, -90.5, 0.8), (16.5, -89.5, -2.2),
-    ]  # fmt: skip
-    return _xyz(rows)

@@ -44,9 +44,7 @@ class FaceLayout:
         sites = np.concatenate([self.flat, self.flat[inner] * [-1, 1]])
         values = np.concatenate([self.points, self.points[inner] * [-1, 1, 1]])
         spline = RBFInterpolator(sites, values, kernel="thin_plate_spline", smoothing=SMOOTHING)
-        lifted = spline(flat)
-        lifted[np.abs(flat[:, 0]) < 1e-9, 0] = 0.0
-        return lifted
+        return spline(flat)
 
     def place(self, points: FloatArray) -> FloatArray:
         """Return the (N, 2) layout of key points given by their exact coordinates (N, 3)."""

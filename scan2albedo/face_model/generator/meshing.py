@@ -35,8 +35,8 @@ class MeshOptions:
     """
 
     curve_edge_mm: dict[str, float]
-    coarse_edge_mm: float = 10.5
-    growth: float = 0.2
+    coarse_edge_mm: float = 12.0
+    growth: float = 0.24
     iterations: int = 200
     seed: int = 0
 
