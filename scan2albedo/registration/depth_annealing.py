@@ -38,8 +38,8 @@ class DepthDerivativeObjective:
     """Truncated weighted L1 difference between the depth derivatives of model and scan.
 
     cost = sum_p w_p (min(|dx_p - dx'_p|, tau) + min(|dy_p - dy'_p|, tau)) / (2 tau sum_p w_p), 0 ... 1,
-    over the pixels where the scan has derivatives; a pixel the model does not reach counts as tau. The scan is
-    drawn once in the start pose, the model at every evaluation. Derivatives do not see a shift along the
+    over the pixels where the scan has derivatives; a pixel the model does not reach counts as tau. The scan
+    is drawn once in the start pose, the model at every evaluation. Derivatives do not see a shift along the
     viewing axis, so there are five parameters (rotation vector in radians and x, y in mm, about the
     model's origin) and z is solved apart.
 

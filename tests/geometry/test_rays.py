@@ -1,0 +1,87 @@
+"""Rays against the closed form of a sphere and a brute-force intersection."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import random_rotation
+
+
+def sphere(radius, center=(0.0, 0.0, 0.0), level=5):
+    mesh = trimesh.creation.icosphere(level, radius)
+    return np.asarray(mesh.vertices) + center, np.asarray(mesh.faces)
+
+
+def nearest_by_brute_force(vertices, faces, origin, direction):
+    """Moller-Trumbore over every face in float64: the slow, obvious reference."""
+    best = np.inf
+    for a, b, c in vertices[faces]:
+        system = np.stack([-direction, b - a, c - a], 1)
+        if abs(np.linalg.det(system)) < 1e-14:
+            continue
+        distance, u, v = np.linalg.solve(system, origin - a)
+        if distance > 0 and u >= 0 and v >= 0 and u + v <= 1:
+            best = min(best, distance)
+    return best
+
+
+def test_rays_at_a_sphere_hit_where_the_quadratic_says():
+    vertices, faces = sphere(50.0)
+    rng = np.random.default_rng(0)
+    offset = rng.uniform(-45, 45, (400, 2))
+    inside = np.hypot(*offset.T) < 45
+    origins = np.column_stack([offset, np.full(400, 200.0)])
+    hits = RayCaster(vertices, faces).first_hit(origins, [0, 0, -1.0])
+    expected = 200 - np.sqrt(np.maximum(50**2 - (offset**2).sum(1), 0))
+    assert (hits.face[inside] >= 0).all()
+    np.testing.assert_allclose(hits.distance[inside], expected[inside], atol=0.1)
+    corners = vertices[faces[hits.face[inside]]]
+    points = np.einsum("nk,nkd->nd", hits.barycentric[inside], corners)
+    along = origins[inside] - [0, 0, 1.0] * hits.distance[inside, None]
+    np.testing.assert_allclose(points, along, atol=1e-3)
+
+
+def test_rays_agree_with_brute_force_in_any_direction():
+    vertices, faces = sphere(1.0, level=1)
+    vertices = vertices * [1, 2, 0.5] @ random_rotation(np.random.default_rng(1)).T
+    rng = np.random.default_rng(2)
+    origins = rng.normal(size=(60, 3)) * 3
+    directions = -origins + rng.normal(scale=0.6, size=(60, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    hits = RayCaster(vertices, faces).first_hit(origins, directions)
+    expected = [
+        nearest_by_brute_force(vertices, faces, o, d) for o, d in zip(origins, directions, strict=True)
+    ]
+    np.testing.assert_allclose(hits.distance, expected, atol=1e-5)
+    blocked = RayCaster(vertices, faces).occluded(origins, directions)
+    assert (blocked == np.isfinite(expected)).all()
+    assert 5 < blocked.sum() < 55
+
+
+def test_a_miss_is_minus_one_and_infinitely_far():
+    hits = RayCaster(*sphere(1.0, level=2)).first_hit([[0, 0, 5.0]], [[0, 0, 1.0]])
+    assert hits.face[0] == -1
+    assert hits.distance[0] == np.inf
+    assert (hits.barycentric == 0).all()
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e4, 1e6])
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_neither_the_origin_nor_the_unit_matters(offset, unit):
+    """Embree computes in float32: a face 1e6 mm away would lose all detail without centring."""
+    center = np.array([offset, -offset, offset]) * unit
+    vertices, faces = sphere(80.0 * unit, center, level=4)
+    origins = center + np.array([[0, 0, 200.0], [30, 10, 200], [79, 79, 200]]) * unit
+    hits = RayCaster(vertices, faces).first_hit(origins, [0, 0, -1.0])
+    expected = np.array([120.0, 200 - np.sqrt(80**2 - 1000), np.inf]) * unit
+    np.testing.assert_allclose(hits.distance, expected, rtol=2e-3)
+
+
+def test_many_rays_across_threads_equal_few():
+    caster = RayCaster(*sphere(10.0, level=3))
+    rng = np.random.default_rng(3)
+    origins = np.column_stack([rng.uniform(-12, 12, (40_000, 2)), np.full(40_000, 20.0)])
+    many = caster.occluded(origins, [0, 0, -1.0])
+    few = np.concatenate([caster.occluded(part, [0, 0, -1.0]) for part in np.array_split(origins, 50)])
+    assert (many == few).all()
