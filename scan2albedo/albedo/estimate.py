@@ -9,7 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.evidence import LightFound, LightSearch
+from scan2albedo.albedo.finishing import inpainted, rectified
+from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import median_value, usable_texels, value_channel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
@@ -18,7 +21,7 @@ from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.asrm import Reflectance
 from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
-from scan2albedo.optimization.plan import Plan
+from scan2albedo.optimization.plan import Plan, PlanStep
 
 BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
 
@@ -78,8 +81,10 @@ def estimate_albedo(
     view = _unit_view(view_direction)
     usable = usable_texels(image, options)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
+    if brdf == "spherical-harmonics":
+        return _divide_harmonics(image, usable, view, options, meter)
     search = LightSearch(image, usable, brdf, view, seed, options, meter)
-    return _divide(image, search.run(count), usable, view, options, meter)
+    return _divide(image, search.run(count), usable, view, seed, options, meter)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
@@ -107,6 +112,7 @@ def _divide(
     found: LightFound,
     usable: NDArray[np.bool_],
     view: tuple[float, float, float],
+    seed: int,
     options: EstimateOptions,
     meter: Meter,
 ) -> AlbedoEstimate:
@@ -119,9 +125,10 @@ def _divide(
         _on_grid(mask, field) for field in (shading.light, shading.specular, visible.min(0))
     )
     value = value_channel(image.texture_linear)
-    quotient = np.where(mask, np.maximum(value - specular, 0.0) / np.maximum(light, 1.0), 0.0)
-    color = recolor(image.texture_linear, value, quotient)
-    confidence = np.where(usable, light / light.max(), 0)
+    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
+    albedo, rectification = rectified(division.albedo, light, shadow, usable, options)
+    color = recolor(image.texture_linear, value, albedo)
+    color, inpainting = inpainted(color, image, usable, options, seed)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lights,
@@ -129,8 +136,8 @@ def _divide(
         shading=light.astype(np.float32),
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
-        confidence=confidence.astype(np.float32),
-        plan=Plan(tuple(found.steps)),
+        confidence=division.confidence.astype(np.float32),
+        plan=Plan((*found.steps, rectification, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
@@ -176,3 +183,47 @@ def _parameters(reflectance: Reflectance, lights: Sequence[PointLight]) -> dict[
         if lights and math.isfinite(lights[0].distance_mm)
         else None,
     }
+
+
+def _divide_harmonics(
+    image: GeometryImage,
+    usable: NDArray[np.bool_],
+    view: tuple[float, float, float],
+    options: EstimateOptions,
+    meter: Meter,
+) -> AlbedoEstimate:
+    """Fit spherical harmonics to each channel and divide by them."""
+    assert image.texture_linear is not None
+    coefficients = fit_harmonic_light(image, usable, options, meter)
+    shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
+    divisions = [
+        divide_light(
+            image.texture_linear[..., c].astype(np.float64),
+            shading[..., c],
+            none,
+            image.mask,
+            usable,
+            shrink=options.shrink,
+        )
+        for c in range(3)
+    ]
+    step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
+    return AlbedoEstimate(
+        albedo_linear=np.stack([d.albedo for d in divisions], -1).astype(np.float32),
+        lights=(),
+        parameters={"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()},
+        shading=np.where(image.mask, shading.mean(-1), 0).astype(np.float32),
+        specular=none.astype(np.float32),
+        shadow=image.mask.astype(np.float32),
+        confidence=np.mean([d.confidence for d in divisions], 0).astype(np.float32),
+        plan=Plan((step,)),
+        trace=meter.trace,
+        converged=not meter.exhausted,
+        iterations=meter.evaluations,
+        residual=meter.trace.rows[-1].error if len(meter.trace) else float("nan"),
+        image=image,
+        view_direction=view,
+        reflectance=Reflectance("lambert"),
+        casts_shadows=True,
+        shadow_offset_mm=options.shadow_offset_mm,
+    )

@@ -89,10 +89,18 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
 
 
 def build_level(
-    image: GeometryImage, usable: NDArray[np.bool_], size: int, options: EstimateOptions
+    image: GeometryImage,
+    usable: NDArray[np.bool_],
+    size: int,
+    options: EstimateOptions,
+    values: NDArray[np.floating] | None = None,
 ) -> Level:
-    """Average the usable texels into cells so that the longer side has at most `size` of them."""
+    """Average the usable texels into cells so that the longer side has at most `size` of them.
+
+    `values` (H, W) replaces V of the texture.
+    """
     assert image.texture_linear is not None
+    field = value_channel(image.texture_linear) if values is None else values
     factor = max(1, -(-max(image.shape) // size))
     rows, columns = np.nonzero(usable)
     width = -(-image.shape[1] // factor)
@@ -105,10 +113,10 @@ def build_level(
         sums = [np.bincount(cell, flat[:, c], len(count)) for c in range(flat.shape[1])]
         return np.stack(sums, 1) / count[:, None]
 
-    position, value = mean(image.position), mean(value_channel(image.texture_linear))[:, 0]
+    position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(count)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     anchor = image.position[rows, columns][_closest_member(image.position[rows, columns], position, cell)]
-    unit = median_value(image, usable)
+    unit = max(float(np.median(field[usable])), 1e-12)
     center = np.stack([np.bincount(cell, axis) / count for axis in (rows, columns)], 1)
     blocks, block_count = _blocks(center, float(np.sqrt(options.block_area * image.mask.sum())))
     return Level(

@@ -1,0 +1,106 @@
+"""From light to albedo: M_A = (M_T - I_s) / (I_d + I_a), with a confidence and shrinkage in the dark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+from scipy.optimize import nnls
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_WINDOW = 3
+_STATISTICS_WINDOW = 17
+_NOISE_GROUPS = 12
+
+
+@dataclass(frozen=True)
+class Division:
+    """`albedo` V (H, W) and `confidence` (H, W) in [0, 1], both 0 outside the mask; `noise` of V."""
+
+    albedo: FloatArray
+    confidence: FloatArray
+    noise: float
+
+
+def divide_light(
+    value: FloatArray,
+    light: FloatArray,
+    specular: FloatArray,
+    mask: BoolArray,
+    usable: BoolArray,
+    *,
+    shrink: bool = True,
+) -> Division:
+    """Return (V - I_s) / I, drawn toward the neighbourhood's albedo where noise outweighs it.
+
+    With noise of standard deviation s in V the quotient has variance s^2 / I^2. Against a local variance t
+    of the albedo the best linear estimate keeps the part c = t / (t + s^2 / I^2) of the texel's own
+    deviation from the local mean (Wiener's filter); c is the confidence.
+
+    Parameters
+    ----------
+    value, light, specular : (H, W) float64
+        V of the texture, I_a + I_d (> 0), I_s.
+    mask, usable : (H, W) bool
+        The surface; the texels with a trustworthy value. The others get confidence 0.
+    shrink : bool
+        Draw toward the local mean; the confidence is reported in any case.
+    """
+    divisor = np.where(light > 0, light, 1.0)
+    quotient = np.where(mask, np.maximum(value - specular, 0.0) / divisor, 0.0)
+    weight = np.where(usable, divisor**2, 0.0)
+    noise = noise_deviation(value - specular, light, usable)
+    mean = _local_mean(quotient, weight, _WINDOW)
+    variance = _local_mean((quotient - mean) ** 2, weight, _STATISTICS_WINDOW)
+    noise_here = _local_mean(noise**2 / divisor**2, weight, _STATISTICS_WINDOW)
+    # The window's own texel is part of the mean, which takes 1/n of the variance away.
+    variance *= _WINDOW**2 / (_WINDOW**2 - 1)
+    own = np.clip((variance - noise_here) / np.maximum(variance, 1e-30), 0.0, 1.0)
+    own = np.where(noise > 0, own, 1.0)
+    kept = mean + own * (quotient - mean) if shrink else quotient
+    albedo = np.where(mask, np.where(usable, np.maximum(kept, 0.0), quotient), 0.0)
+    return Division(albedo, np.where(usable, own, 0.0), noise)
+
+
+def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
+    """Return the weighted mean over a small window; 0 where nothing in it has weight."""
+    mass = uniform_filter(weight, window, mode="constant")
+    total = uniform_filter(field * weight, window, mode="constant")
+    return np.where(mass > 1e-12, total / np.maximum(mass, 1e-12), 0.0)
+
+
+def noise_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:
+    """Return the standard deviation of additive noise in V, told from texture by how each depends on light.
+
+    The variance of the second difference of V is k (s^2 + t I^2): noise s^2 does not know the light I,
+    texture t is multiplied by it. Both are fitted, not negative, to the medians over texels grouped by I.
+    0 where the light hardly varies, since the two cannot be told apart there.
+
+    Parameters
+    ----------
+    diffuse : (H, W) float64
+        V - I_s.
+    light : (H, W) float64
+    usable : (H, W) bool
+    """
+    second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
+    inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
+    # A shadow's edge is neither noise nor texture.
+    jump = np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1]
+    chosen = inner & jump
+    if int(chosen.sum()) < 100 * _NOISE_GROUPS:
+        return 0.0
+    square, energy = second[chosen] ** 2 / 1.5, light[:, 1:-1][chosen] ** 2
+    groups = np.array_split(np.argsort(energy, kind="stable"), _NOISE_GROUPS)
+    # The median of a squared normal deviate is 0.4549 of its variance.
+    variance = np.array([np.median(square[group]) for group in groups]) / 0.4549
+    level = np.array([np.mean(energy[group]) for group in groups])
+    if level.max() < 2 * level.min() or variance.max() <= 0:
+        return 0.0
+    weight = 1 / np.maximum(variance, 1e-6 * variance.max())
+    (noise, _), _ = nnls(np.stack([weight, weight * level], 1), weight * variance)
+    return float(np.sqrt(noise))

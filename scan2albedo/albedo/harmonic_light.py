@@ -1,0 +1,91 @@
+"""Light as spherical harmonics of order 2: nine coefficients for each channel, neither shadows nor lamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from scan2albedo.albedo.levels import Level, build_level
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.spherical_harmonics import COEFFICIENTS, spherical_harmonics_basis
+from scan2albedo.optimization import Meter
+
+FloatArray = NDArray[np.float64]
+
+_LIGHT_FLOOR = 0.02
+"""Shading below this part of its mean counts as this: harmonics may turn negative, light may not."""
+_ROUNDS = 20
+
+
+def fit_harmonic_light(
+    image: GeometryImage, usable: NDArray[np.bool_], options: EstimateOptions, meter: Meter
+) -> FloatArray:
+    """Return (9, 3) coefficients of the shading of each channel, each of mean 1 over the usable texels.
+
+    Minimises sum rho(w (T - a_b Y c) / mean T) over c, with the block albedos a_b eliminated and rho the
+    soft L1 loss. The colour of the light cannot be told from the albedo's: hence the mean of 1.
+
+    References
+    ----------
+    .. [1] R. Basri, D. Jacobs, "Lambertian reflectance and linear subspaces", IEEE TPAMI 25(2), 2003.
+    """
+    assert image.texture_linear is not None
+    channels = [
+        build_level(image, usable, options.sizes[0], options, values=image.texture_linear[..., channel])
+        for channel in range(3)
+    ]
+    return np.stack([_fit_channel(level, meter) for level in channels], 1)
+
+
+def _fit_channel(level: Level, meter: Meter) -> FloatArray:
+    """Return (9,) the coefficients of one channel."""
+    basis = spherical_harmonics_basis(level.normal)
+    mean = np.average(basis, axis=0, weights=level.weight)
+    residual = _residual(level, basis, mean, meter)
+    free = np.zeros(COEFFICIENTS - 1)
+    for _ in range(_ROUNDS):
+        # A few steps at a time, so that a budget can end the fit between them.
+        if meter.exhausted:
+            break
+        step = least_squares(residual, free, loss="soft_l1", f_scale=0.05, max_nfev=8)
+        moved = float(np.abs(step.x - free).max())
+        free = step.x
+        meter.record(float(np.mean(np.abs(step.fun))))
+        if moved < 1e-5:
+            break
+    return _complete(free, mean)
+
+
+def _complete(free: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return (9,) coefficients with the constant chosen so that the mean shading is 1."""
+    return np.concatenate([[(1 - mean[1:] @ free) / mean[0]], free])
+
+
+def _residual(
+    level: Level, basis: FloatArray, mean: FloatArray, meter: Meter
+) -> Callable[[FloatArray], FloatArray]:
+    root, floor = np.sqrt(level.weight), 1e-12
+
+    def residual(free: FloatArray) -> FloatArray:
+        meter.count()
+        light = np.maximum(basis @ _complete(free, mean), _LIGHT_FLOOR)
+        parts = []
+        for block in level.blocks:
+            top = np.bincount(block, level.weight * level.value * light, level.block_count)
+            bottom = np.bincount(block, level.weight * light**2, level.block_count)
+            parts.append(root * (level.value - light * (top / np.maximum(bottom, floor))[block]))
+        return np.concatenate(parts)
+
+    return residual
+
+
+def harmonic_shading(image: GeometryImage, coefficients: FloatArray) -> FloatArray:
+    """Return (H, W, 3) the shading of each channel, floored; 1 outside the mask."""
+    shading = np.ones((*image.shape, 3))
+    lit = spherical_harmonics_basis(image.normal[image.mask]) @ coefficients
+    shading[image.mask] = np.maximum(lit, _LIGHT_FLOOR)
+    return shading
