@@ -173,9 +173,11 @@ def main() -> None:
     except Scan2AlbedoError as error:
         print(f"scan2albedo: error: {_one_line(error)}", file=sys.stderr)
         sys.exit(USAGE_ERROR)
-    except KeyboardInterrupt:
-        print("scan2albedo: interrupted; nothing half-written was left behind", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+    except SystemExit as stop:
+        # Typer turns Ctrl-C into this exit status without a word.
+        if stop.code == INTERRUPTED:
+            print("scan2albedo: interrupted; nothing half-written was left behind", file=sys.stderr)
+        raise
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
+from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace, fit
@@ -20,6 +21,7 @@ from scan2albedo.io import GeometryImage, RawScan, load_scan
 from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+from scan2albedo.sampling.face import SMALLEST_SIZE
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left that each stage may take."""
@@ -177,9 +179,11 @@ def process(
         With one clear message: the scan cannot be read, holds no face, cannot be fitted, or the
         results cannot be written.
     ValueError
-        For an unknown stage name, or one that is both skipped and forced.
+        For an unknown stage or BRDF name, a stage both skipped and forced, a size or number of lights
+        out of range.
     """
     _check_stage_names(skip, force)
+    _check_choices(size, lights, brdf)
     run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), seed, on_progress)
     options = {
         "size": size,
@@ -234,6 +238,16 @@ def _check_stage_names(skip: Sequence[str], force: Sequence[str]) -> None:
         raise ValueError(
             f"{needed[0]!r} cannot be skipped: later stages stand on it (model='none' works without)"
         )
+
+
+def _check_choices(size: int, lights: int | str, brdf: str) -> None:
+    """Refuse what a late stage would refuse, before an early one has worked for nothing."""
+    if size < SMALLEST_SIZE:
+        raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}")
+    if lights != "auto" and (isinstance(lights, str) or lights < 1):
+        raise ValueError(f"lights is {lights!r}, expected 'auto' or a whole number >= 1")
+    if brdf not in BRDFS:
+        raise ValueError(f"brdf is {brdf!r}, expected one of {', '.join(BRDFS)}")
 
 
 def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:

@@ -60,20 +60,23 @@ def write_result(result: ProcessResult, out: Path) -> Path:
     OutputError
         Naming the folder and the cause.
     """
-    name = result.scan.name
-    folder = make_folder(out / name)
+    folder = out / result.scan.name
     try:
-        staging = Path(tempfile.mkdtemp(prefix=f".{name}-", suffix=".part", dir=out))
-    except OSError as error:
-        raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
-    try:
-        _write_all(result, staging)
-        for path in sorted(staging.iterdir(), key=lambda p: p.name == "result.json"):
-            os.replace(path, folder / path.name)
-    except OSError as error:
-        raise OutputError(f"cannot write the results into {folder}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".part", dir=make_folder(out)))
+        try:
+            _write_all(result, staging)
+            make_folder(folder)
+            for path in sorted(staging.iterdir(), key=lambda p: p.name == "result.json"):
+                os.replace(path, folder / path.name)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    except (OSError, OutputError) as error:
+        cause = error if isinstance(error, OSError) else error.__cause__
+        reason = getattr(cause, "strerror", None) or str(error)
+        raise OutputError(
+            f"cannot write the results into {folder}: {reason}; "
+            "check that the folder can be written and has about 50 MB left, or choose another"
+        ) from error
     return folder
 
 

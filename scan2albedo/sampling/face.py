@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
 
 SMALLEST_SIZE = 8
+SOFTENING = 1 / 50
+"""Standard deviation of the blur of annotated values, as a fraction of the image's size."""
 
 
 class Fitted(Protocol):
@@ -106,7 +108,7 @@ def geometry_image(
         region=region,
         occluder=_occluder(fitted),
         texture_valid=seen,
-        specular_scale=_annotation(fitted, region, "specular_scale"),
+        specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
     )
 
@@ -143,3 +145,16 @@ def _occluder(fitted: Fitted) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
     return fitted.model.region_values(attribute)[region].astype(np.float32)
+
+
+def _softened(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Blur over about a region border's width, inside the mask only.
+
+    Shininess changes gradually over skin; the annotation's steps would print its outlines into the albedo.
+    """
+    import cv2
+
+    sigma = SOFTENING * mask.shape[0]
+    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma)
+    blurred = cv2.GaussianBlur(np.where(mask, values, np.float32(0)), (0, 0), sigma)
+    return np.where(mask, blurred / np.maximum(weight, 1e-6), np.float32(0))

@@ -12,10 +12,12 @@ from scan2albedo.sampling import LookupOptions, geometry_image
 
 
 class FlatAnnotation:
-    """One region for everything."""
+    """Region 3 for everything, and region 4 without highlights."""
 
     def region_values(self, attribute):
-        return {"specular_scale": np.full(256, 0.7), "inpaint": np.full(256, 1.0)}[attribute]
+        table = np.full(256, 0.7 if attribute == "specular_scale" else 1.0)
+        table[4] = 0.0
+        return table
 
 
 @dataclass
@@ -121,3 +123,15 @@ def test_vertex_colours_serve_where_there_is_no_texture():
 def test_too_small_a_size_is_refused():
     with pytest.raises(GeometryImageError, match="size 4 is too small"):
         geometry_image(patch(), None, size=4)
+
+
+def test_annotated_values_change_gradually_and_regions_stay_crisp():
+    fitted = patch()
+    fitted.region = np.where(fitted.vertices[fitted.faces].mean(1)[:, 0] < 0, 3, 4).astype(np.uint8)
+    image = geometry_image(fitted, None, 100)
+    assert set(np.unique(image.region)) == {3, 4}
+    row = image.specular_scale[50]
+    np.testing.assert_allclose(row[[5, -5]], [0.7, 0.0], atol=1e-3)
+    assert np.abs(np.diff(row)).max() < 0.2
+    assert image.inpaint[50, 5]
+    assert not image.inpaint[50, -5]
