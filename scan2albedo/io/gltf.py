@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+from scan2albedo.io.repair import refuse_wrong_indices
 
 if TYPE_CHECKING:
     import trimesh
@@ -46,38 +47,45 @@ def read_gltf(path: Path) -> ParsedMesh:
     ScanError
         When the file is damaged; the message names it.
     """
+    try:
+        return _read_parts(path)
+    except _PARSER_ERRORS as error:
+        kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
+        raise ScanError(
+            f"{path.name}: cannot be read as {kind} ({cause}); "
+            "the file is damaged, truncated or refers to a missing file: export it again"
+        ) from error
+
+
+def _read_parts(path: Path) -> ParsedMesh:
     import trimesh
 
     scene = _load_scene(path)
     textured = _textured_material_names(path)
     materials: dict[int, Material] = {}
-    notes: list[str] = []
     parts = []
     for node in scene.graph.nodes_geometry:
         transform, geometry = scene.graph[node]
         mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
-            part = _part(mesh, materials, notes)
+            part = _part(mesh, materials, path.name)
             parts.append(_placed(part, np.asarray(transform, np.float64)))
     lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
-    notes += [f"the texture of {name} is missing or of an unknown kind: went on without it" for name in lost]
+    notes = (
+        f"the texture of {name} is missing, damaged or of an unknown kind: went on without it"
+        for name in lost
+    )
     return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
 
 
 def _load_scene(path: Path) -> trimesh.Scene:
-    """Load through trimesh; what its parser trips over, or warns of, becomes one error that names the file."""
+    """Load through trimesh; what it warns of becomes an error: it would go on with zeros."""
     import trimesh
 
     warned = _Warnings()
     logging.getLogger("trimesh").addHandler(warned)
     try:
         scene = trimesh.load_scene(path, process=False)
-    except _PARSER_ERRORS as error:
-        kind = path.suffix[1:].upper()
-        raise ScanError(
-            f"{path.name}: cannot be read as {kind} ({type(error).__name__}: {error}); "
-            "the file is damaged, truncated or refers to a missing file: export it again"
-        ) from error
     finally:
         logging.getLogger("trimesh").removeHandler(warned)
     if warned.messages:
@@ -90,14 +98,14 @@ def _textured_material_names(path: Path) -> set[str]:
     data = path.read_bytes()
     if data[:4] == b"glTF":
         data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-    declared = json.loads(data).get("materials", [])
+    declared = json.loads(data.decode("utf-8", "replace")).get("materials", [])
     return {
         m.get("name", "material") for m in declared if "baseColorTexture" in m.get("pbrMetallicRoughness", {})
     }
 
 
 class _Warnings(logging.Handler):
-    """Keeps what trimesh warns of: it goes on with zeros where it cannot decode a compression."""
+    """Keeps what trimesh warns of, such as a compression it cannot decode."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -107,14 +115,15 @@ class _Warnings(logging.Handler):
         self.messages.append(record.getMessage())
 
 
-def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], notes: list[str]) -> ParsedMesh:
+def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], name: str) -> ParsedMesh:
     """Return one mesh with the index of its material, which is added to `materials` when it is new."""
     visual: Any = mesh.visual
     source = getattr(visual, "material", None)
     if id(source) not in materials:
-        materials[id(source)], note = _material(source)
-        notes += [note] if note else []
+        materials[id(source)] = _material(source)
     faces = np.asarray(mesh.faces, np.int64)
+    # Joined with other meshes, a wrong index would point at a vertex of the next one.
+    refuse_wrong_indices(faces, len(mesh.vertices), name)
     uv = getattr(visual, "uv", None)
     colors = visual.vertex_colors if visual.kind == "vertex" else visual.vertex_attributes.get("color")
     return ParsedMesh(
@@ -126,20 +135,20 @@ def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], notes: list[str
     )
 
 
-def _material(material: Any) -> tuple[Material, str | None]:
+def _material(material: Any) -> Material:
     factor = getattr(material, "baseColorFactor", None)
     color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0]
     base = (float(color[0]), float(color[1]), float(color[2]))
     image = getattr(material, "baseColorTexture", None)
     name = str(getattr(material, "name", None) or "material")
     if image is None:
-        return Material(name, None, base), None
+        return Material(name, None, base)
     try:
         pixels = np.asarray(image.convert("RGB"), np.uint8)
-    except (OSError, SyntaxError, ValueError) as error:
-        return Material(name, None, base), f"the texture of {name} is damaged: {error}"
+    except (OSError, SyntaxError, ValueError):
+        return Material(name, None, base)
     texture = decode_srgb_integers(pixels)
-    return Material(name, texture if (color == 1).all() else texture * color, base), None
+    return Material(name, texture if (color == 1).all() else texture * color, base)
 
 
 def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:

@@ -27,12 +27,7 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
             f"{name}: holds {what}; a surface is needed: mesh the points first, or export the scan again "
             "if the file was cut short"
         )
-    low, high = int(mesh.faces.min()), int(mesh.faces.max())
-    if low < 0 or high >= count:
-        raise ScanError(
-            f"{name}: a face refers to vertex {low if low < 0 else high}, but there are {count} vertices "
-            "(counting from 0); the file is damaged or truncated: export it again"
-        )
+    refuse_wrong_indices(mesh.faces, count, name)
     bad = ~np.isfinite(mesh.vertices).all(axis=1)
     if bad.any():
         used = np.zeros(count, bool)
@@ -43,6 +38,16 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
                 f"{name}: {len(broken)} vertices used by faces are NaN or infinite, the first is vertex "
                 f"{broken[0]} (counting from 0); repair the scan or export it again"
             )
+
+
+def refuse_wrong_indices(faces: IntArray, vertex_count: int, name: str) -> None:
+    """Raise `ScanError` when a face refers to a vertex that is not there."""
+    low, high = int(faces.min(initial=0)), int(faces.max(initial=-1))
+    if low < 0 or high >= vertex_count:
+        raise ScanError(
+            f"{name}: a face refers to vertex {low if low < 0 else high}, but there are {vertex_count} "
+            "vertices (counting from 0); the file is damaged or truncated: export it again"
+        )
 
 
 def first_equal_row(rows: NDArray[np.generic]) -> IntArray:

@@ -1,0 +1,138 @@
+"""Whatever is handed to `load_scan`, the answer is a scan or one `ScanError` that names the file."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io import RawScan, load_scan
+from scan2albedo.io.load_scan import SUPPORTED_SCANS
+from tests.io.meshes import glb_bytes, png_bytes, quarters, square_gltf
+
+SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=80.0)
+
+
+@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
+def test_missing_files(tmp_path, extension):
+    with pytest.raises(
+        ScanError, match=rf"nothing\{extension}: cannot be read: No such file.*check the path"
+    ):
+        load_scan(tmp_path / f"nothing{extension}")
+
+
+@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
+def test_empty_files(tmp_path, extension):
+    (tmp_path / f"a{extension}").write_bytes(b"")
+    with pytest.raises(ScanError, match=rf"a\{extension}: the file is empty \(0 bytes\)"):
+        load_scan(tmp_path / f"a{extension}")
+
+
+@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
+def test_folders(tmp_path, extension):
+    (tmp_path / f"a{extension}").mkdir()
+    with pytest.raises(ScanError, match=rf"a\{extension}: cannot be read: Is a directory"):
+        load_scan(tmp_path / f"a{extension}")
+
+
+@pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.txt"])
+def test_unsupported_kinds_list_the_supported_ones(tmp_path, name):
+    (tmp_path / name).write_text("v 0 0 0")
+    with pytest.raises(
+        ScanError, match=rf"{name}: .* not supported; .*\.obj, \.ply, \.glb, \.gltf, \.stl, \.off"
+    ):
+        load_scan(tmp_path / name)
+
+
+@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
+@pytest.mark.parametrize("seed", range(6))
+def test_binary_garbage(tmp_path, extension, seed):
+    path = tmp_path / f"a{extension}"
+    path.write_bytes(np.random.default_rng(seed).bytes(4000))
+    with pytest.raises(ScanError, match=rf"a\{extension}: "):
+        load_scan(path)
+
+
+def whole_files():
+    tree, binary = square_gltf(png_bytes(quarters()))
+    obj = "".join(f"v {x} {y} {z}\n" for x, y, z in SPHERE.vertices)
+    obj += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in SPHERE.faces)
+    return {
+        "a.obj": obj.encode(),
+        "a.ply": SPHERE.export(file_type="ply"),
+        "b.ply": SPHERE.export(file_type="ply", encoding="ascii"),
+        "a.stl": SPHERE.export(file_type="stl"),
+        "b.stl": SPHERE.export(file_type="stl_ascii").encode(),
+        "a.off": SPHERE.export(file_type="off").encode(),
+        "a.glb": glb_bytes(tree, binary),
+    }
+
+
+WHOLE = whole_files()
+
+
+def scan_or_message(path):
+    try:
+        return load_scan(path, unit="mm")
+    except ScanError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("name", sorted(WHOLE))
+def test_damaged_bytes_give_a_scan_or_a_clear_error(tmp_path, name):
+    rng = np.random.default_rng(11)
+    for trial in range(60):
+        data = bytearray(WHOLE[name])
+        for _ in range(rng.integers(1, 5)):
+            data[rng.integers(len(data))] = rng.integers(256)
+        if trial % 3 == 0:
+            start = int(rng.integers(len(data)))
+            del data[start : start + int(rng.integers(1, 200))]
+        (tmp_path / name).write_bytes(bytes(data))
+        outcome = scan_or_message(tmp_path / name)
+        assert isinstance(outcome, RawScan) or (name in outcome and "\n" not in outcome)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.ply", "b.ply", "a.off"])
+def test_a_point_cloud(tmp_path, name):
+    data = trimesh.PointCloud(SPHERE.vertices)
+    text = {
+        "a.obj": "".join(f"v {x} {y} {z}\n" for x, y, z in SPHERE.vertices).encode(),
+        "a.ply": data.export(file_type="ply"),
+        "b.ply": data.export(file_type="ply", encoding="ascii"),
+        "a.off": b"OFF\n2 0 0\n0 0 0\n1 1 1\n",
+    }
+    (tmp_path / name).write_bytes(text[name])
+    with pytest.raises(ScanError, match=rf"{name}: holds a point cloud of \d+ vertices; a surface is needed"):
+        load_scan(tmp_path / name)
+
+
+def test_a_text_without_any_geometry(tmp_path):
+    (tmp_path / "a.obj").write_text("this is a letter, not a mesh\n")
+    with pytest.raises(ScanError, match=r"a\.obj: holds no vertices and no faces"):
+        load_scan(tmp_path / "a.obj")
+
+
+def test_five_vertices_are_a_scan_here(tmp_path):
+    rows = ["v 0 0 0", "v 100 0 0", "v 100 100 0", "v 0 100 0", "v 50 50 80"]
+    (tmp_path / "a.obj").write_text("\n".join([*rows, "f 1 2 5", "f 2 3 5", "f 3 4 5", "f 4 1 5"]))
+    assert load_scan(tmp_path / "a.obj").vertices.shape == (5, 3)
+
+
+def test_names_with_spaces_and_letters_of_other_scripts(tmp_path):
+    path = tmp_path / "Gesicht von Jürgen 顔.ply"
+    path.write_bytes(WHOLE["a.ply"])
+    assert load_scan(str(path)).name == "Gesicht von Jürgen 顔"
+    assert load_scan(path, name="subject 1").name == "subject 1"
+
+
+def test_raw_scans_from_memory_are_checked():
+    with pytest.raises(ScanError, match=r"me: a face refers to vertex -1, but there are 3"):
+        RawScan(np.eye(3), [[0, 1, -1]], name="me")
+    with pytest.raises(ScanError, match=r"me: vertices has shape \(3, 2\), expected \(any, 3\)"):
+        RawScan(np.eye(3)[:, :2], [[0, 1, 2]], name="me")
+    with pytest.raises(
+        ScanError, match=r"me: uv holds 1 values that are NaN or infinite, first at \(0, 1, 1\)"
+    ):
+        RawScan(np.eye(3), [[0, 1, 2]], uv=[[[0, 0], [0, np.nan], [1, 1]]], name="me")
+    with pytest.raises(ScanError, match=r"me: the scan has no faces \(3 vertices\)"):
+        RawScan(np.eye(3), np.zeros((0, 3)), name="me")

@@ -1,0 +1,169 @@
+import json
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
+from scan2albedo.io.glb import write_glb
+from tests.io.meshes import (
+    CORNER_LINEAR,
+    SQUARE_FACES,
+    SQUARE_MM,
+    SQUARE_UV,
+    assert_corner_colors,
+    color_near_corner,
+    glb_bytes,
+    png_bytes,
+    quarters,
+    square_gltf,
+    write_image,
+)
+
+
+def write(path, *arguments, **options):
+    path.write_bytes(glb_bytes(*square_gltf(*arguments, **options)))
+    return path
+
+
+def test_a_file_written_by_hand_shows_its_corners(tmp_path):
+    scan = load_scan(write(tmp_path / "a.glb", png_bytes(quarters()), scale=1e-3))
+    np.testing.assert_allclose(scan.vertices, SQUARE_MM, atol=1e-4)
+    np.testing.assert_allclose(scan.uv, SQUARE_UV[SQUARE_FACES], atol=1e-7)
+    assert_corner_colors(scan)
+    assert scan.notes[0].startswith("unit: m ")
+
+
+def test_scene_transforms_apply_from_the_root_down(tmp_path):
+    nodes = [
+        {"children": [1], "translation": [10, 20, 30]},
+        {"children": [2], "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)]},
+        {"mesh": 0, "scale": [2, 1, 1]},
+    ]
+    scan = load_scan(write(tmp_path / "a.glb", None, nodes=nodes))
+    expected = np.column_stack([-SQUARE_MM[:, 1] + 10, 2 * SQUARE_MM[:, 0] + 20, SQUARE_MM[:, 2] + 30])
+    np.testing.assert_allclose(scan.vertices, expected, atol=1e-4)
+
+
+def test_a_mirroring_transform_keeps_faces_outward_and_colours_in_place(tmp_path):
+    nodes = [{"mesh": 0, "scale": [-1, 1, 1]}]
+    scan = load_scan(write(tmp_path / "a.glb", png_bytes(quarters()), nodes=nodes))
+    corners = scan.vertices[scan.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0).all()
+    for position, color in zip(SQUARE_MM * (-1, 1, 1), CORNER_LINEAR, strict=True):
+        np.testing.assert_allclose(color_near_corner(scan, position), color, atol=1e-6)
+
+
+def test_instances_are_joined_with_one_texture(tmp_path):
+    nodes = [{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0, "translation": [0, 0, 50]}]
+    scan = load_scan(write(tmp_path / "a.glb", png_bytes(quarters()), nodes=nodes))
+    assert scan.vertices.shape == (8, 3)
+    assert scan.texture_linear.shape == (8, 8, 3)
+    assert "2 loose components, all kept" in scan.notes
+    assert_corner_colors(scan)
+
+
+def test_base_colour_factors_multiply_in_linear_light(tmp_path):
+    path = write(tmp_path / "a.glb", png_bytes(quarters()), factor=[0.4, 1.0, 0.2, 1.0])
+    scan = load_scan(path)
+    upper_left = color_near_corner(scan, SQUARE_MM[3])
+    # trimesh keeps factors in 8 bits.
+    np.testing.assert_allclose(upper_left, CORNER_LINEAR[3] * [0.4, 1, 0.2], atol=1e-3)
+
+
+def test_vertex_colours_are_linear_even_beside_a_material(tmp_path):
+    colors = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.25, 0.5, 0.75]])
+    scan = load_scan(write(tmp_path / "a.glb", None, colors=colors))
+    np.testing.assert_allclose(scan.vertex_color_linear, colors, atol=1 / 255)
+
+
+def test_gltf_with_files_beside_it(tmp_path):
+    tree, binary = square_gltf(None)
+    tree["buffers"][0]["uri"] = "data.bin"
+    tree["images"] = [{"uri": "face.png"}]
+    tree["textures"] = [{"source": 0}]
+    tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    (tmp_path / "data.bin").write_bytes(binary)
+    write_image(tmp_path / "face.png", quarters())
+    path = tmp_path / "a.GLTF"
+    path.write_text(json.dumps(tree))
+    assert_corner_colors(load_scan(path))
+    (tmp_path / "face.png").unlink()
+    scan = load_scan(path)
+    assert scan.texture_linear is None
+    assert "the texture of skin is missing, damaged or of an unknown kind: went on without it" in scan.notes
+    (tmp_path / "data.bin").unlink()
+    with pytest.raises(ScanError, match=r"a\.GLTF: cannot be read as GLTF.*missing file"):
+        load_scan(path)
+
+
+def test_a_damaged_texture_is_told(tmp_path):
+    scan = load_scan(write(tmp_path / "a.glb", png_bytes(quarters(64))[:-60]))
+    assert scan.texture_linear is None
+    assert any("the texture of skin is missing, damaged" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize("part", [0.01, 0.1, 0.5, 0.95])
+def test_truncated_files_are_refused_by_name(tmp_path, part):
+    path = write(tmp_path / "a.glb", None)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(ScanError, match=r"a\.glb: "):
+        load_scan(path)
+
+
+def test_a_wrong_index_is_refused_by_name(tmp_path):
+    tree, binary = square_gltf(None)
+    broken = np.array([0, 1, 2, 0, 2, 77], "<u2").tobytes() + binary[12:]
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_bytes(tree, broken))
+    with pytest.raises(ScanError, match=r"a\.glb: a face refers to vertex 77, but there are 4"):
+        load_scan(path)
+
+
+def test_compressed_meshes_are_refused_not_read_as_zeros(tmp_path):
+    tree, binary = square_gltf(None)
+    tree["extensionsUsed"] = tree["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    for accessor in tree["accessors"]:
+        del accessor["bufferView"]
+    tree["meshes"][0]["primitives"][0]["extensions"] = {
+        "KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}
+    }
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb_bytes(tree, binary))
+    with pytest.raises(ScanError, match=r"a\.glb: "):
+        load_scan(path)
+
+
+def test_what_we_write_follows_the_standard(tmp_path):
+    """v is counted from the top and lengths are metres in the file itself, not just for our reader."""
+    write_glb(tmp_path / "a.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV, quarters())
+    data = (tmp_path / "a.glb").read_bytes()
+    assert data[:4] == b"glTF"
+    length = int.from_bytes(data[12:16], "little")
+    tree, binary = json.loads(data[20 : 20 + length]), data[20 + length + 8 :]
+    attributes = tree["meshes"][0]["primitives"][0]["attributes"]
+
+    def values(name):
+        accessor = tree["accessors"][attributes[name]]
+        view = tree["bufferViews"][accessor["bufferView"]]
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        return np.frombuffer(binary[start : start + view["byteLength"]], "<f4").reshape(4, -1)
+
+    np.testing.assert_allclose(values("POSITION"), SQUARE_MM / 1000, atol=1e-8)
+    np.testing.assert_allclose(values("TEXCOORD_0"), [[0, 1], [1, 1], [1, 0], [0, 0]], atol=1e-7)
+    np.testing.assert_allclose(values("NORMAL"), [[0, 0, 1]] * 4, atol=1e-7)
+    assert_corner_colors(load_scan(tmp_path / "a.glb"))
+
+
+def test_a_glb_without_texture_and_wrong_calls(tmp_path):
+    write_glb(tmp_path / "a.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV)
+    np.testing.assert_allclose(load_scan(tmp_path / "a.glb").vertices, SQUARE_MM, atol=1e-4)
+    with pytest.raises(ValueError, match="a texture needs uv"):
+        write_glb(tmp_path / "b.glb", SQUARE_MM, SQUARE_FACES, None, quarters())
+    with pytest.raises(ValueError, match=r"uv has shape \(3, 2\), expected \(4, 2\)"):
+        write_glb(tmp_path / "b.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV[:3])
+    with pytest.raises(ValueError, match="expected"):
+        write_glb(tmp_path / "b.glb", SQUARE_MM[:, :2], SQUARE_FACES)
+    assert not (tmp_path / "b.glb").exists()

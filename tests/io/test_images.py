@@ -1,0 +1,171 @@
+import cv2
+import numpy as np
+import pytest
+
+from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.images import (
+    read_exr_channels,
+    read_image_linear,
+    write_exr,
+    write_exr_channels,
+    write_png,
+)
+from scan2albedo.io.images import write_image as write_by_extension
+from tests.io.meshes import quarters, write_image
+
+RNG = np.random.default_rng(5)
+
+
+@pytest.mark.parametrize("extension", [".png", ".tiff", ".bmp"])
+def test_eight_bit_colour(tmp_path, extension):
+    pixels = RNG.integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    write_image(tmp_path / f"a{extension}", pixels)
+    linear = read_image_linear(tmp_path / f"a{extension}")
+    assert linear.dtype == np.float32
+    np.testing.assert_allclose(linear, srgb_to_linear(pixels / 255), rtol=1e-6)
+
+
+@pytest.mark.parametrize("extension", [".png", ".tiff"])
+def test_sixteen_bits_are_not_cut_to_eight(tmp_path, extension):
+    pixels = RNG.integers(0, 65536, (5, 7, 3)).astype(np.uint16)
+    write_image(tmp_path / f"a{extension}", pixels)
+    linear = read_image_linear(tmp_path / f"a{extension}")
+    np.testing.assert_allclose(linear, srgb_to_linear(pixels / 65535), rtol=1e-5)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_grey_is_repeated_and_alpha_dropped(tmp_path, dtype):
+    top = np.iinfo(dtype).max
+    grey = RNG.integers(0, top, (4, 6)).astype(dtype)
+    write_image(tmp_path / "grey.png", grey)
+    color = RNG.integers(0, top, (4, 6, 3)).astype(dtype)
+    alpha = np.zeros((4, 6, 1), dtype)
+    write_image(tmp_path / "rgba.png", np.concatenate([color, alpha], axis=2))
+    expected = np.repeat(srgb_to_linear(grey / top)[..., None], 3, axis=2)
+    np.testing.assert_allclose(read_image_linear(tmp_path / "grey.png"), expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        read_image_linear(tmp_path / "rgba.png"), srgb_to_linear(color / top), rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize("mode", ["LA", "P", "1"])
+def test_grey_with_alpha_palette_and_one_bit(tmp_path, mode):
+    from PIL import Image
+
+    pixels = np.where(np.arange(24).reshape(4, 6) % 3 == 0, 255, 0).astype(np.uint8)
+    Image.fromarray(pixels).convert(mode).save(tmp_path / "a.png")
+    linear = read_image_linear(tmp_path / "a.png")
+    np.testing.assert_array_equal(linear, np.repeat((pixels / 255)[..., None], 3, axis=2))
+
+
+def test_exif_orientation_is_ignored(tmp_path):
+    from PIL import Image
+
+    picture = Image.fromarray(quarters(64))
+    exif = Image.Exif()
+    exif[0x0112] = 3  # turned by 180 degrees
+    picture.save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    linear = read_image_linear(tmp_path / "turned.jpg")
+    np.testing.assert_allclose(linear[-8, 8], [1, 0, 0], atol=0.03)  # red stays in the lower left
+
+
+def test_float_images_are_linear_already(tmp_path):
+    values = RNG.normal(1, 3, (5, 4, 3)).astype(np.float32)
+    write_exr(tmp_path / "a.exr", values)
+    np.testing.assert_array_equal(read_image_linear(tmp_path / "a.exr"), values)
+    cv2.imwrite(str(tmp_path / "a.tiff"), values[..., ::-1])
+    np.testing.assert_array_equal(read_image_linear(tmp_path / "a.tiff"), values)
+
+
+def test_single_channel_exr(tmp_path):
+    values = RNG.random((5, 4)).astype(np.float32)
+    write_exr(tmp_path / "a.exr", values)
+    assert list(read_exr_channels(tmp_path / "a.exr")) == ["Y"]
+    np.testing.assert_array_equal(read_image_linear(tmp_path / "a.exr")[..., 2], values)
+
+
+def test_exr_without_colour_names_its_channels(tmp_path):
+    write_exr_channels(tmp_path / "a.exr", {"depth.Z": np.ones((3, 3), np.float32)})
+    with pytest.raises(ScanError, match=r"a\.exr has the channels depth\.Z"):
+        read_image_linear(tmp_path / "a.exr")
+
+
+def test_the_content_decides_not_the_extension(tmp_path):
+    write_image(tmp_path / "a.png", quarters())
+    (tmp_path / "a.png").rename(tmp_path / "a.jpg")
+    np.testing.assert_array_equal(read_image_linear(tmp_path / "a.jpg")[-1, 0], [1, 0, 0])
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg", ".tiff", ".exr"])
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.97])
+def test_truncated_images_are_refused_by_name(tmp_path, extension, part):
+    whole = tmp_path / f"whole{extension}"
+    write_by_extension(whole, RNG.integers(0, 256, (90, 90, 3)) / 255.0)
+    cut = tmp_path / f"cut{extension}"
+    data = whole.read_bytes()
+    cut.write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(ScanError, match=rf"cut\{extension}"):
+        read_image_linear(cut)
+
+
+def test_garbage_and_missing_images_are_refused_by_name(tmp_path):
+    (tmp_path / "noise.png").write_bytes(RNG.bytes(5000))
+    with pytest.raises(ScanError, match=r"noise\.png.*re-export"):
+        read_image_linear(tmp_path / "noise.png")
+    with pytest.raises(ScanError, match=r"nothing\.png.*No such file"):
+        read_image_linear(tmp_path / "nothing.png")
+
+
+def test_nan_in_a_float_image_is_refused(tmp_path):
+    values = np.ones((3, 3, 3), np.float32)
+    values[1, 1] = np.nan
+    write_exr(tmp_path / "a.exr", values)
+    with pytest.raises(ScanError, match=r"a\.exr holds NaN"):
+        read_image_linear(tmp_path / "a.exr")
+
+
+def test_png_holds_srgb_of_linear_floats(tmp_path):
+    write_png(tmp_path / "a.png", np.full((2, 2, 3), [0.2158605, 1.5, -1]))
+    assert cv2.imread(str(tmp_path / "a.png"), -1)[0, 0].tolist() == [0, 255, 128]  # BGR
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_png_keeps_integers_and_masks(tmp_path):
+    for name, image in {
+        "rgb": quarters(),
+        "rgb16": quarters(dtype=np.uint16),
+        "rgba": np.dstack([quarters(), np.full((8, 8), 7, np.uint8)]),
+        "grey": quarters()[..., 0],
+        "mask": quarters()[..., 0] > 0,
+    }.items():
+        write_png(tmp_path / f"{name}.png", image)
+        stored = cv2.imread(str(tmp_path / f"{name}.png"), -1)
+        order = stored if stored.ndim == 2 else stored[..., [2, 1, 0, 3][: stored.shape[2]]]
+        expected = image.astype(np.uint8) * 255 if image.dtype == bool else image
+        assert order.dtype == expected.dtype
+        np.testing.assert_array_equal(order, expected)
+
+
+def test_wrong_images_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"shape \(3,\), expected"):
+        write_png(tmp_path / "a.png", np.zeros(3))
+    with pytest.raises(ValueError, match="NaN"):
+        write_png(tmp_path / "a.png", np.full((2, 2), np.nan))
+    with pytest.raises(ValueError, match="expected"):
+        write_exr(tmp_path / "a.exr", np.zeros((2, 2, 5)))
+    with pytest.raises(OutputError, match=r"a\.xyz: images are written as"):
+        write_by_extension(tmp_path / "a.xyz", np.zeros((2, 2)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_big_texture_is_decoded_in_little_more_than_its_own_memory(tmp_path):
+    import tracemalloc
+
+    write_image(tmp_path / "a.png", np.zeros((1500, 2000, 3), np.uint8))
+    read_image_linear(tmp_path / "a.png")
+    tracemalloc.start()
+    linear = read_image_linear(tmp_path / "a.png")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.7 * linear.nbytes

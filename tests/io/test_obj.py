@@ -1,0 +1,205 @@
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
+from scan2albedo.io.mtl import parse_mtl
+from scan2albedo.io.obj import read_obj
+from tests.io.meshes import (
+    CORNER_LINEAR,
+    SQUARE_MM,
+    SQUARE_UV,
+    assert_corner_colors,
+    color_near_corner,
+    quarters,
+    write_image,
+    write_square_obj,
+)
+
+
+def write(folder, text, name="a.obj"):
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_positions_coordinates_and_colours_arrive(tmp_path):
+    scan = load_scan(write_square_obj(tmp_path))
+    np.testing.assert_array_equal(scan.vertices, SQUARE_MM)
+    np.testing.assert_array_equal(scan.uv, SQUARE_UV[scan.faces])
+    assert scan.name == "face"
+    assert_corner_colors(scan)
+
+
+@pytest.mark.parametrize("bits", [np.uint8, np.uint16])
+def test_grey_and_rgba_and_deep_textures(tmp_path, bits):
+    color = quarters(dtype=bits)
+    alpha = np.full((8, 8, 1), 3, bits)
+    scan = load_scan(write_square_obj(tmp_path, name="rgba", image=np.concatenate([color, alpha], 2)))
+    assert_corner_colors(scan)
+    scan = load_scan(write_square_obj(tmp_path, name="grey", image=color[..., 0]))
+    np.testing.assert_allclose(color_near_corner(scan, SQUARE_MM[3]), CORNER_LINEAR[3], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "map_kd",
+    ["face.png", "-s 1 1 1 face.png", "-clamp on -o 0.1 0 face.png", '"face.png"', "./face.png",
+     "C:\\Users\\someone\\Desktop\\FACE.PNG", "/home/other/face.png", "Face.Png"],
+)  # fmt: skip
+def test_textures_are_found_however_they_are_written(tmp_path, map_kd):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.mtl").write_text(f"newmtl skin\nmap_Kd {map_kd}\n")
+    assert_corner_colors(load_scan(path))
+
+
+def test_spaces_in_names_and_in_the_library_line(tmp_path):
+    path = write_square_obj(tmp_path, name="my face", texture="my texture of it.png")
+    assert_corner_colors(load_scan(path))
+
+
+def test_file_extensions_and_library_in_another_case(tmp_path):
+    path = write_square_obj(tmp_path)
+    path.rename(tmp_path / "FACE.OBJ")
+    (tmp_path / "face.mtl").rename(tmp_path / "Face.MTL")
+    assert_corner_colors(load_scan(tmp_path / "FACE.OBJ"))
+
+
+def test_a_texture_in_a_subfolder(tmp_path):
+    (tmp_path / "textures").mkdir()
+    assert_corner_colors(load_scan(write_square_obj(tmp_path, texture="textures/face.png")))
+
+
+def test_missing_or_damaged_textures_are_told_and_left_out(tmp_path):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.png").write_bytes(b"no image")
+    scan = load_scan(path)
+    assert scan.texture_linear is None
+    assert any("face.png cannot be decoded" in note and "without it" in note for note in scan.notes)
+    (tmp_path / "face.png").unlink()
+    scan = load_scan(path)
+    assert any("face.png is missing beside the scan" in note for note in scan.notes)
+    assert "no texture or vertex colours: geometry only" in scan.notes
+    (tmp_path / "face.mtl").unlink()
+    assert any("face.mtl is missing beside the scan" in note for note in load_scan(path).notes)
+
+
+def test_no_mtllib_is_no_fault(tmp_path):
+    path = write(tmp_path, "v 0 0 0\nv 100 0 0\nv 0 100 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    scan = load_scan(path)
+    assert scan.uv.tolist() == [[[0, 0], [1, 0], [0, 1]]]
+    assert not scan.has_color
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "v 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\nf -4 -3 -2 -1\n",
+        "v 0 0 0\nv 100 0 0\nv 100 100 0\nf -3 -2 -1\nv 0 100 0\nf 1 3 -1\n",
+        "v 0 0 0\r\nv 100 0 0\r\nv 100 100 0\r\nv 0 100 0\r\nf 1 2 3 4\r\n",
+        "v 0 0 0\rv 100 0 0\rv 100 100 0\rv 0 100 0\rf 1 2 3 4\r",
+        "  v\t0 0\\\n 0 # first\n\n\tv 100 0 0 1\nv 1e2 +1.0E2 -0\nv 0 100. .0\n f 1//1 2//1 3//1 4//1 # q",
+        "vn 0 0 1\nv 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\ng nose\ns off\nf 1/ 2/ 3/ 4/\nl 1 2\n",
+    ],
+)
+def test_ways_to_write_the_same_square(tmp_path, text):
+    scan = load_scan(write(tmp_path, text))
+    np.testing.assert_array_equal(scan.vertices, [[0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
+    np.testing.assert_array_equal(scan.faces, [[0, 1, 2], [0, 2, 3]])
+
+
+def test_polygons_keep_the_coordinates_of_their_corners(tmp_path):
+    angles = np.arange(6) * np.pi / 3
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    lines = [f"v {x * 100:.17g} {y * 100:.17g} 0" for x, y in ring]
+    lines += [f"vt {x / 2 + 0.5:.17g} {y / 2 + 0.5:.17g}" for x, y in ring]
+    path = write(tmp_path, "\n".join([*lines, "f 1/1 2/2 3/3 4/4 5/5 6/6"]))
+    scan = load_scan(path)
+    assert len(scan.faces) == 4
+    np.testing.assert_allclose(scan.uv * 200 - 100, scan.vertices[scan.faces][..., :2], atol=1e-12)
+    assert "polygons cut into triangles: 1" in scan.notes
+
+
+def test_vertex_colours_are_srgb(tmp_path):
+    rows = ["v 0 0 0 1 0 0", "v 100 0 0 0 1 0", "v 0 100 0 0.5 0.5 0.5"]
+    scan = load_scan(write(tmp_path, "\n".join([*rows, "f 1 2 3"])))
+    expected = [[1, 0, 0], [0, 1, 0], [0.21404114] * 3]
+    np.testing.assert_allclose(scan.vertex_color_linear, expected, rtol=1e-6)
+    rows = ["v 0 0 0 255 0 0", "v 100 0 0 0 255 0", "v 0 100 0 127.5 127.5 127.5"]
+    scan = load_scan(write(tmp_path, "\n".join([*rows, "f 1 2 3"])))
+    np.testing.assert_allclose(scan.vertex_color_linear, expected, rtol=1e-6)
+
+
+def test_several_materials_become_one_texture(tmp_path):
+    mesh = [f"v {x} {y} 0" for x, y in [(0, 0), (100, 0), (100, 100), (0, 100), (200, 0), (200, 100)]]
+    mesh += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "mtllib a.mtl"]
+    mesh += ["usemtl left", "f 1/1 2/2 3/3 4/4", "usemtl right", "f 2/1 5/2 6/3 3/4"]
+    (tmp_path / "a.mtl").write_text("newmtl left\nmap_Kd left.png\nnewmtl right\nmap_Kd right.png\n")
+    write_image(tmp_path / "left.png", quarters(8))
+    write_image(tmp_path / "right.png", np.ascontiguousarray(quarters(16)[:, ::-1]))
+    scan = load_scan(write(tmp_path, "\n".join(mesh)))
+    left, right = scan.uv[:2].mean((0, 1)), scan.uv[2:].mean((0, 1))
+    assert not np.allclose(left, right)
+    for place, color in (((0, 0, 0), [1, 0, 0]), ((200, 0, 0), [1, 0, 0]), ((200, 100, 0), CORNER_LINEAR[3])):
+        np.testing.assert_allclose(color_near_corner(scan, np.array(place, float)), color, atol=1e-6)
+    assert any(note.startswith("packed 2 textures into one of") for note in scan.notes)
+
+
+def test_faces_without_coordinates_get_their_materials_colour(tmp_path):
+    path = write_square_obj(tmp_path)
+    with path.open("a") as file:
+        file.write("v 200 0 0\nv 200 120 0\nusemtl cloth\nf 2 5 6\n")
+    with (tmp_path / "face.mtl").open("a") as file:
+        file.write("newmtl cloth\nKd 0.5 0 1\n")
+    scan = load_scan(path)
+    assert_corner_colors(scan)
+    np.testing.assert_allclose(
+        color_near_corner(scan, np.array([200.0, 120, 0])), [0.21404114, 0, 1], rtol=1e-6
+    )
+    assert "faces without texture, given their material's colour: 1" in scan.notes
+
+
+def test_an_unknown_material_is_told(tmp_path):
+    path = write_square_obj(tmp_path)
+    path.write_text(path.read_text().replace("usemtl skin", "usemtl other"))
+    notes = load_scan(path).notes
+    assert any("material other is not in the material library" in note for note in notes)
+
+
+def test_numbers_are_read_to_the_last_bit_but_one(tmp_path):
+    values = np.random.default_rng(1).normal(size=(300, 3)) * 10.0 ** np.arange(-150, 150)[:, None]
+    text = "\n".join("v " + " ".join(repr(float(x)) for x in row) for row in values)
+    parsed = read_obj(write(tmp_path, text + "\nf 1 2 3"))
+    np.testing.assert_allclose(parsed.vertices, values, rtol=5e-16 * 4)
+
+
+@pytest.mark.parametrize("token", ["nan", "NaN", "-nan", "inf", "-Infinity", "1.#QNAN", "-1.#IND"])
+def test_numbers_that_are_none_are_reported_as_such(tmp_path, token):
+    path = write(tmp_path, f"v 0 0 0\nv 100 {token} 0\nv 0 100 0\nv 0 100 1\nf 1 2 3\n")
+    with pytest.raises(ScanError, match=r"a\.obj: 1 vertices used by faces are NaN or infinite.*vertex 1 "):
+        load_scan(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("v 0 0 0\nv 1 0 x\nf 1 1 1", r"line 2 holds '1 0 x', expected at least 3 numbers"),
+        ("v 0 0 0\nv 1 0\nf 1 1 1", r"line 2 holds '1 0', expected at least 3 numbers"),
+        ("v 0 0 0\nf 1 2", r"line 2 holds '1 2', expected at least 3 corners"),
+        ("v 0 0 0\nf 1 1 2", r"line 2 holds '1 1 2', but there are 1 vertices"),
+        ("v 0 0 0\nf 1 1 -2", r"line 2 .* index before 1"),
+        ("v 0 0 0\nf 1 1 0", r"line 2 .* expected corners like"),
+        ("v 0 0 0\nf 1 1 a", r"line 2 .* expected corners like"),
+        ("v 0 0 0\nvt 0 0\nf 1/1 1/2 1/1", r"line 3 .* but there are 1 texture coordinates"),
+        ("v 0 0 0\nf 1 1 99999999999999999999", r"line 2 .* expected corners like"),
+    ],
+)
+def test_damaged_lines_are_named(tmp_path, text, message):
+    with pytest.raises(ScanError, match=r"a\.obj: " + message):
+        load_scan(write(tmp_path, text))
+
+
+def test_mtl_numbers_that_are_none_leave_the_default():
+    assert parse_mtl("newmtl a\nKd red green\n")["a"].diffuse_srgb == (0.5, 0.5, 0.5)
+    assert parse_mtl("newmtl a\nKd 0.25\n")["a"].diffuse_srgb == (0.25, 0.25, 0.25)
+    assert parse_mtl("Kd 1 1 1\nmap_Kd lost.png\n") == {}
+    assert parse_mtl("newmtl a\n\tmap_Kd\t2 faces.png\n")["a"].texture_file == "2 faces.png"

@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+from scan2albedo.io.repair import first_equal_row, refuse_unusable, repair
+
+SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
+VERTICES, FACES = np.asarray(SPHERE.vertices, float), np.asarray(SPHERE.faces, np.int64)
+
+
+@given(
+    arrays.arrays(
+        np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.sampled_from([-0.0, 0.0, 1.0, 2.0])
+    )
+)
+def test_equal_rows_are_found_as_a_slow_search_finds_them(rows):
+    slow = [next(j for j in range(len(rows)) if (rows[j] == rows[i]).all()) for i in range(len(rows))]
+    assert first_equal_row(rows).tolist() == slow
+
+
+@given(arrays.arrays(np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(-2, 2)))
+def test_equal_rows_of_integers(rows):
+    slow = [next(j for j in range(len(rows)) if (rows[j] == rows[i]).all()) for i in range(len(rows))]
+    assert first_equal_row(rows).tolist() == slow
+
+
+def test_a_clean_mesh_stays_as_it_is():
+    mesh = ParsedMesh(VERTICES, FACES)
+    fixed = repair(mesh)
+    assert fixed.notes == ()
+    np.testing.assert_array_equal(fixed.vertices, VERTICES)
+    np.testing.assert_array_equal(fixed.faces, FACES)
+
+
+def test_each_fault_is_mended_and_told():
+    seam = np.concatenate([VERTICES, VERTICES[:2], [[999, 999, 999]]])  # two repeats and one loose vertex
+    faces = FACES.copy()
+    faces[faces < 2] += len(VERTICES)
+    faults = np.array([FACES[3], FACES[5, [1, 2, 0]], FACES[7, ::-1], [4, 4, 9], [10, 11, 10]])
+    faces = np.concatenate([faces, faults])
+    uv = np.arange(len(faces) * 6, dtype=float).reshape(-1, 3, 2)
+    color = np.arange(len(seam) * 3, dtype=np.float32).reshape(-1, 3)
+    mesh = ParsedMesh(seam, faces, uv, np.arange(len(faces)), (Material("a"),), color, ("first",))
+    fixed = repair(mesh)
+    np.testing.assert_array_equal(fixed.vertices, VERTICES)
+    np.testing.assert_array_equal(fixed.faces, FACES)
+    np.testing.assert_array_equal(fixed.uv, uv[: len(FACES)])
+    np.testing.assert_array_equal(fixed.material, np.arange(len(FACES)))
+    np.testing.assert_array_equal(fixed.vertex_color_linear, color[: len(VERTICES)])
+    assert fixed.notes == (
+        "first",
+        "vertices merged at equal positions (seams): 2",
+        "zero-area faces dropped: 2",
+        "duplicate faces dropped: 3",
+        "unreferenced vertices dropped: 1",
+    )
+    assert mesh.vertices is seam  # inputs are not mutated
+    assert len(mesh.faces) == len(FACES) + 5
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+def test_slivers_go_and_thin_triangles_stay_at_any_scale(scale, offset):
+    sliver = np.array([[0.0, 0, 0], [1, 1, 1], [3, 3, 3]])
+    thin = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]]) + 10
+    vertices = np.concatenate([sliver, thin]) * scale + offset * scale
+    fixed = repair(ParsedMesh(vertices, np.arange(6).reshape(2, 3)))
+    assert len(fixed.faces) == 1
+    np.testing.assert_array_equal(fixed.vertices, vertices[3:])
+
+
+def test_broken_vertices_count_only_when_faces_use_them(tmp_path):
+    vertices = np.concatenate([VERTICES, [[np.nan, 0, 0]]])
+    assert len(repair(ParsedMesh(vertices, FACES)).vertices) == len(VERTICES)
+    refuse_unusable(ParsedMesh(vertices, FACES), "a.obj")
+    vertices[[5, 9], 1] = np.inf
+    with pytest.raises(
+        ScanError, match=r"a\.obj: 2 vertices used by faces are NaN or infinite, the first is vertex 5 "
+    ):
+        refuse_unusable(ParsedMesh(vertices, FACES), "a.obj")
+
+
+def test_a_scan_of_zero_area_faces_only_holds_no_surface(tmp_path):
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 100 0 0\nv 200 0 0\nf 1 2 3\nf 1 1 2\n")
+    with pytest.raises(ScanError, match=r"flat\.obj: every face has zero area"):
+        load_scan(tmp_path / "flat.obj")
+
+
+def test_seams_of_an_obj_are_closed_and_their_coordinates_kept(tmp_path):
+    """Two triangles that share an edge only by position."""
+    lines = ["v 0 0 0", "v 100 0 0", "v 100 100 0", "v 0 0 0", "v 100 100 0", "v 0 100 0"]
+    lines += [
+        "vt 0 0",
+        "vt 0.4 0",
+        "vt 0.4 0.4",
+        "vt 0.6 0.6",
+        "vt 1 1",
+        "vt 0.6 1",
+        "f 1/1 2/2 3/3",
+        "f 4/4 5/5 6/6",
+    ]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    scan = load_scan(tmp_path / "a.obj")
+    assert len(scan.vertices) == 4
+    assert scan.components.max() == 0
+    np.testing.assert_allclose(scan.uv[1], [[0.6, 0.6], [1, 1], [0.6, 1]])
+    assert "vertices merged at equal positions (seams): 2" in scan.notes

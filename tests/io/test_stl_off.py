@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
+from tests.io.meshes import CORNER_COLORS, CORNER_LINEAR, SQUARE_FACES, SQUARE_MM
+
+SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_stl_comes_back_welded(tmp_path, kind):
+    data = SPHERE.export(file_type=kind)
+    path = tmp_path / "a.STL"
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    scan = load_scan(path)
+    assert scan.vertices.shape == SPHERE.vertices.shape
+    np.testing.assert_allclose(
+        np.sort(scan.vertices[scan.faces].reshape(-1, 9), axis=0),
+        np.sort(SPHERE.triangles.reshape(-1, 9), axis=0),
+        atol=1e-4,
+    )
+    assert f"vertices merged at equal positions (seams): {3 * len(SPHERE.faces) - 162}" in scan.notes
+
+
+def test_a_binary_stl_may_begin_with_solid(tmp_path):
+    data = bytearray(SPHERE.export(file_type="stl"))
+    data[:5] = b"solid"
+    (tmp_path / "a.stl").write_bytes(bytes(data))
+    assert len(load_scan(tmp_path / "a.stl").faces) == len(SPHERE.faces)
+
+
+@pytest.mark.parametrize("part", [0.001, 0.3, 0.999])
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_truncated_stl_is_refused_by_name(tmp_path, kind, part):
+    data = SPHERE.export(file_type=kind)
+    data = data if isinstance(data, bytes) else data.encode()
+    (tmp_path / "a.stl").write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(ScanError, match=r"a\.stl: .*truncated"):
+        load_scan(tmp_path / "a.stl")
+
+
+def off(path, header="OFF", vertices=None, faces=None, counts=None):
+    rows = [" ".join(str(x) for x in v) for v in (SQUARE_MM if vertices is None else vertices)]
+    cells = faces or ["3 0 1 2", "3 0 2 3"]
+    counts = counts or f"{len(rows)} {len(cells)} 0"
+    path.write_text("\n".join([header, counts, *rows, *cells]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "counts"),
+    [("OFF", None), ("# made by hand\nOFF # it is\n\n", None), ("OFF 4 2 0", "# counted")],
+)
+def test_off(tmp_path, header, counts):
+    scan = load_scan(off(tmp_path / "a.off", header, counts=counts))
+    np.testing.assert_array_equal(scan.vertices, SQUARE_MM)
+    np.testing.assert_array_equal(scan.faces, SQUARE_FACES)
+
+
+def test_off_polygons_and_face_colours(tmp_path):
+    scan = load_scan(off(tmp_path / "a.off", faces=["4 0 1 2 3 255 0 0"]))
+    np.testing.assert_array_equal(scan.faces, SQUARE_FACES)
+
+
+@pytest.mark.parametrize("top", [1, 255])
+def test_coff_vertex_colours(tmp_path, top):
+    rows = [
+        (*v, *(c / 255 * top for c in color), top)
+        for v, color in zip(SQUARE_MM, CORNER_COLORS.values(), strict=True)
+    ]
+    scan = load_scan(off(tmp_path / "a.off", "COFF", vertices=rows))
+    np.testing.assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"header": "OOF"}, "does not begin with OFF"),
+        ({"header": "OFF BINARY"}, "binary OFF is not supported"),
+        ({"counts": "5 2 0"}, "declares 5 vertices and 2 faces, but ends before that"),
+        ({"counts": "4 3 0"}, "declares 4 vertices and 3 faces, but ends before that"),
+        ({"counts": "nan 3 0"}, "counts are not numbers"),
+        ({"faces": ["3 0 1 two"]}, "not made of numbers"),
+        ({"faces": ["3 0 1"]}, "fewer than 3 corners"),
+        ({"faces": ["2 0 1"]}, "fewer than 3 corners"),
+        ({"faces": ["3 0 1 8"]}, "a face refers to vertex 8, but there are 4 vertices"),
+        ({"vertices": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "fewer than 3 coordinates"),
+    ],
+)
+def test_damaged_off_is_refused_by_name(tmp_path, options, message):
+    with pytest.raises(ScanError, match=r"a\.off: .*" + message):
+        load_scan(off(tmp_path / "a.off", **options))

@@ -1,0 +1,132 @@
+import numpy as np
+import pytest
+
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+from scan2albedo.io.texture_atlas import pack_texture
+
+RNG = np.random.default_rng(3)
+
+
+def smooth(height, width, seed):
+    """A texture whose bilinear lookup is exact for linear ramps."""
+    slope = np.random.default_rng(seed).random((2, 3))
+    rows, columns = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
+    return (rows[:, None, None] * slope[0] + columns[None, :, None] * slope[1]).astype(np.float32)
+
+
+def bilinear(texture, uv):
+    """Bilinear lookup with the convention of `RawScan`; texel centres at half-integers."""
+    height, width = texture.shape[:2]
+    x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
+    y = np.clip((1 - uv[..., 1]) * height - 0.5, 0, height - 1)
+    left, top = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
+    a, b = (x - left)[..., None], (y - top)[..., None]
+    upper = texture[top, left] * (1 - a) + texture[top, left + 1] * a
+    lower = texture[top + 1, left] * (1 - a) + texture[top + 1, left + 1] * a
+    return upper * (1 - b) + lower * b
+
+
+def mesh_of(uv, material, materials):
+    faces = np.arange(len(uv) * 3).reshape(-1, 3)
+    return ParsedMesh(RNG.random((len(uv) * 3, 3)), faces, uv, material, materials)
+
+
+def test_one_texture_is_passed_on_untouched():
+    texture, uv = smooth(5, 9, 0), RNG.random((4, 3, 2))
+    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    assert packed.texture_linear is texture
+    np.testing.assert_array_equal(packed.uv, uv)
+    assert packed.notes == ()
+
+
+def test_interpolated_lookups_are_the_same_in_the_atlas():
+    textures = [smooth(h, w, i) for i, (h, w) in enumerate([(16, 31), (64, 8), (7, 7), (40, 40), (3, 90)])]
+    material = np.repeat(np.arange(5), 30)
+    uv = RNG.random((150, 3, 2))
+    uv[::5, 0] = RNG.integers(0, 2, (30, 2))  # corners of the tiles too
+    packed = pack_texture(mesh_of(uv, material, tuple(Material(str(i), t) for i, t in enumerate(textures))))
+    for i, texture in enumerate(textures):
+        mine = material == i
+        np.testing.assert_allclose(
+            bilinear(packed.texture_linear, packed.uv[mine]), bilinear(texture, uv[mine]), atol=1e-5
+        )
+    assert packed.uv.min() >= 0
+    assert packed.uv.max() <= 1
+    height, width = packed.texture_linear.shape[:2]
+    assert height * width < 3 * sum(t.shape[0] * t.shape[1] for t in textures)
+
+
+def test_untextured_faces_get_colour_and_unused_textures_no_room():
+    materials = (
+        Material("a", smooth(8, 8, 1)),
+        Material("b", None, (0.1, 0.2, 0.3)),
+        Material("c", smooth(512, 512, 1)),
+    )
+    uv = RNG.random((4, 3, 2))
+    uv[2, 1] = np.nan
+    packed = pack_texture(mesh_of(uv, np.array([0, 1, 0, -1]), materials))
+    assert max(packed.texture_linear.shape) < 30
+    np.testing.assert_allclose(
+        bilinear(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3]] * 3, rtol=1e-6
+    )
+    np.testing.assert_allclose(bilinear(packed.texture_linear, packed.uv[[2, 3]]), 0.5, rtol=1e-6)
+    assert "faces without texture, given their material's colour: 3" in packed.notes
+
+
+@pytest.mark.parametrize("shift", [(3.0, -2.0), (-1.0, 0.0)])
+def test_whole_periods_are_moved_back(shift):
+    texture, uv = smooth(16, 16, 2), RNG.random((6, 3, 2)) * 0.8 + 0.1
+    moved = uv.copy()
+    moved[3:] += shift
+    packed = pack_texture(mesh_of(moved, None, (Material("a", texture),)))
+    np.testing.assert_allclose(packed.uv, uv, atol=1e-12)
+    assert packed.texture_linear is texture
+    assert packed.notes == ("a: texture coordinates outside [0, 1] repeat the texture",)
+
+
+def test_faces_across_a_period_get_the_texture_repeated():
+    texture = RNG.random((8, 8, 3)).astype(np.float32)
+    uv = np.array([[[0.5, 0.5], [2.5, 0.5], [0.5, 1.25]]])
+    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    assert packed.texture_linear.shape == (16, 24, 3)
+    inside = (uv[0] + 1e-9) % 1
+    inner = (np.array([[0.2, 0.3, 0.5], [0.6, 0.3, 0.1], [0.1, 0.8, 0.1]]) @ uv[0]) % 1
+    looked = np.array([[0.2, 0.3, 0.5], [0.6, 0.3, 0.1], [0.1, 0.8, 0.1]]) @ packed.uv[0]
+    for want, got in ((inside, packed.uv[0] + 1e-10), (inner, looked)):
+        nearest = [texture[int((1 - v) * 8), int(u * 8)] for u, v in want]
+        found = [packed.texture_linear[int((1 - v) * 16), int(u * 24)] for u, v in got]
+        np.testing.assert_array_equal(found, nearest)
+    assert packed.notes == ("a: texture coordinates outside [0, 1] repeat the texture: laid out 3x2 times",)
+
+
+def test_rounding_beyond_the_rim_does_not_repeat_the_texture():
+    texture = smooth(8, 8, 4)
+    uv = np.array([[[-1e-4, 0.0], [1.0001, 0.5], [0.5, 1.0]]])
+    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    assert packed.texture_linear is texture
+    np.testing.assert_array_equal(packed.uv, np.clip(uv, 0, 1))
+
+
+def test_absurd_repeats_are_clamped_and_told():
+    texture = smooth(64, 64, 4)
+    uv = np.array([[[0.0, 0.0], [900.0, 0.5], [0.5, 900.0]], [[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]]])
+    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    assert packed.texture_linear is texture
+    assert packed.notes == ("a: texture coordinates of 1 faces span 900x900 repeats: clamped to one",)
+    np.testing.assert_array_equal(packed.uv[1], uv[1])
+
+
+def test_a_texture_without_coordinates_is_left_out_and_told():
+    material = Material("a", smooth(4, 4, 0))
+    packed = pack_texture(ParsedMesh(np.eye(3), np.array([[0, 1, 2]]), materials=(material,)))
+    assert packed.texture_linear is None
+    assert packed.notes == ("the texture was left out: the faces have no texture coordinates",)
+
+
+def test_coordinates_without_a_texture_are_kept():
+    uv = RNG.random((2, 3, 2))
+    uv[1, 0] = np.nan
+    packed = pack_texture(mesh_of(uv, None, ()))
+    assert packed.texture_linear is None
+    np.testing.assert_array_equal(packed.uv[0], uv[0])
+    np.testing.assert_array_equal(packed.uv[1], 0)

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scan2albedo.errors import ScanError
+from scan2albedo.geometry.rigid import rotation_from_vector
+from scan2albedo.io import load_scan
+from scan2albedo.io.units import MM_PER_UNIT, largest_extent, millimetres_per_unit
+from tests.io.meshes import SQUARE_MM, assert_corner_colors, write_square_obj
+
+HEAD = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+
+
+def decide(extent, unit="auto"):
+    return millimetres_per_unit(np.asarray(HEAD.vertices) * extent / 2, np.asarray(HEAD.faces), unit, "x.obj")
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("mm", 1), ("cm", 0.1), ("m", 0.001)])
+def test_the_same_scan_in_each_unit(tmp_path, unit, scale):
+    scan = load_scan(write_square_obj(tmp_path, scale=scale))
+    np.testing.assert_allclose(scan.vertices, SQUARE_MM, rtol=1e-12)
+    assert scan.notes[0] == f"unit: {unit} (largest extent 120 mm), decided from the size"
+    assert_corner_colors(scan)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(90, 750), st.sampled_from(["mm", "cm", "m"]))
+def test_every_size_from_a_face_to_shoulders_is_read_in_every_unit(extent_mm, unit):
+    factor, note = decide(extent_mm / MM_PER_UNIT[unit])
+    assert factor == MM_PER_UNIT[unit]
+    assert note.startswith(f"unit: {unit} ")
+
+
+@pytest.mark.parametrize("extent", [0.01, 0.9, 4.0, 1500.0, 1.7e5])
+def test_an_implausible_size_is_shown_and_a_given_unit_ends_the_matter(extent):
+    with pytest.raises(
+        ScanError, match=r"x\.obj: the scan is [\d.e+]+ units long.*unit='mm', 'cm' or 'm'"
+    ) as caught:
+        decide(extent)
+    assert f"{largest_extent(np.asarray(HEAD.vertices) * extent / 2, np.asarray(HEAD.faces)):.4g}" in str(
+        caught.value
+    )
+    factor, note = decide(extent, "cm")
+    assert factor == 10
+    assert note.endswith("as given")
+
+
+def test_an_unknown_unit_is_a_wrong_call(tmp_path):
+    with pytest.raises(ValueError, match="unit is 'inch', expected 'auto', 'mm', 'cm' or 'm'"):
+        load_scan(write_square_obj(tmp_path), unit="inch")
+
+
+def test_spikes_and_far_crumbs_do_not_change_the_unit():
+    vertices, faces = np.asarray(HEAD.vertices) * 90, np.asarray(HEAD.faces)
+    spiky = vertices.copy()
+    spiky[:2] *= 400
+    assert largest_extent(spiky, faces) < 200
+    crumbs = np.concatenate([vertices, vertices[:100] * 0.1 + 1e5])
+    crumb_faces = faces[(faces < 100).all(1)] + len(vertices)
+    together = np.concatenate([faces, crumb_faces])
+    used = np.unique(together)
+    assert largest_extent(crumbs[used], np.searchsorted(used, together)) < 200
+
+
+@given(st.tuples(*[st.floats(-3, 3)] * 3), st.floats(-1e6, 1e6))
+@settings(max_examples=20, deadline=None)
+def test_the_extent_does_not_depend_on_the_pose(turn, far):
+    vertices, faces = np.asarray(HEAD.vertices) * (100, 130, 90), np.asarray(HEAD.faces)
+    moved = vertices @ rotation_from_vector(list(turn)).T + far
+    assert largest_extent(moved, faces) == pytest.approx(largest_extent(vertices, faces), rel=1e-3)
