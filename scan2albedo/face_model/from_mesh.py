@@ -22,9 +22,12 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 REST_REGION = "face"
+FILLED_REGION = "filled"
+FILLED_STIFFNESS = 0.01
+"""Faces over the template's own holes (eyes, mouth) are nearly free, so that a mouth may open."""
 LANDMARK_COUNT = 68
 LANDMARK_REACH_MM = 30.0
-MAX_REGIONS = 254
+MAX_REGIONS = 253
 
 
 def model_from_mesh(
@@ -84,6 +87,10 @@ def model_from_mesh(
     matrix = subdivision.points_matrix(placed)
     offset = _local_offset(matrix @ control.vertices, template.all_vertices, control, placed)
     region, table = _regions(regions, np.asarray(faces, np.int64), template, control, name)
+    if template.filled.any():
+        index = len(table)
+        region[_over_holes(template, subdivision, control)] = index
+        table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
     return AnnotatedFaceModel(
         control_vertices=control.vertices,
         control_faces=control.faces,
@@ -200,6 +207,13 @@ def _regions(
     centres = control.vertices[control.faces].mean(1)
     _, nearest = cKDTree(template.vertices).query(centres)
     return label[template.source][nearest], table
+
+
+def _over_holes(template: CleanTemplate, subdivision: LoopSubdivision, control: ControlMesh) -> IntArray:
+    """Return the control faces over which the centres of filled faces lie."""
+    corners = template.vertices[template.faces[template.filled]]
+    centres = project(subdivision, control.vertices, corners.mean(1), np.zeros((1, 3)))
+    return np.unique(centres.face)
 
 
 def _member_vertices(

@@ -31,12 +31,12 @@ class State:
 class ImplicitSystem:
     """One stage of the dynamics, factored once, the same scalar matrix for x, y and z.
 
-    With the forces f(q) written as springs of stiffness at most C per control point, one step solves
+    With the forces f(q) written as springs whose stiffness is at most 2 C, one step solves
 
         (M / dt^2 + D / dt + K + C) q' = M (q + dt v) / dt^2 + (D / dt + C) q + f(q).
 
     The term C (q' - q) takes the springs' own stiffness implicitly too: it bounds every step, so the
-    step is stable for any dt, K, mass and force, and vanishes at equilibrium K q = f.
+    step is stable for any dt, K and mass, and it vanishes at the equilibrium K q = f.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
     diagonal = csc.diagonal()
     if not np.isfinite(csc.data).all() or not (diagonal > 0).all():
         raise FitError(
-            "the fit's system matrix is not positive definite: stiffness, mass, damping and time step must be "
-            "finite and not all zero"
+            "the fit's system matrix is not positive definite: stiffness, mass, damping and time step "
+            "must be finite and not all zero"
         )
     scale = 1 / np.sqrt(diagonal)
     scaled = (sparse.diags(scale) @ csc @ sparse.diags(scale)).tocsc()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.fitting.kernels import turned_faces
 from scan2albedo.fitting.samples import SurfaceSamples
-from scan2albedo.geometry.mesh import face_cross_products, normalized, vertex_normals
+from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -17,33 +18,36 @@ MIN_STEP_COSINE = 0.2
 
 
 def guarded(
-    before: FloatArray, after: FloatArray, samples: SurfaceSamples, control_faces: IntArray
+    before: FloatArray,
+    after: FloatArray,
+    face_normals: FloatArray,
+    samples: SurfaceSamples,
+    control_faces: IntArray,
 ) -> FloatArray:
     """Return control points (C, 3) between `before` and `after` for which no triangle turns over.
 
     The step is halved at the control points around each offending triangle and their neighbours, up to
-    MAX_HALVINGS times, then everywhere, then dropped.
+    MAX_HALVINGS times, then dropped there, then dropped everywhere.
+
+    Parameters
+    ----------
+    before, after : (C, 3) float64
+    face_normals : (F, 3) float64
+        Unit normals of the sampled triangles at `before`.
+    samples : SurfaceSamples
+    control_faces : (F_C, 3) int64
     """
-    start = face_cross_products(samples.matrix @ before, samples.faces)
-    fraction = np.ones(len(before))
-    for _ in range(MAX_HALVINGS):
-        trial = before + fraction[:, None] * (after - before)
-        bad = _turned(start, face_cross_products(samples.matrix @ trial, samples.faces))
-        if not bad.any():
+    fraction = np.ones((len(before), 1))
+    for attempt in range(MAX_HALVINGS + 1):
+        trial = before + fraction * (after - before)
+        bad = turned_faces(face_normals, samples.matrix @ trial, samples.faces, MIN_STEP_COSINE)
+        if len(bad) == 0:
             return trial
         corners = np.zeros(len(before), bool)
         corners[control_faces[samples.parent[bad]]] = True
-        around = corners[control_faces].any(1)
-        corners[control_faces[around]] = True
-        fraction[corners] *= 0.5
-    half = before + 0.5 * fraction.min() * (after - before)
-    turned = _turned(start, face_cross_products(samples.matrix @ half, samples.faces))
-    return before if turned.any() else half
-
-
-def _turned(before: FloatArray, after: FloatArray) -> NDArray[np.bool_]:
-    cosine = np.einsum("ij,ij->i", normalized(before), normalized(after))
-    return (cosine < MIN_STEP_COSINE) & (np.abs(before).sum(1) > 0)
+        corners[control_faces[corners[control_faces].any(1)]] = True
+        fraction[corners] *= 0.5 if attempt < MAX_HALVINGS - 1 else 0.0
+    return before
 
 
 def flipped_faces(vertices: FloatArray, rest: FloatArray, faces: IntArray) -> int:

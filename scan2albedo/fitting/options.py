@@ -48,9 +48,9 @@ class FitOptions:
         A stage ends when five steps gained less than this fraction of the error.
     """
 
-    levels: tuple[int, ...] = (0, 0, 1, 1, 1, 2)
+    levels: tuple[int, ...] = (0, 0, 1, 1, 1, 1)
     steps: int = 20
-    bending_mm: tuple[float, float] = (60.0, 4.0)
+    bending_mm: tuple[float, float] = (60.0, 1.5)
     membrane_mm: tuple[float, float] = (6.0, 0.6)
     tangential: float = 0.1
     gate_mm: tuple[float, float] = (20.0, 5.0)

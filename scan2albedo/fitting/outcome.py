@@ -41,8 +41,8 @@ def fitted_face(
     if metrics["coverage"] < options.min_coverage:
         raise FitError(
             f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
-            f"{options.residual_gate_mm:.0f} mm, at least {100 * options.min_coverage:.0f} % needed; the pose is "
-            "wrong, or the scan holds too little of a face"
+            f"{options.residual_gate_mm:.0f} mm, at least {100 * options.min_coverage:.0f} % needed; the pose "
+            "is wrong, or the scan holds too little of a face"
         )
     return FittedFace(
         vertices=vertices,

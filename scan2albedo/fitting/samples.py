@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
+from scan2albedo.fitting.kernels import surface_normals
+from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
 FloatArray = NDArray[np.float64]
@@ -56,4 +57,4 @@ class SurfaceSamples:
 
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""
-        return vertex_normals(points, self.faces)
+        return np.asarray(surface_normals(points, self.faces)[0])

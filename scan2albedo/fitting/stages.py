@@ -12,6 +12,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
+from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -23,6 +24,8 @@ FloatArray = NDArray[np.float64]
 
 GAIN_WINDOW = 5
 SEARCH_EVERY = 5
+HELD_SPRINGS = 0.55
+"""Part of the springs' greatest stiffness taken implicitly: above 1/2 every step is stable, less is faster."""
 
 
 @dataclass(frozen=True)
@@ -100,12 +103,19 @@ def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatAr
             break
         points = samples.matrix @ (reference + state.q)
         start = forces.hits if forces is not None and step % SEARCH_EVERY else None
-        forces = scan_forces(deformation.scan, points, samples.normals(points), gates, start)
+        normals, face_normals = surface_normals(points, samples.faces)
+        forces = scan_forces(deformation.scan, points, normals, gates, start)
         meter.count()
         errors.append(forces.mean_distance_mm(samples.area))
         meter.record(errors[-1])
         moved = system.step(state, samples.matrix.T @ (samples.area[:, None] * forces.force))
-        safe = guarded(reference + state.q, reference + moved.q, samples, deformation.model.control_faces)
+        safe = guarded(
+            reference + state.q,
+            reference + moved.q,
+            face_normals,
+            samples,
+            deformation.model.control_faces,
+        )
         state = State(safe - reference, (safe - reference - state.q) / system.time_step)
         if _settled(errors, options.gain_tolerance):
             break
@@ -116,7 +126,7 @@ def _system(deformation: Deformation, samples: SurfaceSamples, progress: float) 
     options = deformation.options
     control_area = vertex_areas(deformation.reference, deformation.model.control_faces)
     lumped = np.maximum(control_area, 1e-6 * control_area.mean())
-    springs = samples.matrix.T @ sparse.diags(samples.area) @ samples.matrix
+    springs = samples.matrix.T @ sparse.diags(HELD_SPRINGS * samples.area) @ samples.matrix
     return ImplicitSystem(
         options.mass * lumped,
         options.damping * lumped,

@@ -131,9 +131,11 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
     .. [1] C. Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
     """
     corner_edges = np.stack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]], 1)
-    edges, edge_of, uses = np.unique(
-        np.sort(corner_edges.reshape(-1, 2), axis=1), axis=0, return_inverse=True, return_counts=True
+    ends = corner_edges.reshape(-1, 2).astype(np.int64)
+    keys, edge_of, uses = np.unique(
+        ends.min(1) * vertex_count + ends.max(1), return_inverse=True, return_counts=True
     )
+    edges = np.stack([keys // vertex_count, keys % vertex_count], 1)
     edge_of = edge_of.reshape(-1, 3)
     boundary = uses == 1
     edge_rows = _edge_rule(vertex_count, faces, edges, edge_of, boundary)

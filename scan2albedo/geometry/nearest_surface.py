@@ -15,7 +15,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class NearestHits:
-    """`points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,), and `vertex` (N,) to walk on from."""
+    """`points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,); `vertex` (N,) to walk on from."""
 
     points: FloatArray
     face: IntArray
@@ -118,7 +118,7 @@ def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face,
 
 @njit(cache=True, nogil=True)
 def _triangle_weights(p, a, b, c):  # type: ignore[no-untyped-def]
-    """Barycentric weights of the point of triangle abc nearest to p (Ericson, Real-Time Collision Detection 5.1.5)."""
+    """Weights of the point of triangle abc nearest to p (Ericson, Real-Time Collision Detection, 5.1.5)."""
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
     for k in range(3):
         ab, ac = b[k] - a[k], c[k] - a[k]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.geometry.loop_subdivision import refine
-from scan2albedo.geometry.mesh import vertex_areas
+from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -65,15 +65,24 @@ def bending(
 ) -> sparse.csr_matrix:
     """Return the (V, V) bending matrix B = L diag(w / a) L with L the Laplacian and a the vertex areas.
 
-    u^T B u is w times the integral of (Laplacian u)^2, the thin-plate energy of a displacement u.
+    u^T B u is the integral of w (Laplacian u)^2, the thin-plate energy of a displacement u. A vertex
+    takes the least weight of its faces, so that a face of weight 0 is a cut that may open; rim vertices
+    take 0 (the plate's free edge).
     """
     plain = laplacian(vertices, faces)
     area = vertex_areas(vertices, faces)
     floor = 1e-6 * max(float(area.mean()), 1e-300)
-    scale = 1.0 / np.maximum(area, floor)
+    weight = np.where(boundary_vertex_mask(len(vertices), faces), 0.0, 1.0)
     if face_weight is not None:
-        scale = scale * vertex_average(len(vertices), faces, face_weight)
-    return (plain @ sparse.diags(scale) @ plain).tocsr()
+        weight = weight * vertex_minimum(len(vertices), faces, face_weight)
+    return (plain @ sparse.diags(weight / np.maximum(area, floor)) @ plain).tocsr()
+
+
+def vertex_minimum(vertex_count: int, faces: IntArray, face_value: FloatArray) -> FloatArray:
+    """Return (V,) least of the values (F,) of the faces around each vertex; zero where there is none."""
+    least = np.full(vertex_count, np.inf)
+    np.minimum.at(least, faces.ravel(), np.repeat(face_value, 3))
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def vertex_average(vertex_count: int, faces: IntArray, face_value: FloatArray) -> FloatArray:
