@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
@@ -19,6 +20,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
+    "annotated_face_model": FaceModelFile,
 }
 
 

@@ -109,7 +109,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
 
 def _read_npz(file: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(file, allow_pickle=False) as archive:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
             arrays = dict(archive) if isinstance(archive, np.lib.npyio.NpzFile) else {}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise GeometryImageError(

@@ -1,0 +1,127 @@
+import json
+import math
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from scan2albedo.errors import OutputError, Scan2AlbedoError
+from scan2albedo.io.result_json import (
+    InputRecord,
+    LightRecord,
+    PlanRecord,
+    RegistrationRecord,
+    ResultRecord,
+    installed_versions,
+    plain_json,
+    read_record,
+    write_record,
+)
+from scan2albedo.lighting.point_light import PointLight
+
+SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
+
+
+def result():
+    return ResultRecord(
+        scan2albedo_version="0.1.0",
+        versions=installed_versions(),
+        name="james",
+        seed=3,
+        options={"size": 512, "skip": (), "model": Path("a/b.json"), "budget_seconds": None},
+        input=InputRecord(
+            file="james.obj", sha256="a" * 64, vertices=6393, faces=12228, texture_size=(2400, 1600)
+        ),
+        plan=(
+            PlanRecord(stage="albedo.shadows", ran=True, reason="cast shadows", evidence="3.1 % of texels"),
+        ),
+        metrics={"fit": {"mean_mm": np.float32(0.25), "worst_mm": np.nan, "flips": np.int64(0)}},
+        lights=(
+            LightRecord.of(PointLight(math.pi / 6, -math.pi / 4)),
+            LightRecord.of(PointLight(0, 0, 900.0, 2)),
+        ),
+        parameters={"light_distance_mm": math.inf, "sh_coefficients": np.eye(3), "brdf": "oren-nayar"},
+        timings_s={"fit": np.float64(1.5)},
+        notes=("unit: mm",),
+        files=("albedo.exr",),
+    )
+
+
+def registration():
+    return RegistrationRecord(
+        model_from_scan=np.arange(16.0).reshape(4, 4),
+        rmse_mm=0.8,
+        depth_error=None,
+        converged=True,
+        confidence=0.9,
+        iterations=120,
+    )
+
+
+@pytest.mark.parametrize("record", [result(), registration()], ids=["result", "registration"])
+def test_what_is_written_is_read_back_and_fits_its_schema(tmp_path, record):
+    write_record(tmp_path / "a.json", record)
+    assert read_record(tmp_path / "a.json", type(record)) == record
+    name = type(record).__name__.removesuffix("Record").lower()
+    schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    tree = json.loads((tmp_path / "a.json").read_text())
+    jsonschema.Draft202012Validator(schema).validate(tree)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.Draft202012Validator(schema).validate({**tree, "surprise": 1})
+
+
+def test_values_become_plain_json():
+    tree = json.loads(result().model_dump_json())
+    first, second = tree["lights"]
+    assert first["azimuth_deg"] == pytest.approx(30)
+    assert first["elevation_deg"] == pytest.approx(-45)
+    assert first["distance_mm"] is None
+    assert second["distance_mm"] == 900
+    assert tree["metrics"]["fit"] == {"mean_mm": 0.25, "worst_mm": None, "flips": 0}
+    assert tree["parameters"]["light_distance_mm"] is None
+    assert tree["parameters"]["sh_coefficients"][1] == [0, 1, 0]
+    assert tree["options"]["model"] == "a/b.json"
+    assert json.loads(registration().model_dump_json())["model_from_scan"][1] == [4, 5, 6, 7]
+
+
+def test_plain_json_leaves_json_alone():
+    tree = {"a": [1, 2.5, None, True, "x"], "b": {}}
+    assert plain_json(tree) == tree
+
+
+@pytest.mark.parametrize(
+    "change", [{"rmse_mm": math.nan}, {"rmse_mm": -1}, {"model_from_scan": np.eye(3)}, {"surprise": 1}]
+)
+def test_wrong_values_are_refused(change):
+    with pytest.raises(ValidationError):
+        RegistrationRecord(**{**registration().model_dump(), **change})
+
+
+def test_reading_names_the_file_and_the_fault(tmp_path):
+    path = tmp_path / "result.json"
+    with pytest.raises(Scan2AlbedoError, match=r"result\.json: cannot be read: No such file"):
+        read_record(path, ResultRecord)
+    write_record(path, result())
+    text = path.read_text()
+    path.write_text(text[: len(text) // 2])
+    with pytest.raises(Scan2AlbedoError, match=r"result\.json: the file: Invalid JSON"):
+        read_record(path, ResultRecord)
+    path.write_text(text.replace('"seed": 3', '"seed": "three"'))
+    with pytest.raises(Scan2AlbedoError, match=r"result\.json: seed: .*integer"):
+        read_record(path, ResultRecord)
+    with pytest.raises(Scan2AlbedoError, match=r"result\.json: model_from_scan: Field required"):
+        read_record(path, RegistrationRecord)
+
+
+def test_a_record_that_cannot_be_written_names_its_folder(tmp_path):
+    with pytest.raises(OutputError, match=r"result\.json into the folder .*nowhere"):
+        write_record(tmp_path / "nowhere" / "result.json", result())
+
+
+def test_versions_name_what_numbers_depend_on():
+    versions = installed_versions()
+    assert {"python", "numpy", "scipy", "embreex"} <= versions.keys()
+    assert versions["numpy"] == np.__version__
