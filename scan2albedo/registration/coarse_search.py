@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scan2albedo.geometry.rigid import rotation_angle_rad
 from scan2albedo.optimization import Meter
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
+from scan2albedo.registration.normal_relief import normal_relief
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.starts import Starts, anchored_starts
@@ -16,6 +17,7 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _BLOCK = 128
+_JUDGED = 48
 _CELL_MM = 5.0
 _MARGIN_MM = 40.0
 _NORMAL_SMOOTHING_MM = 45.0
@@ -47,7 +49,7 @@ def coarse_candidates(
     starts, _ = _round(grid, template.first(60), starts, 5, (20.0, 10.0), meter)
     starts = _taken(starts, np.arange(min(240, len(starts))))
     starts, _ = _round(grid, template.first(300), starts, 8, (12.0, 5.0), meter)
-    return _distinct(starts, options.candidates)
+    return _selected(grid, template, _distinct(starts, _JUDGED), options.candidates)
 
 
 def _taken(starts: Starts, index: NDArray[np.int64]) -> Starts:
@@ -84,6 +86,21 @@ def _round(
     score = np.concatenate(scores)
     order = np.argsort(-score, kind="stable")
     return Starts(rotations[order], translations[order]), score[order]
+
+
+def _selected(grid: NearestGrid, template: Template, starts: Starts, count: int) -> Starts:
+    """Keep half of the candidates by surface distance and half by the relief that the normals show.
+
+    Distance alone prefers the whole back of a head to half a face.
+    """
+    relief = [
+        normal_relief(grid, template.samples, rotation, translation)
+        for rotation, translation in zip(starts.rotations, starts.translations, strict=True)
+    ]
+    by_relief = np.argsort(-np.array(relief), kind="stable")
+    first = np.arange(min((count + 1) // 2, len(starts)))
+    rest = by_relief[~np.isin(by_relief, first)]
+    return _taken(starts, np.concatenate([first, rest])[:count])
 
 
 def _distinct(starts: Starts, count: int) -> Starts:

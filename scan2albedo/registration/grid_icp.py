@@ -45,6 +45,13 @@ class NearestGrid:
         nearest = _nearest_by_sweeps(samples.points, low, cell, shape[0], shape[1], shape[2])
         return cls(samples, nearest, low, cell)
 
+    def nearest_samples(self, points: FloatArray) -> NDArray[np.int64]:
+        """Return the index of (nearly) the nearest sample of each (N, 3) point, -1 outside the grid."""
+        cell = np.floor((points - self.origin) / self.cell_mm).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)
+        x, y, z = np.where(inside[:, None], cell, 0).T
+        return np.where(inside, self.nearest[x, y, z], -1)
+
 
 @njit(cache=True, nogil=True)
 def _nearest_by_sweeps(points, origin, cell, nx, ny, nz):  # type: ignore[no-untyped-def]

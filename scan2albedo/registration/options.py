@@ -25,7 +25,7 @@ class RegistrationOptions:
     """Distinct poses that Open3D refines, at least 6 to be safe."""
     coverage_needed: float = 0.25
     """Least part of the model's depth image that the scan must cover to be a face."""
-    relief_needed: float = 0.42
+    relief_needed: float = 0.6
     """Least relief correlation (see `face_evidence`) of a face."""
     annealing_evaluations: int = 1500
     """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
