@@ -39,7 +39,7 @@ class Posed(Protocol):
 def fit(
     scan: RawScan,
     model: AnnotatedFaceModel,
-    reg: Posed | ArrayLike,
+    reg: Posed | FloatArray,
     budget: Budget | float | None = None,
     *,
     options: FitOptions | None = None,
@@ -57,7 +57,7 @@ def fit(
     ----------
     scan : RawScan
     model : AnnotatedFaceModel
-    reg : object with `model_from_scan`, or (4, 4) array_like
+    reg : object with `model_from_scan`, or (4, 4) array
         Rigid pose, good to about 15 degrees and 15 mm.
     budget : Budget, float or None
         Seconds, or evaluations (steps). When it ends, the face reached so far is returned with
@@ -89,7 +89,7 @@ def fit(
        Computer-Aided Design 32, 2000.
     """
     chosen = options or FitOptions()
-    pose = checked_pose(getattr(reg, "model_from_scan", reg))
+    pose = checked_pose(reg if isinstance(reg, np.ndarray) else reg.model_from_scan)
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     surface = _scan_surface(scan, model, pose)
     similarity = _refined(surface, model, chosen, meter, scan.name)

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from scan2albedo.fitting.kernels import turned_faces
 from scan2albedo.fitting.samples import SurfaceSamples
-from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
+from scan2albedo.geometry.mesh import face_normals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MAX_HALVINGS = 8
+FOLD_COSINE = -0.17
 MIN_STEP_COSINE = 0.2
 """A triangle whose normal turns further than this in one step counts as turning over."""
 
@@ -51,10 +52,21 @@ def guarded(
 
 
 def flipped_faces(vertices: FloatArray, rest: FloatArray, faces: IntArray) -> int:
-    """Count triangles that look against the surface around them but did not at rest."""
-    return int(np.sum(_against(vertices, faces) & ~_against(rest, faces)))
+    """Count triangles at edges folded by more than 100 degrees that were not folded so at rest."""
+    pairs = _neighbours(faces)
+    folded = _folded(vertices, faces, pairs) & ~_folded(rest, faces, pairs)
+    return len(np.unique(pairs[folded]))
 
 
-def _against(vertices: FloatArray, faces: IntArray) -> NDArray[np.bool_]:
-    around = vertex_normals(vertices, faces)[faces].sum(1)
-    return np.einsum("ij,ij->i", face_cross_products(vertices, faces), around) <= 0
+def _folded(vertices: FloatArray, faces: IntArray, pairs: IntArray) -> NDArray[np.bool_]:
+    normals = face_normals(vertices, faces)
+    return np.asarray(np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < FOLD_COSINE)
+
+
+def _neighbours(faces: IntArray) -> IntArray:
+    """Return (E, 2) pairs of faces that share an edge."""
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    keys = directed.min(1) * (np.int64(faces.max()) + 1) + directed.max(1)
+    order = np.argsort(keys, kind="stable")
+    shared = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    return np.stack([order[shared], order[shared + 1]], 1) // 3

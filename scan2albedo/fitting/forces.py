@@ -53,7 +53,7 @@ class ScanForces:
     hits: NearestHits
 
     def mean_distance_mm(self, area: FloatArray) -> float:
-        """Mean cut-off distance, weighted by area, of the samples that have scan opposite; NaN without any."""
+        """Mean cut-off distance (weighted by area) of samples with scan opposite; NaN without any."""
         seen = ~np.isnan(self.near_mm)
         total = float(area[seen].sum())
         return float(area[seen] @ self.near_mm[seen]) / total if total > 0 else float("nan")

@@ -11,6 +11,7 @@ from scan2albedo.fitting.flip_guard import flipped_faces
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesOutcome
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
@@ -41,8 +42,8 @@ def fitted_face(
     if metrics["coverage"] < options.min_coverage:
         raise FitError(
             f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
-            f"{options.residual_gate_mm:.0f} mm, at least {100 * options.min_coverage:.0f} % needed; the pose "
-            "is wrong, or the scan holds too little of a face"
+            f"{options.residual_gate_mm:.0f} mm, at least {100 * options.min_coverage:.0f} % needed; "
+            "the pose is wrong, or the scan holds too little of a face"
         )
     return FittedFace(
         vertices=vertices,
@@ -67,7 +68,7 @@ def residuals_mm(
     scan: ScanSurface, vertices: FloatArray, faces: NDArray[np.int64], gate_mm: float
 ) -> FloatArray:
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
-    hits = scan.nearest.query(vertices)
+    hits = ClosestPointQuery(scan.vertices, scan.faces).query(vertices)
     facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
     seen = ~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing
     return np.where(seen, hits.distance, np.nan)

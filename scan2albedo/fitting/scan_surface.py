@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
     boundary_vertex_mask,
     vertex_components,
@@ -49,11 +50,11 @@ class ScanSurface:
         """The closest-point index of these triangles."""
         return NearestSurface(self.vertices, self.faces)
 
-    def normals_at(self, hits: NearestHits) -> FloatArray:
+    def normals_at(self, hits: NearestHits | ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
         return np.einsum("nk,nkj->nj", hits.barycentric, self.normals[self.faces[hits.face]])
 
-    def on_boundary(self, hits: NearestHits) -> BoolArray:
+    def on_boundary(self, hits: NearestHits | ClosestHits) -> BoolArray:
         """Return (N,) True where the closest point lies on the border of the scan or of a hole."""
         weight = np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1)
         return weight > 0.999
@@ -81,7 +82,7 @@ def scan_near_model(
     of the box stay when one corner is inside, so that the cut itself makes no border near the model.
     """
     xyz = transform_points(model_from_scan, vertices)
-    inside = ((xyz >= low) & (xyz <= high)).all(1)
+    inside = np.all((xyz >= low) & (xyz <= high), axis=1)
     near = faces[inside[faces].any(1)]
     if len(near) == 0:
         return None

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 GAIN_WINDOW = 5
 SEARCH_EVERY = 5
 HELD_SPRINGS = 0.55
-"""Part of the springs' greatest stiffness taken implicitly: above 1/2 every step is stable, less is faster."""
+"""Part of the springs' greatest stiffness taken implicitly: from 1/2 on every step is stable."""
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ class ClosestPointQuery:
         tree = cKDTree(self._vertices[self._faces].mean(1))
         _, near = tree.query(targets[wrong], k=min(neighbours, len(self._faces)))
         near = near.reshape(len(wrong), -1)
-        for row, candidates in zip(wrong, near, strict=True):
+        for row, candidates in zip(wrong.tolist(), near, strict=True):
             fit = candidates[across[candidates] @ facing[row] >= min_cosine]
             if len(fit):
                 _place_on(hits, row, targets[row], self._vertices[self._faces[fit]], fit)

@@ -1,0 +1,73 @@
+"""Models and scans that the fit's tests share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+import pytest
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.io.raw_scan import RawScan
+
+
+def mask_surface(
+    size: int, *, nose_mm: float = 25.0, width_mm: float = 70.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """A face-sized dome with a nose, in closed form: vertices (size^2, 3) mm and faces."""
+    plane, faces = igl.triangulated_grid(size, size)
+    u, v = 2 * plane.T - 1
+    x, y = width_mm * u, 95 * v
+    z = 60 * np.sqrt(np.maximum(1.7 - u**2 - 0.6 * v**2, 0)) + nose_mm * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
+    return np.column_stack([x, y, z]), np.asarray(faces, np.int64)
+
+
+@pytest.fixture(scope="session")
+def mask_model() -> AnnotatedFaceModel:
+    """A small model: 400 vertices, its own control mesh."""
+    vertices, faces = mask_surface(20)
+    return AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, name="mask")
+
+
+@dataclass(frozen=True)
+class MaskScan:
+    """A scan of another mask and its exact pose."""
+
+    scan: RawScan
+    model_from_scan: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def mask_scan(mask_model: AnnotatedFaceModel) -> MaskScan:
+    """A wider mask with a longer nose, finely meshed, in the model's frame."""
+    vertices, faces = mask_surface(70, nose_mm=32.0, width_mm=74.0)
+    centroid = mask_surface(20)[0].mean(0)
+    return MaskScan(RawScan(vertices - centroid, faces, name="another mask"), np.eye(4))
+
+
+@dataclass(frozen=True)
+class IctFaces:
+    """Face shapes in dense correspondence, head and neck included, and the model of the generic one."""
+
+    shapes: dict[str, np.ndarray]
+    faces: np.ndarray
+    inner_vertices: int
+    landmarks: np.ndarray
+    model: AnnotatedFaceModel
+    centroid: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def ict(shared_data) -> IctFaces:
+    path = shared_data / "ict_faces.npz"
+    if not path.exists():
+        pytest.skip("ict_faces.npz is not among the real scans")
+    data = np.load(path)
+    shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
+    generic, faces = shapes["generic_neutral"], data["faces"].astype(np.int64)
+    face_area = faces[: int(data["face_area_faces"])]
+    landmarks = data["landmarks68"].astype(np.int64)
+    model = AnnotatedFaceModel.from_mesh(generic, face_area, landmarks=landmarks, name="generic face")
+    centroid = generic[np.unique(face_area)].mean(0)
+    return IctFaces(shapes, faces, int(data["narrow_face_vertices"]), landmarks, model, centroid)

@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from scan2albedo.errors import FitError
+from scan2albedo.fitting.dynamics import ImplicitSystem, State, factorized
+
+
+def chain(count: int, stiffness: float) -> sparse.csr_matrix:
+    """Springs between neighbours and a weak one to the ground."""
+    ones = np.ones(count)
+    matrix = sparse.diags([-ones[1:], 2.01 * ones, -ones[1:]], [-1, 0, 1])
+    return (stiffness * matrix).tocsr()
+
+
+def explicit_euler(stiffness: sparse.csr_matrix, q: np.ndarray, time_step: float, steps: int) -> np.ndarray:
+    """The reference that blows up: q' = q + dt v, v' = v - dt K q, unit mass, no damping."""
+    velocity = np.zeros_like(q)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(steps):
+            q, velocity = q + time_step * velocity, velocity - time_step * (stiffness @ q)
+    return q
+
+
+def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0) -> ImplicitSystem:
+    count = stiffness.shape[0]
+    held = springs * sparse.identity(count, format="csr")
+    return ImplicitSystem(np.full(count, mass), np.full(count, damping), stiffness, held, time_step)
+
+
+@pytest.mark.parametrize("stiffness", [1e-6, 1e-2, 1.0, 1e4, 1e8])
+@pytest.mark.parametrize("time_step", [1e-6, 1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("mass", [1e-3, 1e3])
+def test_energy_never_grows_without_force(stiffness, time_step, mass):
+    system = implicit(chain(20, stiffness), time_step, mass=mass, springs=0.5)
+    state = State(np.random.default_rng(0).normal(size=(20, 3)), np.zeros((20, 3)))
+    energies = [system.energy(state)]
+    for _ in range(50):
+        state = system.step(state, np.zeros((20, 3)))
+        energies.append(system.energy(state))
+    assert np.isfinite(energies).all()
+    assert (np.diff(energies) <= 1e-9 * energies[0]).all()
+
+
+def test_explicit_euler_blows_up_where_the_implicit_step_does_not():
+    stiffness = chain(20, 1e4)
+    start = np.random.default_rng(1).normal(size=(20, 3))
+    assert not np.abs(explicit_euler(stiffness, start, 0.1, 200)).max() < 1e6
+    state, system = State(start, np.zeros_like(start)), implicit(stiffness, 0.1)
+    for _ in range(200):
+        state = system.step(state, np.zeros_like(start))
+    assert np.abs(state.q).max() <= np.abs(start).max()
+
+
+def test_small_steps_follow_the_exact_oscillator():
+    stiffness, time_step = sparse.csr_matrix([[4.0]]), 1e-4
+    system = implicit(stiffness, time_step)
+    state = State(np.ones((1, 3)), np.zeros((1, 3)))
+    for _ in range(5000):
+        state = system.step(state, np.zeros((1, 3)))
+    np.testing.assert_allclose(state.q, np.cos(2 * 0.5), atol=2e-3)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-6, 8), st.floats(-3, 3))
+def test_the_resting_place_is_where_stiffness_and_force_balance(log_stiffness, log_step):
+    stiffness = chain(8, 10.0**log_stiffness)
+    goal = np.random.default_rng(2).normal(size=(8, 3))
+    system = implicit(stiffness, 10.0**log_step, springs=0.55, mass=1e-9, damping=1e-9)
+    state = State.at_rest(8)
+    for _ in range(400):
+        state = system.step(state, goal - state.q)
+    expected = np.linalg.solve(stiffness.toarray() + np.eye(8), goal)
+    np.testing.assert_allclose(state.q, expected, atol=1e-3)
+
+
+def test_springs_held_by_more_than_half_never_overshoot_without_end():
+    count, goal = 5, np.ones((5, 3))
+    for held, stable in ((0.55, True), (0.3, False)):
+        system = implicit(chain(count, 1e-6), 1e3, springs=held, mass=1e-9)
+        state = State.at_rest(count)
+        for _ in range(60):
+            state = system.step(state, goal - state.q)
+        assert (np.abs(state.q - goal).max() < 1e-2) == stable
+
+
+def test_factorisation_solves_badly_scaled_systems():
+    scale = sparse.diags(10.0 ** np.linspace(-6, 6, 30))
+    matrix = (scale @ chain(30, 1.0) @ scale).tocsr()
+    x = np.random.default_rng(3).normal(size=(30, 3))
+    solved = factorized(matrix)(matrix @ x)
+    np.testing.assert_allclose(scale @ solved, scale @ x, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])
+def test_a_matrix_that_is_no_system_is_refused(bad):
+    matrix = chain(4, 1.0).tolil()
+    matrix[2, 2] = bad
+    with pytest.raises(FitError, match="positive definite"):
+        factorized(matrix.tocsr())
+
+
+def test_time_step_must_be_positive():
+    with pytest.raises(ValueError, match="time_step"):
+        implicit(chain(3, 1.0), 0.0)

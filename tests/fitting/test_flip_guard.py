@@ -1,0 +1,43 @@
+import numpy as np
+
+from scan2albedo.fitting.flip_guard import flipped_faces, guarded
+from scan2albedo.fitting.kernels import surface_normals, turned_faces
+from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.geometry.mesh import face_normals, vertex_normals
+
+
+def test_compiled_normals_are_the_plain_ones(mask_model):
+    points, faces = mask_model.surface(1)
+    vertex, face = surface_normals(points, faces)
+    np.testing.assert_allclose(vertex, vertex_normals(points, faces), atol=1e-12)
+    np.testing.assert_allclose(face, face_normals(points, faces), atol=1e-12)
+
+
+def test_a_harmless_step_passes_whole(mask_model):
+    samples = SurfaceSamples.of(mask_model, mask_model.control_vertices, 1)
+    before, after = mask_model.control_vertices, mask_model.control_vertices * 1.1
+    normals = surface_normals(samples.matrix @ before, samples.faces)[1]
+    np.testing.assert_array_equal(guarded(before, after, normals, samples, mask_model.control_faces), after)
+
+
+def test_a_step_that_would_turn_a_triangle_is_shortened_there_only(mask_model):
+    samples = SurfaceSamples.of(mask_model, mask_model.control_vertices, 1)
+    before = mask_model.control_vertices
+    after = before + [0.0, 0.0, 1.0]
+    centre = int(np.argmin(np.linalg.norm(before[:, :2], axis=1)))
+    after[centre, 0] += 40.0
+    normals = surface_normals(samples.matrix @ before, samples.faces)[1]
+    assert len(turned_faces(normals, samples.matrix @ after, samples.faces, 0.2))
+    safe = guarded(before, after, normals, samples, mask_model.control_faces)
+    assert not len(turned_faces(normals, samples.matrix @ safe, samples.faces, 0.2))
+    whole = np.isclose(safe, after).all(1)
+    assert whole.mean() > 0.8
+    assert not whole[centre]
+
+
+def test_flipped_faces_counts_a_vertex_pulled_through_its_neighbours(mask_model):
+    rest, faces = mask_model.surface(1)
+    assert flipped_faces(rest, rest, faces) == 0
+    pulled = rest.copy()
+    pulled[np.argmin(np.linalg.norm(rest[:, :2] - [30, 30], axis=1)), 0] += 25
+    assert flipped_faces(pulled, rest, faces) > 0

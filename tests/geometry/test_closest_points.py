@@ -1,0 +1,95 @@
+import igl
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.nearest_surface import NearestSurface
+
+
+def bumpy_grid(size: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = igl.triangulated_grid(size, size)
+    x, y = 10 * vertices.T
+    return np.column_stack([x, y, np.sin(2 * x) * np.cos(3 * y)]), np.asarray(faces, np.int64)
+
+
+def closest_by_sampling(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray) -> float:
+    """Slow obvious reference: the least distance to a dense sampling of every triangle."""
+    steps = np.linspace(0, 1, 21)
+    a, b = np.meshgrid(steps, steps)
+    inside = a + b <= 1 + 1e-12
+    weights = np.column_stack([1 - a[inside] - b[inside], a[inside], b[inside]])
+    return float(np.linalg.norm(np.einsum("sk,fkj->fsj", weights, vertices[faces]) - point, axis=2).min())
+
+
+def test_exact_query_agrees_with_dense_sampling():
+    vertices, faces = bumpy_grid(12)
+    points = np.random.default_rng(0).uniform([0, 0, -2], [10, 10, 2], (20, 3))
+    hits = ClosestPointQuery(vertices, faces).query(points)
+    reference = [closest_by_sampling(vertices, faces, p) for p in points]
+    assert (hits.distance <= np.array(reference) + 1e-9).all()
+    np.testing.assert_allclose(hits.distance, reference, atol=0.05)
+
+
+def test_barycentric_coordinates_rebuild_the_points():
+    vertices, faces = bumpy_grid()
+    points = np.random.default_rng(1).uniform([0, 0, -2], [10, 10, 2], (200, 3))
+    for hits in (
+        ClosestPointQuery(vertices, faces).query(points),
+        NearestSurface(vertices, faces).query(points),
+    ):
+        rebuilt = np.einsum("nk,nkj->nj", hits.barycentric, vertices[faces[hits.face]])
+        np.testing.assert_allclose(rebuilt, hits.points, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(points - hits.points, axis=1), hits.distance, atol=1e-9)
+
+
+def test_nearest_surface_is_exact_near_a_well_shaped_mesh():
+    vertices, faces = bumpy_grid()
+    rng = np.random.default_rng(2)
+    base = vertices[faces[rng.integers(len(faces), size=500)]].mean(1)
+    points = base + 0.1 * rng.normal(size=base.shape)
+    exact = ClosestPointQuery(vertices, faces).query(points).distance
+    near = NearestSurface(vertices, faces).query(points).distance
+    assert (near >= exact - 1e-12).all()
+    assert np.mean(near - exact < 1e-9) > 0.95
+
+
+def test_a_warm_start_walks_to_the_answer_of_a_full_search():
+    vertices, faces = bumpy_grid()
+    vertices = vertices * [1, 1, 0.2]
+    surface = NearestSurface(vertices, faces)
+    points = vertices[faces].mean(1)
+    moved = points + [0.2, -0.1, 0.05]
+    warm = surface.query(moved, surface.query(points).vertex)
+    np.testing.assert_allclose(warm.distance, surface.query(moved).distance, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    "point", [[-1, -1, 0], [2, -1, 0], [-1, 2, 0], [0.5, -1, 0], [1, 1, 0], [0.2, 0.2, 3]]
+)
+def test_one_triangle_in_every_voronoi_region(point):
+    vertices, faces = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
+    exact = ClosestPointQuery(vertices, faces).query([point])
+    near = NearestSurface(vertices, faces).query(np.array([point], float))
+    np.testing.assert_allclose(near.points, exact.points, atol=1e-12)
+
+
+def test_a_degenerate_triangle_gives_finite_answers():
+    vertices, faces = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]])
+    hits = NearestSurface(vertices, faces).query(np.array([[1.5, 1.0, 0.0]]))
+    np.testing.assert_allclose(hits.distance, 1.0)
+    assert np.isfinite(hits.barycentric).all()
+
+
+def test_query_facing_chooses_the_sheet_that_looks_the_right_way():
+    sheet, faces = bumpy_grid(8)
+    sheet = sheet * [1, 1, 0]
+    both = np.concatenate([sheet, sheet + [0, 0, 0.1]])
+    index = np.concatenate([faces, faces[:, ::-1] + len(sheet)])
+    up = vertex_normals(sheet, faces)[0]
+    point = np.array([[5.0, 5.0, 0.09]])
+    query = ClosestPointQuery(both, index)
+    assert query.query(point).distance[0] == pytest.approx(0.01)
+    hit = query.query_facing(point, up[None])
+    assert hit.distance[0] == pytest.approx(0.09)
+    assert hit.points[0] == pytest.approx([5, 5, 0])

@@ -1,0 +1,100 @@
+import igl
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.hole_filling import boundary_loops, fill_hole
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
+from scan2albedo.geometry.mesh import boundary_edges, face_areas, face_cross_products
+from scan2albedo.geometry.operators import (
+    bending,
+    laplacian,
+    linear_refinement,
+    vertex_average,
+    vertex_minimum,
+)
+
+
+def grid(size: int = 9) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = igl.triangulated_grid(size, size)
+    return np.column_stack([vertices, np.zeros(len(vertices))]), np.asarray(faces, np.int64)
+
+
+def test_membrane_energy_of_a_linear_field_is_its_gradient_squared_times_area():
+    vertices, faces = grid()
+    u = 3 * vertices[:, 0] - 2 * vertices[:, 1]
+    assert u @ laplacian(vertices, faces) @ u == pytest.approx(9 + 4)
+    assert u @ laplacian(vertices, faces, np.full(len(faces), 0.5)) @ u == pytest.approx(6.5)
+
+
+def test_bending_energy_is_zero_on_linear_fields_and_close_to_the_integral_on_quadratic_ones():
+    vertices, faces = grid(41)
+    flat = vertices[:, 0] + 2 * vertices[:, 1]
+    plate = bending(vertices, faces)
+    assert flat @ plate @ flat == pytest.approx(0, abs=1e-6)
+    bowl = vertices[:, 0] ** 2 + vertices[:, 1] ** 2
+    assert bowl @ plate @ bowl == pytest.approx(16, rel=0.1)
+
+
+def test_operators_are_positive_semi_definite_even_on_slivers():
+    rng = np.random.default_rng(3)
+    vertices, faces = grid(5)
+    vertices[:, 1] *= 1e-7
+    vertices[3] = vertices[4]
+    for matrix in (laplacian(vertices, faces), bending(vertices, faces)):
+        dense = matrix.toarray()
+        assert np.isfinite(dense).all()
+        np.testing.assert_allclose(dense, dense.T, atol=1e-9 * np.abs(dense).max())
+        u = rng.normal(size=(len(vertices), 10))
+        assert (np.einsum("ij,ij->j", u, dense @ u) >= -1e-9 * np.abs(dense).max()).all()
+
+
+def test_a_cut_of_zero_weight_lets_two_halves_move_apart():
+    vertices, faces = grid(21)
+    middle = vertices[faces][:, :, 0].mean(1)
+    cut = np.where(np.abs(middle - 0.5) < 0.06, 0.0, 1.0)
+    halves = np.where(vertices[:, 0] > 0.5, 1.0, 0.0)
+    for operator in (laplacian, bending):
+        assert halves @ operator(vertices, faces) @ halves > 1
+        assert halves @ operator(vertices, faces, cut) @ halves == pytest.approx(0, abs=1e-8)
+
+
+def test_vertex_reductions():
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    np.testing.assert_allclose(vertex_average(5, faces, np.array([1.0, 3.0])), [1, 2, 2, 3, 0])
+    np.testing.assert_allclose(vertex_minimum(5, faces, np.array([1.0, 3.0])), [1, 1, 1, 3, 0])
+
+
+def test_linear_refinement_numbers_vertices_as_subdivision_does():
+    vertices, faces = grid(4)
+    subdivision = LoopSubdivision.of(len(vertices), faces, 2)
+    fine = linear_refinement(len(vertices), faces, 2) @ vertices
+    areas = face_areas(fine, subdivision.faces)
+    np.testing.assert_allclose(areas, areas[0])
+    assert areas.sum() == pytest.approx(1)
+
+
+def test_points_on_refined_faces_come_back_to_the_same_place_on_control_faces():
+    vertices, faces = grid(4)
+    vertices = vertices + 0.1 * np.random.default_rng(0).normal(size=vertices.shape)
+    subdivision = LoopSubdivision.of(len(vertices), faces, 3)
+    rng = np.random.default_rng(1)
+    refined = SurfacePoints(
+        rng.integers(len(subdivision.faces), size=300), rng.dirichlet(np.ones(3), size=300)
+    )
+    surface = subdivision.matrix @ vertices
+    direct = np.einsum("nk,nkj->nj", refined.barycentric, surface[subdivision.faces[refined.face]])
+    on_control = subdivision.control_points(refined)
+    np.testing.assert_allclose(on_control.barycentric.sum(1), 1)
+    np.testing.assert_allclose(subdivision.points_matrix(on_control) @ vertices, direct, atol=1e-12)
+
+
+def test_a_hole_is_closed_with_least_area_and_the_right_orientation():
+    vertices, faces = grid(9)
+    centre = vertices[faces].mean(1)
+    open_mesh = faces[np.linalg.norm(centre - [0.5, 0.5, 0], axis=1) > 0.25]
+    rim, hole = boundary_loops(open_mesh)
+    assert len(rim) == 32
+    closed = np.concatenate([open_mesh, fill_hole(vertices, hole)])
+    assert len(boundary_edges(closed)) == len(rim)
+    assert face_areas(vertices, closed).sum() == pytest.approx(1)
+    assert (face_cross_products(vertices, closed)[:, 2] >= -1e-15).all()
