@@ -157,7 +157,7 @@ def _read_entry(path: Path) -> FaceModelFile:
 
 def _read_arrays(path: Path) -> Arrays:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except FileNotFoundError as error:
         raise ModelError(f"face model: {path} is missing; copy it beside its .json file") from error

@@ -11,7 +11,12 @@ from scan2albedo.face_model.generator.key_points import half_face
 from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE, half_landmarks
 from scan2albedo.face_model.generator.layout import FaceLayout, layout_of, mirrored_mesh
 from scan2albedo.face_model.generator.meshing import HalfMesh, MeshOptions, mesh_half
-from scan2albedo.face_model.generator.regions import MIDDLE_REGIONS, default_regions, half_region_names
+from scan2albedo.face_model.generator.regions import (
+    MIDDLE_REGIONS,
+    default_regions,
+    half_region_names,
+    without_spikes,
+)
 from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix
@@ -99,11 +104,28 @@ def _centroid(control: FloatArray, faces: IntArray) -> FloatArray:
 def _region_of_faces(
     lifted: FloatArray, mesh: HalfMesh, curves: dict[str, FloatArray], index: dict[str, int]
 ) -> NDArray[np.uint8]:
-    names = half_region_names(lifted[mesh.faces].mean(1), curves)
+    names = without_spikes(
+        half_region_names(lifted[mesh.faces].mean(1), curves), _face_neighbours(mesh.faces)
+    )
     sided = [
         [index[n if n in MIDDLE_REGIONS else f"{side}_{n}"] for n in names] for side in ("left", "right")
     ]
     return np.array(sided[0] + sided[1], np.uint8)
+
+
+def _face_neighbours(faces: IntArray) -> list[list[int]]:
+    """Return, per face, the faces across its edges."""
+    across: dict[tuple[int, int], list[int]] = {}
+    for face, corners in enumerate(faces.tolist()):
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            edge = (min(corners[a], corners[b]), max(corners[a], corners[b]))
+            across.setdefault(edge, []).append(face)
+    neighbours: list[list[int]] = [[] for _ in faces]
+    for first, *second in across.values():
+        for other in second:
+            neighbours[first].append(other)
+            neighbours[other].append(first)
+    return neighbours
 
 
 def _landmark_points(control: FloatArray, faces: IntArray, curves: dict[str, FloatArray]) -> SurfacePoints:

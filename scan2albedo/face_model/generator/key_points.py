@@ -47,7 +47,7 @@ def half_face(m: Measurements) -> HalfFace:
     curves = {"midline": np.array(list(middle.values())), "outline": _outline(m, middle)}
     # Between sparse points the spline would let creases fade and swell.
     curves |= {name: _dense(curve) for name, curve in (eye.curves | mouth.curves).items()} | nose.curves
-    return HalfFace(curves, np.concatenate([eye.fill, mouth.fill, nose.fill, _section_fill()]))
+    return HalfFace(curves, np.concatenate([eye.fill, mouth.fill, nose.fill, _section_fill(m)]))
 
 
 def _dense(curve: FloatArray, step_mm: float = 2.0) -> FloatArray:
@@ -119,7 +119,7 @@ def _outline(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> 
             (14, tr[1] + 0.6, tr[2] - 1.5), (28, tr[1] - 0.9, tr[2] - 6.5), (40, 58.5, -28), (49, 51, -32.5),
             (56, 41, -35.5), (61, 29, -38.5), (65, 15.5, -46), (68.3, 2, -56), (70.2, -11, -65),
             (71.3, -24, -71), (70.8, -41, -71.5), (68, -59, -70.5), (61.5, -76, -68.5),
-            (m.jaw_width_mm / 2 + 1, -89.5, -63), (42.5, -103, -52.5), (31, -112.8, -41),
+            (m.jaw_width_mm / 2, -90, -62.5), (42.5, -103, -52.5), (31, -112.8, -41),
             (16, throat[1] + 3.0, -31),
         ]
     )  # fmt: skip
@@ -249,19 +249,20 @@ def _nose(m: Measurements) -> HalfFace:
     return HalfFace({"alar_crease": _xyz([(x * wing, y, z) for x, y, z in crease])}, _xyz(rows))
 
 
-def _section_fill() -> FloatArray:
+def _section_fill(m: Measurements) -> FloatArray:
     """Return horizontal sections: (height, then (x, z) pairs outward)."""
+    forehead, cheekbone = m.forehead_width_mm / 2, m.face_width_mm / 2
     sections: list[tuple[float, list[tuple[float, float]]]] = [
         (51, [(12, -8.8), (24, -12), (36, -18.5), (44, -25.5)]),
         (38, [(12, -4.8), (24, -7.5), (36, -13.5), (46, -21.5), (53, -29.2)]),
-        (25, [(10, -0.4), (20, -1.8), (30, -4.8), (40, -10.5), (49, -18.8), (56.5, -29)]),
+        (25, [(10, -0.4), (20, -1.8), (30, -4.8), (40, -10.5), (49, -18.8), (forehead, -29.4)]),
         (16, [(8, 0), (16, -1.4), (26, -3.8), (36, -6.8), (44, -10.8), (51, -16.8), (57, -26), (62, -37)]),
         (9, [(7, -1.8), (55, -22.5)]),
         (6, [(60, -32), (65, -44.5)]),
         (-5, [(56, -29), (62, -38.5), (67, -52)]),
         (-16, [(46, -18.8), (54, -25.5), (60.5, -34.5), (65.8, -46.5), (69.6, -60)]),
         (-21, [(22, -9.6), (30, -11.2), (38, -13.4)]),
-        (-28, [(22, -7.2), (30, -9.4), (38, -12.4), (46, -16.4), (54, -23.4), (61, -34.2), (67.25, -52)]),
+        (-28, [(22, -7.2), (30, -9.4), (38, -12.4), (46, -16.4), (54, -23.4), (61, -34.2), (cheekbone, -52)]),
         (-38, [(22, -4.6), (30, -7.6), (38, -11), (46, -15.8), (54, -23.4), (61.2, -36), (67, -51)]),
         (-48, [(22, -3.6), (30, -6.8), (38, -10.8), (46, -16.4), (54, -25.2), (61, -38.2), (66, -53.5)]),
         (-60, [(23, -1), (31, -6.4), (39, -12), (47, -19.6), (54, -29.2), (60, -41.6), (64.2, -56)]),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import Delaunay, cKDTree
 
+from scan2albedo.errors import ModelError
 from scan2albedo.face_model.generator.layout import inside_polygon
 
 FloatArray = NDArray[np.float64]
@@ -73,7 +74,19 @@ def mesh_half(curves: dict[str, FloatArray], outline: tuple[str, str], options: 
     free = _initial(polygon, fixed, size, options)
     points = _relaxed(fixed, free, polygon, size, options)
     faces = _triangles(points, polygon)
+    _check_edges(faces, index)
     return HalfMesh(points, faces, index)
+
+
+def _check_edges(faces: IntArray, curves: dict[str, IntArray]) -> None:
+    present = {tuple(edge) for edge in _edges(faces).tolist()}
+    for name, index in curves.items():
+        missing = [pair for pair in pairwise(index.tolist()) if tuple(sorted(pair)) not in present]
+        if missing:
+            raise ModelError(
+                f"the mesh does not follow the curve {name}: {len(missing)} of {len(index) - 1} edges are "
+                "missing; give it shorter edges, or move its key points away from other curves"
+            )
 
 
 @dataclass(frozen=True)

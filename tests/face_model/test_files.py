@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ModelError, OutputError
+from scan2albedo.face_model.files import FaceModelFile, load_model, save_model
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    path = tmp_path / "afm.json"
+    AnnotatedFaceModel.default().save(str(path))
+    return path
+
+
+def test_round_trip_keeps_every_bit(saved: Path):
+    model, again = AnnotatedFaceModel.default(), load_model(saved)
+    for name in ("control_vertices", "control_faces", "uv", "region", "landmarks"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+    assert dict(again.regions) == dict(model.regions)
+    assert again.name == model.name
+    assert again.template_points is None
+
+
+def test_round_trip_keeps_a_dense_template(tmp_path: Path):
+    points = SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3))
+    model = dataclasses.replace(
+        AnnotatedFaceModel.default(),
+        landmark_points=None,
+        template_points=points,
+        template_offset=np.arange(9.0).reshape(3, 3),
+        template_faces=np.array([[0, 1, 2]]),
+        name="mine",
+    )
+    save_model(model, tmp_path / "t.json")
+    again = load_model(tmp_path / "t.json")
+    assert again.landmarks is None
+    np.testing.assert_array_equal(again.template_points.face, points.face)
+    np.testing.assert_array_equal(again.template_points.barycentric, points.barycentric)
+    np.testing.assert_array_equal(again.template_offset, model.template_offset)
+    np.testing.assert_array_equal(again.template_faces, [[0, 1, 2]])
+
+
+def test_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path):
+    first = saved.read_bytes(), saved.with_suffix(".npz").read_bytes()
+    save_model(load_model(saved), saved)
+    assert (saved.read_bytes(), saved.with_suffix(".npz").read_bytes()) == first
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["afm.json", "afm.npz"]
+
+
+def test_json_fits_the_shipped_schema(saved: Path):
+    jsonschema = pytest.importorskip("jsonschema")
+    file = Path(__file__).resolve().parents[2] / "data_schemas" / "annotated_face_model.schema.json"
+    schema = json.loads(file.read_text())
+    entry = json.loads(saved.read_text())
+    jsonschema.validate(entry, schema)
+    generated = FaceModelFile.model_json_schema(mode="serialization")
+    assert {k: v for k, v in schema.items() if k not in ("$schema", "$id")} == generated
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(entry | {"format": "other"}, schema)
+
+
+def test_missing_files_are_named(saved: Path):
+    with pytest.raises(ModelError, match=r"nowhere\.json: No such file"):
+        load_model(saved.with_name("nowhere.json"))
+    saved.with_suffix(".npz").unlink()
+    with pytest.raises(ModelError, match=r"afm\.npz is missing; copy it beside"):
+        load_model(saved)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "scan2albedo-afm-9"}'])
+def test_a_broken_json_is_refused(saved: Path, text: str):
+    saved.write_text(text)
+    with pytest.raises(ModelError, match="is no annotated face model"):
+        load_model(saved)
+
+
+def test_the_binary_given_as_json_is_refused(saved: Path):
+    with pytest.raises(ModelError, match="is no text file"):
+        load_model(saved.with_suffix(".npz"))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.95])
+def test_a_truncated_binary_is_refused(saved: Path, share: float):
+    binary = saved.with_suffix(".npz")
+    data = binary.read_bytes()
+    binary.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(ModelError, match=r"afm\.npz is truncated"):
+        load_model(saved)
+
+
+def change_arrays(path: Path, **arrays: np.ndarray | None) -> None:
+    binary = path.with_suffix(".npz")
+    with np.load(binary) as stored:
+        kept = {n: stored[n] for n in stored.files}
+    kept |= arrays
+    np.savez_compressed(binary, **{n: a for n, a in kept.items() if a is not None})
+
+
+def test_files_that_do_not_belong_together_are_refused(saved: Path):
+    change_arrays(saved, uv=np.zeros((5, 2)))
+    with pytest.raises(ModelError, match=r"uv in .* is of shape \(5, 2\).*do not belong together"):
+        load_model(saved)
+    change_arrays(saved, uv=None)
+    with pytest.raises(ModelError, match=r"uv in .* is missing"):
+        load_model(saved)
+
+
+def test_bad_numbers_are_refused(saved: Path):
+    model = AnnotatedFaceModel.default()
+    vertices = model.control_vertices.copy()
+    vertices[3, 1] = np.nan
+    change_arrays(saved, control_vertices=vertices)
+    with pytest.raises(ModelError, match=r"control_vertices in .* holds NaN"):
+        load_model(saved)
+    faces = model.control_faces.copy()
+    faces[0, 0] = len(vertices)
+    change_arrays(saved, control_vertices=model.control_vertices, control_faces=faces)
+    with pytest.raises(ModelError, match=r"control_faces in .* points outside"):
+        load_model(saved)
+
+
+def test_unknown_region_is_refused(saved: Path):
+    region = AnnotatedFaceModel.default().region.copy()
+    region[0] = 200
+    change_arrays(saved, region=region)
+    with pytest.raises(ModelError, match=r"region indices \[200\]"):
+        load_model(saved)
+
+
+def test_saving_into_nowhere_is_an_output_error(tmp_path: Path):
+    with pytest.raises(OutputError, match="nowhere"):
+        save_model(AnnotatedFaceModel.default(), tmp_path / "nowhere" / "afm.json")

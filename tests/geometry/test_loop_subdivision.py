@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix, refine
+
+
+def lattice(n: int = 7) -> tuple[np.ndarray, np.ndarray]:
+    """Return an equilateral lattice: every inner vertex has six neighbours at distance 1."""
+    i, j = np.meshgrid(np.arange(n), np.arange(n))
+    points = np.stack([(i + 0.5 * j).ravel(), (np.sqrt(3) / 2 * j).ravel()], 1)
+    index = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (q.ravel() for q in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    return points, np.concatenate([np.stack([a, b, d], 1), np.stack([b, c, d], 1)])
+
+
+def icosahedron() -> tuple[np.ndarray, np.ndarray]:
+    from scipy.spatial import ConvexHull
+
+    g = (1 + 5**0.5) / 2
+    v = np.array([(0, s, t * g) for s in (-1, 1) for t in (-1, 1)])
+    v = np.concatenate([v, v[:, [2, 0, 1]], v[:, [1, 2, 0]]])
+    return v, ConvexHull(v).simplices.astype(np.int64)
+
+
+def row(matrix, index: int) -> dict[int, float]:
+    line = matrix.tocsr()[index].tocoo()
+    return {int(c): float(w) for c, w in zip(line.col, line.data, strict=True) if abs(w) > 1e-15}
+
+
+CENTRE = 24  # of the 7 x 7 lattice
+RING = {23, 25, 17, 31, 18, 30}
+
+
+@pytest.mark.parametrize("levels", [0, 1, 2])
+def test_rows_sum_to_one(levels):
+    _, faces = lattice()
+    subdivision = LoopSubdivision.of(49, faces, levels)
+    np.testing.assert_allclose(subdivision.matrix.sum(1), 1, atol=1e-14)
+    assert len(subdivision.faces) == len(faces) * 4**levels
+    np.testing.assert_array_equal(np.bincount(subdivision.parent), 4**levels)
+
+
+def test_regular_limit_stencil_is_half_and_twelfths():
+    _, faces = lattice()
+    weights = row(limit_matrix(49, faces), CENTRE)
+    assert weights.pop(CENTRE) == pytest.approx(1 / 2)
+    assert weights == pytest.approx(dict.fromkeys(RING, 1 / 12))
+
+
+def test_regular_refinement_stencils():
+    _, faces = lattice()
+    matrix, _ = refine(49, faces)
+    weights = row(matrix, CENTRE)
+    assert weights.pop(CENTRE) == pytest.approx(5 / 8)
+    assert weights == pytest.approx(dict.fromkeys(RING, 1 / 16))
+    edge = next(
+        r
+        for r in range(49, matrix.shape[0])
+        if {CENTRE, 25} <= set(row(matrix, r))
+        and len(row(matrix, r)) == 4
+        and row(matrix, r)[CENTRE] == 0.375 == row(matrix, r)[25]
+    )
+    others = {k: w for k, w in row(matrix, edge).items() if k not in (CENTRE, 25)}
+    assert others == pytest.approx({18: 1 / 8, 31: 1 / 8})
+
+
+def test_boundary_follows_the_cubic_spline_of_the_boundary_alone():
+    points, faces = lattice()
+    matrix, _ = refine(49, faces)
+    assert row(matrix, 3) == pytest.approx({2: 1 / 8, 3: 3 / 4, 4: 1 / 8})
+    assert row(limit_matrix(49, faces), 3) == pytest.approx({2: 1 / 6, 3: 2 / 3, 4: 1 / 6})
+    moved = points + 0.0
+    moved[CENTRE] += 5.0
+    subdivision = LoopSubdivision.of(49, faces, 2)
+    on_edge = np.abs((subdivision.matrix @ points)[:, 1]) < 1e-12
+    # The spline rounds the corners, so only the middle of the side stays straight.
+    assert on_edge.sum() >= 4 * 4 + 1
+    np.testing.assert_allclose((subdivision.matrix @ moved)[on_edge], (subdivision.matrix @ points)[on_edge])
+
+
+def test_linear_functions_are_reproduced_inside():
+    points, faces = lattice()
+    values = points @ [2.0, -3.0] + 1
+    subdivision = LoopSubdivision.of(49, faces, 0)
+    inside = subdivision.matrix @ values
+    np.testing.assert_allclose(inside[CENTRE], values[CENTRE])
+
+
+def test_limit_does_not_move_under_refinement():
+    vertices, faces = icosahedron()
+    coarse = LoopSubdivision.of(12, faces, 0).matrix @ vertices
+    for levels in (1, 2, 3):
+        fine = LoopSubdivision.of(12, faces, levels).matrix @ vertices
+        np.testing.assert_allclose(fine[:12], coarse, atol=1e-13)
+
+
+def test_valence_five_keeps_the_icosahedrons_symmetry():
+    vertices, faces = icosahedron()
+    limit = LoopSubdivision.of(12, faces, 0).matrix @ vertices
+    radius = np.linalg.norm(limit, axis=1)
+    np.testing.assert_allclose(radius, radius[0])
+    np.testing.assert_allclose(limit / radius[:, None], vertices / np.linalg.norm(vertices[0]), atol=1e-13)
+    # Closed form: ring average of the icosahedron lies at 1 / sqrt(5) of the vertex.
+    n_beta = 0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / 5)) ** 2
+    share = 5 / (0.375 * 5 / n_beta + 5)
+    expected = np.linalg.norm(vertices[0]) * (1 - share + share / np.sqrt(5))
+    np.testing.assert_allclose(radius[0], expected)
+
+
+def test_mirrored_mesh_has_the_mirrored_limit():
+    vertices, faces = icosahedron()
+    vertices = vertices * [1, 2, 3] + [0.3, 0, 0]
+    flipped = LoopSubdivision.of(12, faces[:, [0, 2, 1]], 2)
+    plain = LoopSubdivision.of(12, faces, 2)
+    left, right = plain.matrix @ vertices, flipped.matrix @ (vertices * [-1, 1, 1])
+    order = np.lexsort(np.round(left, 9).T)
+    other = np.lexsort(np.round(right * [-1, 1, 1], 9).T)
+    np.testing.assert_allclose(left[order], (right * [-1, 1, 1])[other], atol=1e-12)
+
+
+def test_children_lie_in_their_parents():
+    _, faces = lattice()
+    _, children = refine(49, faces)
+    for parent in (0, 17):
+        corners = children[4 * parent : 4 * parent + 3]
+        np.testing.assert_array_equal(corners[np.arange(3), np.arange(3)], faces[parent])
+        middle = set(children[4 * parent + 3].tolist())
+        assert middle == {int(v) for c in corners for v in c} - set(faces[parent].tolist())
+
+
+def test_points_matrix_at_corners_is_the_limit_matrix():
+    _, faces = lattice()
+    for levels in (0, 1, 3):
+        subdivision = LoopSubdivision.of(49, faces, levels)
+        points = SurfacePoints(np.arange(len(faces)), np.tile([0.0, 1.0, 0.0], (len(faces), 1)))
+        difference = subdivision.points_matrix(points) - limit_matrix(49, faces)[faces[:, 1]]
+        assert abs(difference).max() < 1e-14
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 71), st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=20),
+    st.integers(0, 3),
+)
+def test_points_matrix_sums_to_one_and_control_points_undo_the_descent(rows, levels):
+    _, faces = lattice()
+    subdivision = LoopSubdivision.of(49, faces, levels)
+    u = np.array([[min(a, b), abs(a - b), 1 - max(a, b)] for _, a, b in rows])
+    refined = SurfacePoints(np.array([r[0] for r in rows]) * 4**levels + 4**levels // 2, u)
+    control = subdivision.control_points(refined)
+    np.testing.assert_array_equal(control.face, [r[0] for r in rows])
+    np.testing.assert_allclose(control.barycentric.sum(1), 1, atol=1e-12)
+    matrix = subdivision.points_matrix(control)
+    np.testing.assert_allclose(matrix.sum(1), 1, atol=1e-12)
+    vertices = np.random.default_rng(0).normal(size=(49, 3))
+    direct = np.einsum("nk,nkj->nj", u, (subdivision.matrix @ vertices)[subdivision.faces[refined.face]])
+    np.testing.assert_allclose(matrix @ vertices, direct, atol=1e-11)
+
+
+def test_unreferenced_vertices_stay():
+    points, faces = lattice()
+    subdivision = LoopSubdivision.of(50, faces, 1)
+    moved = subdivision.matrix @ np.vstack([points, [[9.0, 9.0]]])
+    np.testing.assert_allclose(moved[49], [9, 9])
