@@ -120,13 +120,14 @@ def _divide(
     assert image.texture_linear is not None
     mask = image.mask
     lights, reflectance = physical_light(found.solution, median_value(image, usable))
-    shading, visible = shade_image(image, lights, reflectance, view, found.caster, options.shadow_offset_mm)
-    light, specular, shadow = (
-        _on_grid(mask, field) for field in (shading.light, shading.specular, visible.min(0))
+    lit = shade_image(image, lights, reflectance, view, found.caster, options.shadow_offset_mm)
+    light, specular, shadow, cast = (
+        _on_grid(mask, field)
+        for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
     value = value_channel(image.texture_linear)
     division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
-    albedo, rectification = rectified(division.albedo, light, shadow, usable, options)
+    albedo, rectification = rectified(division.albedo, light, cast, usable, options)
     color = recolor(image.texture_linear, value, albedo)
     color, inpainting = inpainted(color, image, usable, options, seed)
     return AlbedoEstimate(

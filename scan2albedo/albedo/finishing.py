@@ -23,7 +23,7 @@ _LARGEST_HIGHLIGHT = 0.25
 def rectified(
     albedo: FloatArray, light: FloatArray, shadow: FloatArray, usable: BoolArray, options: EstimateOptions
 ) -> tuple[FloatArray, PlanStep]:
-    """Return V of the albedo (H, W) rectified along shadow outlines, or as it is, and the plan's row."""
+    """Return V of the albedo (H, W) rectified along cast shadows, or as it is, and the plan's row."""
     stage, asked = "albedo.rectification", options.rectification
     if asked is False:
         return albedo, PlanStep(stage, False, "left out by the caller")

@@ -53,7 +53,7 @@ def rectify(
     albedo, light : (H, W) float64
         V of the albedo; I_a + I_d.
     shadow : (H, W) float64
-        Smallest visibility over the lights.
+        1 where any light is cut off by a cast shadow.
     usable : (H, W) bool
         Texels with a trustworthy albedo.
     force : bool
@@ -92,7 +92,7 @@ def rectify(
 
 
 def shadow_outline(light: FloatArray, shadow: FloatArray, usable: BoolArray) -> BoolArray:
-    """Return (H, W) texels beside which visibility changes and the light jumps by more than 5 %."""
+    """Return (H, W) texels beside which a cast shadow ends and the light jumps by more than 5 %."""
     outline = np.zeros(light.shape, bool)
     log_light = np.log(np.maximum(light, 1e-6))
     for axis in (0, 1):

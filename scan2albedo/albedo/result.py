@@ -82,14 +82,14 @@ class AlbedoEstimate:
         V = A (I_a + I_d) + I_s with the estimated reflectance; hue and saturation are the albedo's.
         """
         mask = self.image.mask
-        shading, _ = shade_image(
+        shading = shade_image(
             self.image,
             lights,
             self.reflectance,
             self.view_direction,
             RayCaster(*self.image.occluder_mesh()) if self.casts_shadows and lights else None,
             self.shadow_offset_mm,
-        )
+        ).shading
         albedo = self.albedo_linear[mask].astype(np.float64)
         value = albedo.max(-1)
         lit = value * shading.light + shading.specular
@@ -100,6 +100,18 @@ class AlbedoEstimate:
         return result
 
 
+@dataclass(frozen=True)
+class LitSurface:
+    """`shading` of the N masked texels, and per light (L, N) uint8 `visible` and in `cast` shadow.
+
+    Texels turned away from a light are neither visible nor in cast shadow.
+    """
+
+    shading: Shading
+    visible: NDArray[np.uint8]
+    cast: NDArray[np.uint8]
+
+
 def shade_image(
     image: GeometryImage,
     lights: Sequence[PointLight],
@@ -107,14 +119,16 @@ def shade_image(
     view_direction: Sequence[float],
     caster: RayCaster | None,
     offset_mm: float,
-) -> tuple[Shading, NDArray[np.uint8]]:
-    """Return the shading of the masked texels (N,) and each light's visibility (L, N)."""
+) -> LitSurface:
+    """Shade the masked texels with shadows of `caster` (None: attached shadows alone)."""
     mask = image.mask
     position, normal = image.position[mask], image.normal[mask]
-    shadow_map = ShadowMap(caster, position, normal, offset_mm)
-    visible = np.ones((len(lights), len(position)), np.uint8)
+    hidden = ShadowMap(caster, position, normal, offset_mm)
+    attached = ShadowMap(None, position, normal, offset_mm)
+    visible, facing = np.ones((2, len(lights), len(position)), np.uint8)
     for k, light in enumerate(lights):
-        visible[k] = shadow_map.visible(light.direction, light.distance_mm)
+        visible[k] = hidden.visible(light.direction, light.distance_mm)
+        facing[k] = attached.visible(light.direction, light.distance_mm)
     shading = shade_points(
         position,
         normal,
@@ -124,4 +138,4 @@ def shade_image(
         view_direction=view_direction,
         specular_scale=None if image.specular_scale is None else image.specular_scale[mask],
     )
-    return shading, visible
+    return LitSurface(shading, visible, facing - visible)
