@@ -50,6 +50,7 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     ValueError
         For an unknown unit.
     """
+    from scan2albedo.geometry.mesh import vertex_components
     from scan2albedo.io.raw_scan import RawScan
     from scan2albedo.io.repair import refuse_unusable, repair
     from scan2albedo.io.texture_atlas import pack_texture
@@ -61,8 +62,11 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     mesh = repair(parsed)
     if len(mesh.faces) == 0:
         raise ScanError(f"{file.name}: every face has zero area; the scan holds no surface: export it again")
-    factor, unit_note = millimetres_per_unit(mesh.vertices, mesh.faces, unit, file.name)
+    components = vertex_components(len(mesh.vertices), mesh.faces)
+    factor, unit_note = millimetres_per_unit(mesh.vertices, components, unit, file.name)
     packed = pack_texture(mesh)
+    count = int(components.max()) + 1
+    loose = (f"{count} loose components, all kept",) if count > 1 else ()
     scan = RawScan(
         vertices=mesh.vertices * factor,
         faces=mesh.faces,
@@ -70,9 +74,11 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
         texture_linear=packed.texture_linear,
         vertex_color_linear=mesh.vertex_color_linear,
         name=name or file.stem,
-        notes=(unit_note, *mesh.notes, *packed.notes),
+        notes=(unit_note, *mesh.notes, *packed.notes, *loose),
     )
-    return replace(scan, notes=scan.notes + _closing_notes(scan))
+    if scan.has_color:
+        return scan
+    return replace(scan, notes=(*scan.notes, "no texture or vertex colours: geometry only"))
 
 
 def _read(file: Path) -> ParsedMesh:
@@ -99,9 +105,3 @@ def _reader(extension: str) -> Callable[[Path], ParsedMesh]:
     module, function = _READERS[extension]
     reader: Callable[[Path], ParsedMesh] = getattr(import_module(f"scan2albedo.io.{module}"), function)
     return reader
-
-
-def _closing_notes(scan: RawScan) -> tuple[str, ...]:
-    count = int(scan.components.max()) + 1
-    notes = (f"{count} loose components, all kept",) if count > 1 else ()
-    return notes if scan.has_color else (*notes, "no texture or vertex colours: geometry only")

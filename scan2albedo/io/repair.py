@@ -15,6 +15,9 @@ IntArray = NDArray[np.int64]
 _AREA_FLOOR = 1e-12
 """A face whose doubled area is below this share of its squared longest edge has no usable normal."""
 
+_LARGEST_COORDINATE = 1e30
+"""Beyond it squared areas overflow; only garbage is that large."""
+
 _HASH_PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 
 
@@ -28,15 +31,16 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
             "if the file was cut short"
         )
     refuse_wrong_indices(mesh.faces, count, name)
-    bad = ~np.isfinite(mesh.vertices).all(axis=1)
+    bad = ~(np.abs(mesh.vertices) <= _LARGEST_COORDINATE).all(axis=1)
     if bad.any():
         used = np.zeros(count, bool)
         used[mesh.faces] = True
         broken = np.flatnonzero(bad & used)
         if len(broken):
             raise ScanError(
-                f"{name}: {len(broken)} vertices used by faces are NaN or infinite, the first is vertex "
-                f"{broken[0]} (counting from 0); repair the scan or export it again"
+                f"{name}: {len(broken)} vertices used by faces are NaN or infinite (or beyond "
+                f"{_LARGEST_COORDINATE:g}), the first is vertex {broken[0]} (counting from 0); "
+                "repair the scan or export it again"
             )
 
 
@@ -132,9 +136,11 @@ def _zero_area(vertices: NDArray[np.float64], faces: IntArray) -> NDArray[np.boo
     flat = np.empty(len(faces), bool)
     for start in range(0, len(faces), 1 << 20):
         corner = vertices[faces[start : start + (1 << 20)]]
-        edges = np.roll(corner, -1, axis=1) - corner
-        longest = np.einsum("fij,fij->fi", edges, edges).max(axis=1)
-        doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        squared = [np.einsum("fi,fi->f", edge, edge) for edge in (first, second, second - first)]
+        longest = np.maximum(np.maximum(squared[0], squared[1]), squared[2])
+        cross = np.cross(first, second)
+        doubled = np.sqrt(np.einsum("fi,fi->f", cross, cross))
         flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
     return flat
 

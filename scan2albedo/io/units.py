@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
-from scan2albedo.geometry.mesh import vertex_components
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
@@ -17,17 +16,17 @@ at most one of mm and cm fits; metres are two decades off."""
 _TRIM_PERCENT = 0.5
 
 
-def largest_extent(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64]) -> float:
     """Return how long the scan is along its longest principal axis, in file units.
 
-    Only the largest loose components that together hold at least half of the vertices count, and the
-    outermost 0.5 % of their vertices at either end do not: neither spikes nor far crumbs change the unit.
+    `components` (V,) labels the loose components. Only the largest ones that together hold at least half
+    of the vertices count, without the outermost 0.5 % of their vertices at either end: neither spikes nor
+    far crumbs change the unit.
     """
-    labels = vertex_components(len(vertices), faces)
-    sizes = np.bincount(labels)
+    sizes = np.bincount(components)
     order = np.argsort(-sizes, kind="stable")
     enough = int(np.searchsorted(np.cumsum(sizes[order]), len(vertices) / 2)) + 1
-    kept = vertices[np.isin(labels, order[:enough])]
+    kept = vertices[np.isin(components, order[:enough])]
     centered = kept - kept.mean(axis=0)
     scale = np.abs(centered).max() or 1.0
     _, axes = np.linalg.eigh((centered / scale).T @ (centered / scale))
@@ -37,7 +36,7 @@ def largest_extent(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> f
 
 
 def millimetres_per_unit(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: str, name: str
+    vertices: NDArray[np.float64], components: NDArray[np.int64], unit: str, name: str
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note that tells unit and size).
 
@@ -48,7 +47,7 @@ def millimetres_per_unit(
     ValueError
         For an unknown unit.
     """
-    extent = largest_extent(vertices, faces)
+    extent = largest_extent(vertices, components)
     if unit == "auto":
         low, high = PLAUSIBLE_EXTENT_MM
         fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]

@@ -11,10 +11,11 @@ from scan2albedo.io.units import MM_PER_UNIT, largest_extent, millimetres_per_un
 from tests.io.meshes import SQUARE_MM, assert_corner_colors, write_square_obj
 
 HEAD = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+ONE_PIECE = np.zeros(len(HEAD.vertices), np.int64)
 
 
 def decide(extent, unit="auto"):
-    return millimetres_per_unit(np.asarray(HEAD.vertices) * extent / 2, np.asarray(HEAD.faces), unit, "x.obj")
+    return millimetres_per_unit(np.asarray(HEAD.vertices) * extent / 2, ONE_PIECE, unit, "x.obj")
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1), ("cm", 0.1), ("m", 0.001)])
@@ -39,9 +40,7 @@ def test_an_implausible_size_is_shown_and_a_given_unit_ends_the_matter(extent):
         ScanError, match=r"x\.obj: the scan is [\d.e+]+ units long.*unit='mm', 'cm' or 'm'"
     ) as caught:
         decide(extent)
-    assert f"{largest_extent(np.asarray(HEAD.vertices) * extent / 2, np.asarray(HEAD.faces)):.4g}" in str(
-        caught.value
-    )
+    assert f"{largest_extent(np.asarray(HEAD.vertices) * extent / 2, ONE_PIECE):.4g}" in str(caught.value)
     factor, note = decide(extent, "cm")
     assert factor == 10
     assert note.endswith("as given")
@@ -53,20 +52,25 @@ def test_an_unknown_unit_is_a_wrong_call(tmp_path):
 
 
 def test_spikes_and_far_crumbs_do_not_change_the_unit():
-    vertices, faces = np.asarray(HEAD.vertices) * 90, np.asarray(HEAD.faces)
+    vertices = np.asarray(HEAD.vertices) * 90
     spiky = vertices.copy()
     spiky[:2] *= 400
-    assert largest_extent(spiky, faces) < 200
-    crumbs = np.concatenate([vertices, vertices[:100] * 0.1 + 1e5])
-    crumb_faces = faces[(faces < 100).all(1)] + len(vertices)
-    together = np.concatenate([faces, crumb_faces])
-    used = np.unique(together)
-    assert largest_extent(crumbs[used], np.searchsorted(used, together)) < 200
+    assert largest_extent(spiky, ONE_PIECE) < 200
+    crumbs = np.concatenate([vertices, vertices[:200] * 0.1 + 1e5])
+    assert largest_extent(crumbs, np.repeat([0, 1], [len(vertices), 200])) < 200
+
+
+def test_a_scan_in_two_halves_counts_both():
+    halves = np.concatenate([np.asarray(HEAD.vertices) * 30, np.asarray(HEAD.vertices) * 30 + (100, 0, 0)])
+    assert largest_extent(halves, np.repeat([0, 1], len(HEAD.vertices))) == pytest.approx(60, rel=0.05)
+    three = np.concatenate([halves, halves[:10] + 50])
+    labels = np.repeat([0, 1, 2], [len(HEAD.vertices), len(HEAD.vertices), 10])
+    assert largest_extent(three, labels) == pytest.approx(160, rel=0.05)
 
 
 @given(st.tuples(*[st.floats(-3, 3)] * 3), st.floats(-1e6, 1e6))
 @settings(max_examples=20, deadline=None)
 def test_the_extent_does_not_depend_on_the_pose(turn, far):
-    vertices, faces = np.asarray(HEAD.vertices) * (100, 130, 90), np.asarray(HEAD.faces)
+    vertices = np.asarray(HEAD.vertices) * (100, 130, 90)
     moved = vertices @ rotation_from_vector(list(turn)).T + far
-    assert largest_extent(moved, faces) == pytest.approx(largest_extent(vertices, faces), rel=1e-3)
+    assert largest_extent(moved, ONE_PIECE) == pytest.approx(largest_extent(vertices, ONE_PIECE), rel=1e-3)

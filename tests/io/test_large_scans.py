@@ -1,0 +1,50 @@
+import resource
+
+import numpy as np
+import pytest
+
+from scan2albedo.io import load_scan
+
+SIDE = 1000
+
+
+def relief():
+    """Vertices, faces and colours of a head-sized relief of a million vertices."""
+    u, v = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE))
+    depth = 40 * np.cos(3 * u - 1.5) * np.cos(2 * v - 1)
+    vertices = np.stack([u * 180, v * 220, depth], axis=-1).reshape(-1, 3).astype(np.float32)
+    index = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))])
+    return vertices, faces
+
+
+def write_ply(path, vertices, faces):
+    head = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.zeros(len(faces), [("n", "u1"), ("i", "<i4", 3)])
+    rows["n"], rows["i"] = 3, faces
+    path.write_bytes(head.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
+
+
+def write_obj(path, vertices, faces):
+    with path.open("w") as file:
+        np.savetxt(file, vertices, "v %.9g %.9g %.9g")
+        np.savetxt(file, faces + 1, "f %d %d %d")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "write"), [("a.ply", write_ply), ("a.obj", write_obj)])
+def test_a_million_vertices_load_exactly_within_memory(tmp_path, name, write):
+    vertices, faces = relief()
+    write(tmp_path / name, vertices, faces)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    scan = load_scan(tmp_path / name)
+    np.testing.assert_array_equal(scan.vertices.astype(np.float32), vertices)
+    np.testing.assert_array_equal(scan.faces, faces)
+    assert scan.notes[0].startswith("unit: mm ")
+    grown_bytes = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+    assert grown_bytes < 1.5e9
