@@ -3,7 +3,15 @@
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.scenes import SceneParameters, SyntheticScene, face, hemisphere, light_at
+from scan2albedo.synthetic.scenes import (
+    SceneParameters,
+    SyntheticScene,
+    TextureName,
+    face,
+    hemisphere,
+    light_at,
+    with_normal_error,
+)
 
 __all__ = [
     "Material",
@@ -12,9 +20,11 @@ __all__ = [
     "SceneParameters",
     "SyntheticScene",
     "SyntheticTruth",
+    "TextureName",
     "face",
     "hemisphere",
     "light_at",
     "raw_like",
     "raw_scan",
+    "with_normal_error",
 ]

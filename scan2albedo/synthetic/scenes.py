@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.camera import auto_exposure, photograph
@@ -18,7 +19,7 @@ from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.identity import Expression, person
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.renderer import Material, render
-from scan2albedo.synthetic.textures import skin, wood
+from scan2albedo.synthetic.textures import skin, smooth_noise, wood
 
 FloatArray = NDArray[np.float64]
 TextureName = Literal["skin", "wood"]
@@ -203,6 +204,21 @@ def face(
         (light_at(45),) if lights is None else tuple(lights),
         SceneParameters(material or Material(), exposure, noise, bits, texture, seed),
     )
+
+
+def with_normal_error(image: GeometryImage, rms_deg: float, rng: np.random.Generator) -> GeometryImage:
+    """Return the image with its normals tilted by a smooth random field, as an imperfect fit leaves them.
+
+    The tilt has `rms_deg` root mean square over the surface and bumps of about 1/24 of the chart.
+    """
+    mask, normal = image.mask, image.normal[image.mask]
+    uv = texel_coordinates(max(image.shape))[mask.ravel()]
+    push = np.stack([smooth_noise(uv, (24, 24), rng) for _ in range(3)], 1)
+    push -= np.einsum("ij,ij->i", push, normal)[:, None] * normal
+    push *= np.deg2rad(rms_deg) / np.sqrt(np.mean(np.sum(push**2, axis=1)))
+    tilted = image.normal.copy()
+    tilted[mask] = normalized(normal + push)
+    return replace(image, normal=tilted)
 
 
 def texel_coordinates(size: int) -> FloatArray:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scan2albedo.synthetic import Material, hemisphere, light_at
+from scan2albedo.synthetic import Material, hemisphere, light_at, with_normal_error
 
 LAMBERT = Material(sigma_rad=0.0)
 
@@ -53,3 +53,16 @@ def test_no_lights_leave_the_albedo():
 def test_unknown_texture_is_refused():
     with pytest.raises(ValueError, match=r"'marble'.*'skin', 'wood'"):
         hemisphere(size=16, texture="marble")
+
+
+def test_normal_errors_have_their_size_and_are_smooth():
+    image = hemisphere(size=128).image
+    tilted = with_normal_error(image, 3.0, np.random.default_rng(0))
+    mask = image.mask
+    assert np.allclose(np.linalg.norm(tilted.normal[mask], axis=1), 1)
+    angle = np.arccos(np.clip(np.einsum("ij,ij->i", tilted.normal[mask], image.normal[mask]), -1, 1))
+    assert np.rad2deg(np.sqrt(np.mean(angle**2))) == pytest.approx(3.0, rel=0.02)
+    change = tilted.normal - image.normal
+    jump = np.linalg.norm(np.diff(change[40:90, 40:90], axis=1), axis=2).mean()
+    assert jump < 0.5 * np.linalg.norm(change[40:90, 40:90], axis=2).mean()
+    assert np.array_equal(tilted.position, image.position)
