@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 from scan2albedo.errors import ScanError
-from scan2albedo.io.mtl import find_beside, parse_mtl
+from scan2albedo.io.images import SUPPORTED_IMAGES
+from scan2albedo.io.mtl import MaterialText, find_beside, library_names, parse_mtl
 
 if TYPE_CHECKING:
     from scan2albedo.io.raw_scan import RawScan
@@ -48,15 +49,15 @@ def files_of_scan(path: Path) -> tuple[Path, ...]:
 
 def _of_obj(path: Path) -> list[str]:
     names: list[str] = []
+    materials: dict[str, MaterialText] = {}
     for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", path.read_bytes(), re.MULTILINE):
-        line = match.decode("utf-8", "replace").strip()
-        for library in [line] if find_beside(path.parent, line) else line.split():
+        for library in library_names(match.decode("utf-8", "replace").strip(), path.parent):
             names.append(library)
             file = find_beside(path.parent, library)
-            if file is not None:
-                materials = parse_mtl(file.read_text("utf-8", "replace")).values()
-                names += [m.texture_file for m in materials if m.texture_file is not None]
-    return names
+            materials |= {} if file is None else parse_mtl(file.read_text("utf-8", "replace"))
+    if not materials:  # then load_scan takes an image of the same name
+        return names + [path.stem + extension for extension in SUPPORTED_IMAGES]
+    return names + [m.texture_file for m in materials.values() if m.texture_file is not None]
 
 
 def _of_ply(path: Path) -> list[str]:

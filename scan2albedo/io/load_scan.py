@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,20 +64,20 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     components = vertex_components(len(mesh.vertices), mesh.faces)
     factor, unit_note = millimetres_per_unit(mesh.vertices, components, unit, file.name)
     packed = pack_texture(mesh)
-    count = int(components.max()) + 1
-    loose = (f"{count} loose components, all kept",) if count > 1 else ()
-    scan = RawScan(
+    notes = [unit_note, *mesh.notes, *packed.notes]
+    if (count := int(components.max()) + 1) > 1:
+        notes.append(f"{count} loose components, all kept")
+    if packed.texture_linear is None and mesh.vertex_color_linear is None:
+        notes.append("no texture or vertex colours: geometry only")
+    return RawScan(
         vertices=mesh.vertices * factor,
         faces=mesh.faces,
         uv=packed.uv,
         texture_linear=packed.texture_linear,
         vertex_color_linear=mesh.vertex_color_linear,
         name=name or file.stem,
-        notes=(unit_note, *mesh.notes, *packed.notes, *loose),
+        notes=tuple(notes),
     )
-    if scan.has_color:
-        return scan
-    return replace(scan, notes=(*scan.notes, "no texture or vertex colours: geometry only"))
 
 
 def _read(file: Path) -> ParsedMesh:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.images import SUPPORTED_IMAGES, read_image_linear
 from scan2albedo.io.parsed_mesh import Material
 
 _OPTION = re.compile(
@@ -80,6 +80,21 @@ def find_beside(folder: Path, name: str) -> Path | None:
             found = sorted(p for p in place.iterdir() if p.name.casefold() == wanted and p.is_file())
             if found:
                 return found[0]
+    return None
+
+
+def library_names(words: str, folder: Path) -> list[str]:
+    """Return the files of one `mtllib` line: one name with spaces when there is such a file, else several."""
+    return [words] if not words or find_beside(folder, words) else words.split()
+
+
+def texture_by_name(scan: Path) -> Material | None:
+    """Return a material with the image that lies beside a scan under the scan's own name, if there is one."""
+    for extension in SUPPORTED_IMAGES:
+        file = find_beside(scan.parent, scan.stem + extension)
+        if file is not None:
+            material, _ = load_material(MaterialText(file.name, texture_file=file.name), scan.parent)
+            return material if material.texture_linear is not None else None
     return None
 
 

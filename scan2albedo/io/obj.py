@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.mtl import MaterialText, find_beside, load_material, parse_mtl
+from scan2albedo.io.mtl import (
+    MaterialText,
+    find_beside,
+    library_names,
+    load_material,
+    parse_mtl,
+    texture_by_name,
+)
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.polygons import cut_note, fan_triangles
 
@@ -64,7 +71,8 @@ def read_obj(path: Path) -> ParsedMesh:
     """Read an OBJ file with its materials.
 
     Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after
-    the position) are sRGB. Only `map_Kd` and `Kd` of the materials are used.
+    the position) are sRGB. Only `map_Kd` and `Kd` of the materials are used; without any material an image
+    of the same name is taken for the texture.
 
     Raises
     ------
@@ -79,10 +87,13 @@ def read_obj(path: Path) -> ParsedMesh:
     corners, counts = _read_corners(lines, len(positions), len(coordinates))
     triangles, face_of_triangle = fan_triangles(counts)
     material, materials, notes = _materials(lines, path.parent)
+    uv = _corner_uv(coordinates, corners[:, 1], triangles)
+    if uv is not None and not materials and (found := texture_by_name(path)) is not None:
+        materials, notes = (found,), (*notes, f"texture {found.name} was found by the scan's name")
     return ParsedMesh(
         vertices=np.ascontiguousarray(positions[:, :3]),
         faces=corners[triangles, 0],
-        uv=_corner_uv(coordinates, corners[:, 1], triangles),
+        uv=uv,
         material=None if material is None else material[face_of_triangle],
         materials=materials,
         vertex_color_linear=_vertex_colors(positions, tokens),
@@ -160,11 +171,8 @@ def _materials(lines: _Lines, folder: Path) -> tuple[IntArray | None, tuple[Mate
 
 
 def _library(words: str, folder: Path, notes: list[str]) -> dict[str, MaterialText]:
-    """Read one `mtllib` line: one name with spaces, or several names."""
-    whole = find_beside(folder, words)
-    candidates = [words] if whole or not words else words.split()
     known: dict[str, MaterialText] = {}
-    for name in candidates:
+    for name in library_names(words, folder):
         file = find_beside(folder, name)
         if file is None:
             notes.append(f"material library {name} is missing beside the scan: went on without textures")

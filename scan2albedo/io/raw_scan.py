@@ -79,8 +79,9 @@ class RawScan:
             wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
             raise ScanError(f"{self.name}: {field} has shape {array.shape}, expected {wanted}")
         array = array.astype(dtype, copy=False)
-        bad = ~np.isfinite(array)
-        if bad.any():
+        finite = np.isfinite(array)
+        if not finite.all():
+            bad = ~finite
             first = tuple(int(i) for i in np.argwhere(bad)[0])
             raise ScanError(
                 f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "

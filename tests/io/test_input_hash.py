@@ -21,6 +21,9 @@ def test_the_hash_follows_the_content_of_all_files_not_their_names(tmp_path):
     assert other != before
     (tmp_path / "face.png").unlink()
     assert input_sha256(path) not in (before, other)
+    (tmp_path / "face.mtl").unlink()
+    write_image(tmp_path / "face.JPG", quarters())  # taken by its name when there is no material
+    assert [p.name for p in files_of_scan(path)] == ["face.obj", "face.JPG"]
 
 
 def test_textures_of_ply_and_gltf_count(tmp_path):

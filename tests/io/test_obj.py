@@ -80,6 +80,7 @@ def test_missing_or_damaged_textures_are_told_and_left_out(tmp_path):
     assert any("face.png is missing beside the scan" in note for note in scan.notes)
     assert "no texture or vertex colours: geometry only" in scan.notes
     (tmp_path / "face.mtl").unlink()
+    write_image(tmp_path / "other.png", quarters())
     assert any("face.mtl is missing beside the scan" in note for note in load_scan(path).notes)
 
 
@@ -88,6 +89,11 @@ def test_no_mtllib_is_no_fault(tmp_path):
     scan = load_scan(path)
     assert scan.uv.tolist() == [[[0, 0], [1, 0], [0, 1]]]
     assert not scan.has_color
+    write_image(tmp_path / "A.png", quarters())
+    scan = load_scan(path)
+    assert scan.texture_linear.shape == (8, 8, 3)
+    assert "texture A.png was found by the scan's name" in scan.notes
+    np.testing.assert_allclose(color_near_corner(scan, np.zeros(3)), CORNER_LINEAR[0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
