@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scan2albedo.face_model.generator.anthropometry import Measurements
+from scan2albedo.face_model.generator.build import build_face_model
+from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE
+from scan2albedo.face_model.generator.regions import MIDDLE_REGIONS
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas
+from scan2albedo.geometry.parametrization import boundary_loop, chart_distortion, signed_areas
+
+
+@pytest.fixture(scope="module")
+def model() -> AnnotatedFaceModel:
+    return AnnotatedFaceModel.default()
+
+
+def mirror_of(points: np.ndarray) -> np.ndarray:
+    """Return, for each point, the index of its mirror image at x = 0."""
+    distance = np.linalg.norm(points[None] * [-1, 1, 1] - points[:, None], axis=2)
+    assert distance.min(1).max() < 1e-9
+    return np.argmin(distance, axis=1)
+
+
+def distance_between(model: AnnotatedFaceModel, a: int, b: int) -> float:
+    return float(np.linalg.norm(model.landmarks[a] - model.landmarks[b]))
+
+
+def test_size_and_topology(model):
+    assert 500 <= len(model.control_vertices) <= 1000
+    loop = boundary_loop(len(model.control_vertices), model.control_faces)
+    assert 30 < len(loop) < 120
+    assert edges_with_faces(model.control_faces)[1].max() == 2
+
+
+def test_triangles_are_well_shaped(model):
+    vertices, faces = model.surface(0)
+    corners = vertices[faces]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    quality = 4 * np.sqrt(3) * face_areas(vertices, faces) / np.sum(sides**2, axis=1)
+    assert quality.min() > 0.35
+    assert np.mean(quality) > 0.85
+    valence = np.asarray(adjacency(len(vertices), faces).sum(1)).ravel()
+    assert valence.max() <= 8
+    assert valence.min() >= 3
+
+
+def test_mirror_symmetry_of_everything(model):
+    mirror = mirror_of(model.control_vertices)
+    np.testing.assert_array_equal(mirror[mirror], np.arange(len(mirror)))
+    np.testing.assert_allclose(model.uv[mirror], model.uv * [-1, 1] + [1, 0], atol=1e-12)
+    swapped = {
+        tuple(sorted(f)): r for f, r in zip(mirror[model.control_faces].tolist(), model.region, strict=True)
+    }
+    other = {}
+    for name, region in model.regions.items():
+        side, _, rest = name.partition("_")
+        twin = {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, name)
+        other[region.index] = model.regions[twin].index
+    for face, region in zip(model.control_faces.tolist(), model.region, strict=True):
+        assert swapped[tuple(sorted(face))] == other[region]
+
+
+def test_frame(model):
+    surface, faces = model.surface(2)
+    centroid = np.average(surface[faces].mean(1), axis=0, weights=face_areas(surface, faces))
+    np.testing.assert_allclose(centroid, 0, atol=1e-9)
+    assert model.landmarks[42, 0] > 0 > model.landmarks[39, 0]  # the left eye lies at +x
+    assert model.landmarks[27, 1] > model.landmarks[8, 1]
+    assert np.argmax(model.landmarks[:, 2]) == 30
+
+
+def test_landmarks_are_symmetric_and_ordered(model):
+    points = model.landmarks
+    for left, right in LEFT_TO_RIGHT:
+        np.testing.assert_allclose(points[left] * [-1, 1, 1], points[right], atol=1e-9)
+    np.testing.assert_allclose(points[list(MIDDLE), 0], 0, atol=1e-9)
+    assert len(LEFT_TO_RIGHT) * 2 + len(MIDDLE) == 68
+    for first, last in ((1, 15), (17, 26), (31, 35), (36, 39), (42, 45), (48, 54), (60, 64)):
+        assert np.all(np.diff(points[first : last + 1, 0]) > 0)
+    for first, last in ((27, 30), (51, 51)):
+        assert np.all(np.diff(points[first : last + 1, 1]) < 0)
+    assert points[51, 1] > points[62, 1] > points[66, 1] > points[57, 1]
+
+
+@pytest.mark.parametrize(
+    ("measurement", "first", "second"),
+    [
+        ("face_height_mm", 27, 8),
+        ("nose_height_mm", 27, 33),
+        ("nose_protrusion_mm", 33, 30),
+        ("upper_lip_height_mm", 33, 62),
+        ("upper_face_height_mm", 27, 62),
+        ("lower_face_height_mm", 33, 8),
+        ("mouth_width_mm", 48, 54),
+        ("inner_eye_width_mm", 39, 42),
+        ("outer_eye_width_mm", 36, 45),
+        ("eye_opening_mm", 43, 47),
+    ],
+)
+def test_measurements_between_landmarks(model, measurement, first, second):
+    expected = getattr(Measurements(), measurement)
+    assert distance_between(model, first, second) == pytest.approx(expected, abs=2.1)
+
+
+def test_widths_of_the_surface(model):
+    surface, faces = model.surface(3)
+    from_nasion = surface - model.landmarks[27]
+    table = Measurements()
+    nose = model.regions["nose"].index
+    corners = faces[model.region[model.subdivision(3).parent] == nose].ravel()
+    wing = from_nasion[corners]
+    wing = wing[(wing[:, 1] < -43) & (wing[:, 1] > -47) & (wing[:, 2] > 0)]
+    assert 2 * wing[:, 0].max() == pytest.approx(table.nose_width_mm, abs=2)
+    forehead = from_nasion[np.abs(from_nasion[:, 1] - 25) < 1.5]
+    near = forehead[np.abs(forehead[:, 2] + 29.4) < 2]
+    assert np.ptp(near[:, 0]) == pytest.approx(table.forehead_width_mm, abs=3)
+    zygion = [[table.face_width_mm / 2, -28, -52], [table.jaw_width_mm / 2, -93.5, -63]]
+    assert ClosestPointQuery(from_nasion, faces).query(zygion).distance.max() < 1
+    hairline = from_nasion[np.abs(from_nasion[:, 0]) < 1e-9][:, 1:]
+    assert np.linalg.norm(hairline[np.argmax(hairline[:, 0])]) == pytest.approx(
+        table.hairline_height_mm, abs=2
+    )
+
+
+def test_regions(model):
+    names = {"forehead", "nose", "upper_lip", "lower_lip", "chin"}
+    for pair in ("brow", "eye", "nostril", "cheek", "jaw", "temple"):
+        names |= {f"left_{pair}", f"right_{pair}"}
+    assert set(model.regions) == names
+    assert set(MIDDLE_REGIONS) < names
+    counts = np.bincount(model.region, minlength=256)
+    assert all(counts[r.index] >= 2 for r in model.regions.values())
+    assert not any(model.regions[n].inpaint for n in names if n.endswith(("eye", "brow", "lip")))
+    assert model.regions["nose"].stiffness > model.regions["chin"].stiffness
+    assert model.regions["forehead"].stiffness > model.regions["upper_lip"].stiffness
+    assert model.regions["nose"].specular_scale > model.regions["left_cheek"].specular_scale
+    assert model.regions["left_cheek"].specular_scale > model.regions["left_brow"].specular_scale
+    assert model.region_values("inpaint")[model.regions["upper_lip"].index] == 0
+
+
+@pytest.mark.parametrize(
+    ("landmark", "name"),
+    [(19, "right_brow"), (24, "left_brow"), (30, "nose"), (62, "lip"), (51, "upper_lip"), (57, "lower_lip"),
+     (8, "chin"), (12, "left_jaw"), (4, "right_jaw"), (43, "left_eye"), (46, "left_eye"), (37, "right_eye")],
+)  # fmt: skip
+def test_landmarks_lie_in_their_regions(model, landmark, name):
+    index = {r.index: n for n, r in model.regions.items()}
+    assert name in index[int(model.region[model.landmark_points.face[landmark]])]
+
+
+def test_each_region_is_one_piece(model):
+    for name, region in model.regions.items():
+        faces = model.control_faces[model.region == region.index]
+        edges, uses = edges_with_faces(faces)
+        used = np.unique(faces)
+        # A disc (or several edge-joined faces): Euler characteristic 1 when connected without a hole.
+        assert len(used) - len(edges) + len(faces) == 1, name
+        assert uses.max() <= 2
+
+
+def test_mouth_line_divides_the_lips(model):
+    line = model.landmarks[[48, 60, 61, 62, 63, 64, 54]]
+    for name, sign in (("upper_lip", 1), ("lower_lip", -1)):
+        faces = model.control_faces[model.region == model.regions[name].index]
+        vertices, _ = model.surface(0)
+        corners = vertices[np.unique(faces)]
+        corners = corners[np.abs(corners[:, 0]) < 15]
+        height = corners[:, 1] - np.interp(corners[:, 0], line[:, 0], line[:, 1])
+        assert (sign * height).min() > -0.4
+
+
+def test_chart(model):
+    quality = chart_distortion(*model.surface(0), model.uv)
+    assert quality.flipped == 0
+    assert quality.coverage >= 0.75
+    assert quality.area < 0.3
+    assert quality.conformal < 1.5
+    for levels in range(4):
+        subdivision = model.subdivision(levels)
+        uv = subdivision.matrix @ model.uv
+        assert signed_areas(uv, subdivision.faces).min() > 0
+        assert uv.min() >= 0
+        assert uv.max() <= 1
+    assert np.corrcoef(model.uv[:, 0], model.control_vertices[:, 0])[0, 1] > 0.95
+    assert np.corrcoef(model.uv[:, 1], model.control_vertices[:, 1])[0, 1] > 0.95
+
+
+def test_surface_does_not_cut_itself(model):
+    open3d = pytest.importorskip("open3d")
+    vertices, faces = model.surface(1)
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces)
+    )
+    assert len(mesh.get_self_intersecting_triangles()) == 0
+
+
+def test_limit_surface_is_smooth(model):
+    from scan2albedo.geometry.mesh import face_normals
+
+    vertices, faces = model.surface(3)
+    normals = face_normals(vertices, faces)
+    directed = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(directed.T)
+    same = np.all(directed[order][1:] == directed[order][:-1], axis=1)
+    pairs = np.stack([order[:-1][same], order[1:][same]], 1) // 3
+    angle = np.degrees(np.arccos(np.clip(np.sum(normals[pairs[:, 0]] * normals[pairs[:, 1]], axis=1), -1, 1)))
+    assert angle.max() < 45
+    assert np.quantile(angle, 0.99) < 12
+
+
+@pytest.fixture(scope="module")
+def rebuilt() -> AnnotatedFaceModel:
+    return build_face_model()
+
+
+def test_shipped_model_is_what_the_tool_makes(model, rebuilt):
+    np.testing.assert_allclose(rebuilt.control_vertices, model.control_vertices, atol=1e-6)
+    np.testing.assert_array_equal(rebuilt.control_faces, model.control_faces)
+    np.testing.assert_allclose(rebuilt.uv, model.uv, atol=1e-6)
+    np.testing.assert_array_equal(rebuilt.region, model.region)
+    np.testing.assert_allclose(rebuilt.landmarks, model.landmarks, atol=1e-6)
+    assert dict(rebuilt.regions) == dict(model.regions)
+
+
+@pytest.mark.slow
+def test_other_measurements_make_another_face():
+    wide = Measurements(
+        mouth_width_mm=56.0, inner_eye_width_mm=35.0, outer_eye_width_mm=93.0, nose_height_mm=56.0
+    )
+    other = build_face_model(wide)
+    assert distance_between(other, 48, 54) == pytest.approx(56, abs=1.5)
+    assert distance_between(other, 39, 42) == pytest.approx(35, abs=1.5)
+    assert distance_between(other, 36, 45) == pytest.approx(93, abs=1.5)
+    assert distance_between(other, 27, 33) == pytest.approx(56, abs=1.5)
