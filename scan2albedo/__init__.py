@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from scan2albedo.io import GeometryImage, RawScan, load_scan, read_geometry_image
     from scan2albedo.lighting import PointLight
     from scan2albedo.optimization import Budget, Trace
-    from scan2albedo.pipeline import ProcessResult, process
+    from scan2albedo.pipeline import process
+    from scan2albedo.process_result import ProcessResult
     from scan2albedo.registration import Registration, register
     from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
@@ -36,7 +37,7 @@ _HOMES = {
     "FittedFace": "fitting",
     "GeometryImage": "io",
     "PointLight": "lighting",
-    "ProcessResult": "pipeline",
+    "ProcessResult": "process_result",
     "RawScan": "io",
     "Region": "face_model",
     "Registration": "registration",

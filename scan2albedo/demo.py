@@ -15,7 +15,8 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.lighting import PointLight
 from scan2albedo.optimization import ProgressCallback
-from scan2albedo.pipeline import ProcessResult, process
+from scan2albedo.pipeline import process
+from scan2albedo.process_result import ProcessResult
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 INNER_LANDMARKS = slice(17, 68)

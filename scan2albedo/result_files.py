@@ -25,12 +25,13 @@ from scan2albedo.io.result_json import (
     RegistrationRecord,
     ResultRecord,
     installed_versions,
+    plain_json,
     write_record,
 )
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
 
 if TYPE_CHECKING:
-    from scan2albedo.pipeline import ProcessResult
+    from scan2albedo.process_result import ProcessResult
 
 
 def check_writable(out: Path) -> None:
@@ -116,7 +117,7 @@ def _write_json(result: ProcessResult, folder: Path) -> None:
         write_record(
             folder / "registration.json",
             RegistrationRecord(
-                model_from_scan=registration.model_from_scan,
+                model_from_scan=plain_json(registration.model_from_scan),
                 rmse_mm=registration.rmse_mm,
                 depth_error=registration.depth_error,
                 converged=registration.converged,
@@ -142,7 +143,7 @@ def _write_json(result: ProcessResult, folder: Path) -> None:
         plan=tuple(PlanRecord(**asdict(step)) for step in result.plan),
         metrics=result.metrics(),
         lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
-        parameters={} if estimate is None else dict(estimate.parameters),
+        parameters={} if estimate is None else plain_json(estimate.parameters),
         timings_s=dict(result.timings_s),
         notes=(*scan.notes, *result.messages),
         files=(*written, "result.json"),

@@ -46,7 +46,7 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (V,) barycentric areas: a third of each incident face's area."""
     thirds = np.repeat(face_areas(vertices, faces) / 3, 3)
-    return np.bincount(faces.ravel(), thirds, minlength=len(vertices))
+    return np.bincount(faces.ravel(), thirds, minlength=len(vertices)).astype(np.float64)
 
 
 def edges_with_faces(faces: IntArray) -> tuple[IntArray, IntArray]:

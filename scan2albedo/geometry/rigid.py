@@ -35,7 +35,7 @@ def invert_rigid(target_from_source: ArrayLike) -> Matrix:
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
-    """Return the (3, 3) rotation of a rotation vector (axis times angle in radians), by Rodrigues' formula."""
+    """Return the (3, 3) rotation by a vector (axis times angle in radians), after Rodrigues."""
     vector = np.asarray(rotation_vector_rad, float)
     angle = float(np.linalg.norm(vector))
     if angle < 1e-300:

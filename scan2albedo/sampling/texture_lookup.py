@@ -106,10 +106,14 @@ class TextureLookup:
                 rows = -(-len(face) // columns)
                 padded = np.resize(pixel, (rows * columns, 2)).reshape(rows, columns, 2)
                 sampled = cv2.remap(
-                    scan.texture_linear, padded, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+                    scan.texture_linear,
+                    padded[..., 0],
+                    padded[..., 1],
+                    cv2.INTER_LINEAR,
+                    borderMode=cv2.BORDER_REPLICATE,
                 )
                 total += sampled.reshape(-1, 3)[: len(face)]
-        return total / (taps * taps)
+        return total / np.float32(taps * taps)
 
     def _uv_gradients(self) -> FloatArray:
         """(F, 2, 3) gradient of u and v over each face, per mm; zero on degenerate faces."""
