@@ -23,8 +23,8 @@ IntArray = NDArray[np.int64]
 
 REST_REGION = "face"
 FILLED_REGION = "filled"
-FILLED_STIFFNESS = 0.01
-"""Faces over the template's own holes (eyes, mouth) are nearly free, so that a mouth may open."""
+FILLED_STIFFNESS = 0.5
+"""Faces over the template's own holes (eyes, mouth) are softer, so that a mouth may open."""
 LANDMARK_COUNT = 68
 LANDMARK_REACH_MM = 30.0
 MAX_REGIONS = 253

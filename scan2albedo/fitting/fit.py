@@ -17,6 +17,7 @@ from scan2albedo.fitting.rigid_refinement import Similarity, refine_similarity
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
 
@@ -91,7 +92,7 @@ def fit(
     chosen = options or FitOptions()
     pose = checked_pose(reg if isinstance(reg, np.ndarray) else reg.model_from_scan)
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
-    surface = _scan_surface(scan, model, pose)
+    surface = _scan_surface(scan, model, pose, chosen)
     similarity = _refined(surface, model, chosen, meter, scan.name)
     pose = similarity.correction @ pose
     surface = surface.moved(similarity.correction)
@@ -118,7 +119,9 @@ def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
     return pose
 
 
-def _scan_surface(scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray) -> ScanSurface:
+def _scan_surface(
+    scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray, options: FitOptions
+) -> ScanSurface:
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
     surface = scan_near_model(scan.vertices, scan.faces, pose, low - margin, high + margin)
@@ -127,7 +130,8 @@ def _scan_surface(scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray) ->
             f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
             "register the scan first, and check its unit"
         )
-    return surface
+    points, faces = model.surface(RIGID_LEVEL)
+    return surface.turned_outward(points, vertex_normals(points, faces), options.gate_mm[0])
 
 
 def _refined(

@@ -50,10 +50,10 @@ class FitOptions:
 
     levels: tuple[int, ...] = (0, 0, 1, 1, 1, 1)
     steps: int = 20
-    bending_mm: tuple[float, float] = (60.0, 1.5)
+    bending_mm: tuple[float, float] = (60.0, 2.0)
     membrane_mm: tuple[float, float] = (6.0, 0.6)
     tangential: float = 0.1
-    gate_mm: tuple[float, float] = (20.0, 5.0)
+    gate_mm: tuple[float, float] = (20.0, 3.0)
     min_normal_cosine: float = 0.6
     robust_scale: float = 3.0
     min_robust_mm: float = 0.5

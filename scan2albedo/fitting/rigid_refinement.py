@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.fitting.forces import ForceGates, scan_forces
+from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector
@@ -36,7 +36,8 @@ class Similarity:
 
 SETTLED_MM = 0.01
 GATE_SHRINK = 0.85
-SCALE_PRIOR = 0.02
+REACH_PER_MEDIAN = 5.0
+SCALE_PRIOR = 0.005
 """Weight that pulls the scale to 1, as a part of what all samples together say."""
 
 
@@ -92,11 +93,16 @@ def refine_similarity(
             moved, forces.offset, forces.normal, weight * forces.weight, gate.tangential, pose.scale
         )
         pose = _updated(pose, step, scale_range)
-        settled = reach <= narrow.distance_mm and _largest_motion(step, points) < SETTLED_MM
-        reach = max(reach * GATE_SHRINK, narrow.distance_mm)
-        if settled:
+        if _largest_motion(step, points) < SETTLED_MM and reach <= narrow.distance_mm:
             break
+        reach = max(_next_reach(forces, reach), narrow.distance_mm)
     return pose
+
+
+def _next_reach(forces: ScanForces, reach: float) -> float:
+    """Shrink the gate, but never below what half of the samples need several times over."""
+    needed = REACH_PER_MEDIAN * float(np.median(forces.hits.distance[forces.weight > 0]))
+    return min(reach, max(GATE_SHRINK * reach, needed))
 
 
 def _gauss_newton_step(

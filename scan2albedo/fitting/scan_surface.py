@@ -59,6 +59,15 @@ class ScanSurface:
         weight = np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1)
         return weight > 0.999
 
+    def turned_outward(self, points: FloatArray, normals: FloatArray, reach_mm: float) -> ScanSurface:
+        """Return the surface looking the way of the model's `normals` at `points`, inside out if need be."""
+        hits = self.nearest.query(points)
+        near = hits.distance < reach_mm
+        agreement = np.einsum("ij,ij->i", self.normals_at(hits)[near], normals[near])
+        if np.sum(agreement > 0) >= np.sum(agreement < 0):
+            return self
+        return ScanSurface(self.vertices, self.faces[:, ::-1].copy(), -self.normals, self.boundary)
+
     def moved(self, target_from_here: FloatArray) -> ScanSurface:
         """Return the surface in another frame (rigid (4, 4))."""
         return ScanSurface(
