@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.synthetic.textures import smooth_noise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -54,6 +55,27 @@ def face_surface(model: AnnotatedFaceModel, control_points: FloatArray, *, level
         model.region[subdivision.parent],
         np.zeros((0, 3)) if landmarks is None else landmarks,
     )
+
+
+def with_relief(
+    surface: FaceSurface, rng: np.random.Generator, *, height_mm: float = 0.08, bumps: int = 40
+) -> FaceSurface:
+    """Return the surface with fine relief along its normals that no control mesh of the model can follow.
+
+    Parameters
+    ----------
+    surface : FaceSurface
+    rng : numpy.random.Generator
+    height_mm : float
+        Standard deviation of the relief.
+    bumps : int
+        About so many across the chart: 40 make wrinkles of 5 mm.
+    """
+    uv = np.zeros((len(surface.vertices), 2))
+    uv[surface.faces.ravel()] = surface.corner_uv.reshape(-1, 2)
+    height = height_mm * smooth_noise(uv, (bumps, bumps), rng)
+    vertices = surface.vertices + height[:, None] * surface.normals
+    return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))
 
 
 def _refined_corners(corners: FloatArray, levels: int) -> FloatArray:

@@ -120,7 +120,7 @@ def capture(
     return RangeMesh(
         points[used],
         renumbered.reshape(-1, 3).astype(np.int64),
-        facing[kept].argmax(1),
+        _better_pod(facing[kept], renumbered.reshape(-1, 3)),
         hits.face[seen][used],
         hits.barycentric[seen][used],
     )
@@ -164,3 +164,14 @@ def _facing(
     hidden[~hidden] = scene.occluded((points + 0.5 * toward)[~hidden], toward[~hidden])
     cosine = np.einsum("ij,ij->i", normals, toward[triangles[:, 0]])
     return np.where(hidden[triangles].any(1), -1.0, cosine)
+
+
+def _better_pod(facing: FloatArray, faces: IntArray) -> IntArray:
+    """Return (F,) the pod that sees each face better; averaged around, so that the seam is one line."""
+    lead = facing[:, 0] - facing[:, 1]
+    count = np.bincount(faces.ravel(), minlength=faces.max() + 1)
+    for _ in range(12):
+        around = np.bincount(faces.ravel(), np.repeat(lead, 3), minlength=len(count)) / count
+        lead = around[faces].mean(1)
+    hidden = facing < 0
+    return np.where(hidden.any(1), facing.argmax(1), lead < 0).astype(np.int64)

@@ -9,27 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.lighting.point_light import PointLight
-from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.clutter import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
 from scan2albedo.synthetic.face_chart import face_geometry_image
+from scan2albedo.synthetic.flash_pictures import flash_pictures
 from scan2albedo.synthetic.identity import Expression
 from scan2albedo.synthetic.range_scan import Pod, RangeMesh, capture, two_pods
 from scan2albedo.synthetic.raw_like import disturbed, random_pose
-from scan2albedo.synthetic.ray_scene import RayScene
-from scan2albedo.synthetic.renderer import Material, render
+from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
-from scan2albedo.synthetic.sitter import FACE, Sitter, sit_down
+from scan2albedo.synthetic.sitter import Sitter, sit_down
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _PICTURE_CENTER_FROM_NOSE_MM = np.array([0.0, -15.0, -70.0])
-_BACKDROP = np.array([0.010, 0.016, 0.030])
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ class SyntheticTruth:
     landmarks : (68, 3) float64
         True landmarks in the model's frame, mm.
     control_points : (C, 3) float64
-        Control points of the true face in the model's frame.
+        Control points of the true face, its fine relief left out, in the model's frame.
     lights : tuple of PointLight
         In the model's frame, relative to ambient = 1.
     material : Material
@@ -153,7 +150,15 @@ def raw_scan(
         axis_mm=tip + HEAD_AXIS_FROM_NOSE_MM,
     )
     scan_from_model = random_pose(rng, settings.rotation_max_deg, settings.translation_max_mm)
-    texture, exposure = _pictures(sitter, pods, flashes, finish, settings, rng)
+    texture, exposure = flash_pictures(
+        sitter,
+        pods,
+        flashes,
+        finish,
+        size=settings.picture_size,
+        noise=settings.picture_noise,
+        rng=rng,
+    )
     scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, f"synthetic-{seed}")
     return scan, _truth(sitter, scan_from_model, flashes, finish, exposure, settings.size)
 
@@ -167,53 +172,6 @@ def _flashes(seed: int) -> tuple[PointLight, ...]:
     )
 
 
-def _pictures(
-    sitter: Sitter,
-    pods: tuple[Pod, Pod],
-    lights: tuple[PointLight, ...],
-    material: Material,
-    settings: RawScanOptions,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float32], float]:
-    """Return both pods' pictures side by side (H, 2 H, 3) and the exposure they share."""
-    scene = RayScene(sitter.vertices, sitter.faces)
-    seen = [_radiance(sitter, scene, pod, lights, material, settings.picture_size) for pod in pods]
-    exposure = auto_exposure(np.concatenate([radiance[on_face] for radiance, on_face in seen]))
-    both = np.concatenate([radiance for radiance, _ in seen], axis=1)
-    picture = photograph(both, exposure=exposure, noise=settings.picture_noise, bits=8, rng=rng)
-    return picture, exposure
-
-
-def _radiance(
-    sitter: Sitter,
-    scene: RayScene,
-    pod: Pod,
-    lights: tuple[PointLight, ...],
-    material: Material,
-    size: int,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return what one pod sees (H, H, 3) and which pixels show the face (H, H)."""
-    rays = pod.directions(2 * texel_coordinates(size) - 1)
-    hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
-    hit = hits.face >= 0
-    face, barycentric = hits.face[hit], hits.barycentric[hit]
-    corners = sitter.faces[face]
-    rendered = render(
-        np.einsum("nk,nkc->nc", barycentric, sitter.vertices[corners]),
-        normalized(np.einsum("nk,nkc->nc", barycentric, sitter.normals[corners])),
-        sitter.albedo_at(face, barycentric),
-        lights,
-        material=material,
-        occluder=scene,
-        view_direction=-rays[hit],
-        specular_scale=sitter.specular_scale_at(face),
-    )
-    radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
-    radiance[hit] = rendered.radiance_linear
-    on_face[hit] = sitter.part[face] == FACE
-    return radiance.reshape(size, size, 3), on_face.reshape(size, size)
-
-
 def _assembled(
     measured: RangeMesh,
     pods: tuple[Pod, Pod],
@@ -223,7 +181,7 @@ def _assembled(
     rng: np.random.Generator,
     name: str,
 ) -> RawScan:
-    """Return the scan: noise, holes and crumbs on the measured mesh, textured, posed."""
+    """Return the scan: noise, holes and crumbs on the measured mesh, textured where pictured, posed."""
     points = disturbed(measured.vertices, measured.faces, rng, settings.noise_mm, settings.spikes)
     centers = points[rng.choice(len(points), settings.holes)]
     kept = np.ones(len(measured.faces), bool)
@@ -232,10 +190,10 @@ def _assembled(
     vertices, faces = join([(points, measured.faces[kept]), *crumbs(points, rng, settings.crumbs)])
     pod = np.zeros(len(faces), np.int64)
     pod[: kept.sum()] = measured.face_pod[kept]
-    uv = np.zeros((len(faces), 3, 2))
-    for index, camera in enumerate(pods):
-        plane = camera.project(vertices)[faces[pod == index]]
-        uv[pod == index] = np.stack([(plane[..., 0] + 1) / 4 + index / 2, (plane[..., 1] + 1) / 2], -1)
+    plane = np.stack([camera.project(vertices) for camera in pods])[pod[:, None], faces]
+    pictured = (np.abs(plane) < 1).all((1, 2))
+    faces, pod, plane = faces[pictured], pod[pictured], plane[pictured]
+    uv = np.stack([(plane[..., 0] + 1) / 4 + pod[:, None] / 2, (plane[..., 1] + 1) / 2], -1)
     used, renumbered = np.unique(faces, return_inverse=True)
     posed = transform_points(scan_from_model, vertices[used])
     return RawScan(posed, renumbered.reshape(-1, 3), uv=uv, texture_linear=texture, name=name)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.synthetic.clutter import hair_shell, join, shoulder_sheet
-from scan2albedo.synthetic.face_chart import FaceSurface, face_surface
+from scan2albedo.synthetic.face_chart import FaceSurface, face_surface, with_relief
 from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.head import boundary_loop, head_around
 from scan2albedo.synthetic.identity import Expression, person
@@ -35,7 +35,7 @@ class Sitter:
     ----------
     model : AnnotatedFaceModel
     control_points : (C, 3) float64
-        Of the face, in the model's frame, mm.
+        Of the face without its fine relief, in the model's frame, mm.
     face : FaceSurface
     vertices : (V, 3) float64
         All parts.
@@ -104,7 +104,7 @@ def sit_down(seed: int, *, expression: Expression, model: AnnotatedFaceModel) ->
     """Return a random person, head upright in the model's frame."""
     rng = np.random.default_rng([seed, 6])
     control_points = person(model, np.random.default_rng([seed, 2]), expression=expression)
-    face = face_surface(model, control_points)
+    face = with_relief(face_surface(model, control_points), rng)
     head_vertices, head_faces, head_uv = head_around(face.vertices, face.faces, face.normals)
     bare = join([(face.vertices, face.faces), (head_vertices, head_faces)])
     hair = hair_shell(*bare, rng, thickness_mm=16.0, side_drop_deg=rng.uniform(18, 30), size=(140, 420))

@@ -8,7 +8,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.synthetic import Material, face, light_at
-from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface
+from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface, with_relief
 from scan2albedo.synthetic.face_paint import landmark_uv, paint_face
 from scan2albedo.synthetic.identity import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement, person
 
@@ -133,3 +133,13 @@ def test_brows_are_dark_lips_are_red_and_eyes_are_white(model):
     assert np.mean(ratio) > 1.3
     assert np.mean(level, 0)[0] < 0.6
     assert np.mean(level, 0)[1] > 0.4
+
+
+def test_relief_is_fine_and_small(model):
+    smooth = face_surface(model, model.control_vertices)
+    rough = with_relief(smooth, np.random.default_rng(0), height_mm=0.1)
+    offset = rough.vertices - smooth.vertices
+    assert np.linalg.norm(offset, axis=1).std() < 0.1
+    assert np.sqrt(np.mean(np.sum(offset**2, axis=1))) == pytest.approx(0.1, rel=0.1)
+    turned = np.rad2deg(np.arccos(np.clip(np.sum(rough.normals * smooth.normals, axis=1), -1, 1)))
+    assert 1 < np.sqrt(np.mean(turned**2)) < 8
