@@ -129,7 +129,7 @@ def _divide(
     division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
     albedo, rectification = rectified(division.albedo, light, cast, usable, options)
     color = recolor(image.texture_linear, value, albedo)
-    color, inpainting = inpainted(color, image, usable, options, seed)
+    color, inpainting = inpainted(color, image, specular, usable, options, seed)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lights,

@@ -81,7 +81,7 @@ class LightSearch:
                 middle, self._search(coarse, middle, tables, self._model(lights))
             )
             rows.insert(0, PlanStep("albedo.lights", True, f"{lights} asked for"))
-        best = polish(fine, fine.solution_cost(solution), 2 * options.polish_evaluations)
+        best = polish(fine, solution, 2 * options.polish_evaluations)
         return LightFound(best, [*steps, *rows], caster)
 
     def _model(self, lights: int) -> LightModel:
@@ -137,13 +137,13 @@ class LightSearch:
         options = self.options
         starts = direction_grid(coarse, model, tables[0], options)
         each = options.polish_evaluations * model.lights // 2
-        tried = [polish(middle, middle.solution_cost(start), each) for start in starts]
+        tried = [polish(middle, start, each) for start in starts]
         tried.sort(key=lambda s: s.cost)
         polished = [polish(middle, start, each) for start in tried[:2]]
         best = min(polished, key=lambda s: s.cost)
         if options.refiner == "annealing" or (options.refiner == "auto" and disagree(polished)):
             annealed = anneal(middle, best, tables[1], self.seed, options)
-            polished.append(polish(middle, middle.solution_cost(annealed), each))
+            polished.append(polish(middle, annealed, each))
         return min(polished, key=lambda s: s.cost)
 
     def _count_lights(
@@ -158,16 +158,18 @@ class LightSearch:
                 break
             trial = self._search(coarse, middle, tables, self._model(lights))
             same = replace(current.model, lights=lights)
-            trial = polish(
-                middle,
-                Solution(same, trial.model.extend(trial.x, same), math.inf),
-                options.polish_evaluations * lights,
-            )
+            each = options.polish_evaluations * lights
+            trial = polish(middle, Solution(same, trial.model.extend(trial.x, same), math.inf), each)
+            # Both have to be equally well polished for their costs to be compared.
+            current = polish(middle, current, each)
             gain = 1 - trial.cost / current.cost
+            intensities = trial.hypothesis.rows[:, 4]
+            share = float(intensities.min() / intensities.max())
             evidence = (
-                f"light {lights} removes {100 * gain:.1f} % of the cost, {100 * options.light_gain:g} % asked"
+                f"light {lights} removes {100 * gain:.1f} % of the cost ({100 * options.light_gain:g} %"
+                f" asked), {100 * share:.0f} % as strong as the strongest ({100 * options.light_share:g} %)"
             )
-            if gain < options.light_gain:
+            if gain < options.light_gain or share < options.light_share:
                 decision = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
                 break
             current, rows = self._with_parts(middle, trial)

@@ -40,6 +40,8 @@ class EstimateOptions:
     """Most lights that `lights="auto"` tries."""
     light_gain: float = 0.04
     """Part of the cost that one more light has to remove."""
+    light_share: float = 0.1
+    """Intensity that every light has to have, as a part of the strongest one's."""
     distance_gain: float = 0.01
     """Part of the cost that a finite distance of the lights has to remove."""
     part_gain: float = 0.005

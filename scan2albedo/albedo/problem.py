@@ -112,10 +112,6 @@ class Problem:
             self._specular,
         )
 
-    def solution_cost(self, solution: Solution) -> Solution:
-        """Return the solution with its cost at this size."""
-        return Solution(solution.model, solution.x, self.cost(solution.hypothesis))
-
     def table(self, directions: FloatArray) -> VisibilityTable:
         """Return the visibility of distant lights from `directions` (D, 3)."""
         if self._shadows is None:

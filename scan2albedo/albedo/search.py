@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -21,58 +23,67 @@ _AGREEMENT_RAD = 0.05
 _AGREEMENT_COST = 0.02
 
 
+_Found = tuple[float, FloatArray, tuple[int, ...]]
+"""Cost, x, and the indices of the tabulated directions of a start."""
+
+
 def direction_grid(
     problem: Problem, model: LightModel, table: VisibilityTable, options: EstimateOptions
 ) -> list[Solution]:
-    """Return starts for `model`: the best of all directions (or pairs of them) and strengths, kept apart.
+    """Return starts for `model`: the cheapest of all directions and strengths, kept apart.
 
-    For more than two lights the pairs' best is extended greedily by `add_light`.
+    One light: every tabulated direction. Two: all pairs of a coarser choice of them, since the best single
+    direction lies between two lights. More: the best pairs, one light after another added.
     """
-    lights = min(model.lights, 2)
-    few = (
-        table.directions
-        if lights == 1
-        else table.directions[:: -(-len(table.directions) // _PAIR_DIRECTIONS)]
-    )
-    strengths = options.grid_strengths if lights == 1 else options.grid_strengths[:2]
-    found: list[tuple[float, FloatArray, tuple[int, ...]]] = []
-    for chosen in combinations(range(len(few)), lights):
-        visible = np.stack([table.nearest(few[k]) for k in chosen])
-        for energies in product(strengths, repeat=lights):
-            if problem.meter.exhausted and found:
-                break
-            x = model.from_lights(
-                np.resize(few[list(chosen)], (model.lights, 3)), np.resize(energies, model.lights)
-            )
-            hypothesis = model.decode(x)
-            padded = np.resize(visible, (model.lights, visible.shape[1]))
-            found.append((problem.cost(hypothesis, padded), x, chosen))
-    found.sort(key=lambda item: item[0])
+    count = len(table.directions)
+    step = 1 if model.lights == 1 else -(-count // _PAIR_DIRECTIONS)
+    choice = tuple(range(0, count, step))
+    first = min(model.lights, 2)
+    found = _evaluate(problem, model, table, combinations(choice, first), options)
+    for _ in range(first, model.lights):
+        kept = _distinct(found, table.directions, 2, options.start_separation_rad)
+        more = ((*item[2], k) for item in kept for k in choice if k not in item[2])
+        found = _evaluate(problem, model, table, more, options)
     problem.meter.record(found[0][0])
     return [
         Solution(model, x, cost)
-        for cost, x, _ in _distinct(found, few, options.starts * lights, options.start_separation_rad)
+        for cost, x, _ in _distinct(
+            found, table.directions, options.starts * first, options.start_separation_rad
+        )
     ]
 
 
-def _distinct(
-    found: list[tuple[float, FloatArray, tuple[int, ...]]],
-    directions: FloatArray,
-    count: int,
-    separation_rad: float,
-) -> list[tuple[float, FloatArray, tuple[int, ...]]]:
-    """Return the `count` cheapest whose directions differ pairwise by more than `separation_rad`."""
-    kept: list[tuple[float, FloatArray, tuple[int, ...]]] = []
+def _evaluate(
+    problem: Problem,
+    model: LightModel,
+    table: VisibilityTable,
+    choices: Iterable[tuple[int, ...]],
+    options: EstimateOptions,
+) -> list[_Found]:
+    """Return the costs of each choice of directions with each strength, cheapest first."""
+    found: list[_Found] = []
+    for chosen in choices:
+        if problem.meter.exhausted and found:
+            break
+        lights = len(chosen)
+        part = replace(model, lights=lights)
+        strengths = options.grid_strengths if lights == 1 else options.grid_strengths[:2]
+        for energies in product(strengths, repeat=min(lights, 2)):
+            x = part.from_lights(table.directions[list(chosen)], np.resize(energies, lights))
+            cost = problem.cost(part.decode(x), table.visibility[list(chosen)])
+            found.append((cost, x, chosen))
+    return sorted(found, key=lambda item: item[0])
+
+
+def _distinct(found: list[_Found], directions: FloatArray, count: int, separation_rad: float) -> list[_Found]:
+    """Return the `count` cheapest whose lights differ pairwise by more than `separation_rad`."""
+    kept: list[_Found] = []
     cosine = np.cos(separation_rad)
     for item in found:
-        close = [
-            max(
-                all(directions[a] @ directions[b] > cosine for a, b in zip(item[2], order, strict=True))
-                for order in (other[2], other[2][::-1])
-            )
-            for other in kept
+        similar = [
+            (directions[list(item[2])] @ directions[list(other[2])].T > cosine).any(1).all() for other in kept
         ]
-        if not any(close):
+        if not any(similar):
             kept.append(item)
         if len(kept) == count:
             break

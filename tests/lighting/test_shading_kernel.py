@@ -1,0 +1,116 @@
+"""The compiled ASRM against a loop over the readable reflectance functions, and its extremes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
+from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis, spherical_harmonics_shading
+
+LIGHTS = (PointLight(0.5, 0.2, 400.0, 2.0), PointLight(-1.1, 0.4, math.inf, 0.7))
+VIEW = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+
+
+def _points(count=500, seed=3):
+    rng = np.random.default_rng(seed)
+    normal = rng.standard_normal((count, 3))
+    return rng.uniform(-80, 80, (count, 3)), normal / np.linalg.norm(normal, axis=1, keepdims=True), rng
+
+
+def _reference(position, normal, lights, reflectance, visible, scale):
+    light, specular = np.ones(len(position)), np.zeros(len(position))
+    for k, lamp in enumerate(lights):
+        if math.isinf(lamp.distance_mm):
+            vector, energy = np.broadcast_to(lamp.direction, position.shape), lamp.intensity
+        else:
+            vector = lamp.distance_mm * lamp.direction - position
+            energy = lamp.intensity * lamp.distance_mm**2 / np.sum(vector**2, 1)
+        toward = vector / np.linalg.norm(vector, axis=1, keepdims=True)
+        n_l, n_v, l_v = np.sum(normal * toward, 1), normal @ VIEW, toward @ VIEW
+        if reflectance.brdf == "minnaert":
+            diffuse = minnaert(n_l, n_v, reflectance.roughness)
+        else:
+            diffuse = oren_nayar(n_l, n_v, l_v, reflectance.roughness)
+        light += visible[k] * energy * diffuse
+        gloss = phong(n_l, n_v, l_v, reflectance.exponent)
+        specular += visible[k] * energy * reflectance.specular_strength * scale * gloss
+    return light, specular
+
+
+@pytest.mark.parametrize(
+    "reflectance",
+    [
+        Reflectance("lambert"),
+        Reflectance("oren-nayar", 0.45, 0.3, 12.0),
+        Reflectance("oren-nayar", 1.0, 0.3, 0.1),
+        Reflectance("oren-nayar", 0.0, 0.3, 1e4),
+        Reflectance("minnaert", 0.7, 0.1, 3.0),
+    ],
+)
+def test_kernel_equals_the_reference(reflectance):
+    position, normal, rng = _points()
+    visible, scale = rng.integers(0, 2, (2, len(position))), rng.uniform(0, 2, len(position))
+    ours = shade_points(
+        position, normal, LIGHTS, reflectance, visible=visible, view_direction=VIEW, specular_scale=scale
+    )
+    light, specular = _reference(position, normal, LIGHTS, reflectance, visible, scale)
+    assert ours.light == pytest.approx(light, rel=1e-9)
+    assert ours.specular == pytest.approx(specular, rel=1e-9, abs=1e-12)
+
+
+def test_no_light_leaves_the_ambient_term():
+    position, normal, _ = _points()
+    shading = shade_points(position, normal, (), Reflectance())
+    assert np.all(shading.light == 1)
+    assert np.all(shading.specular == 0)
+
+
+def test_sigma_zero_equals_lambert_to_the_last_bit():
+    position, normal, _ = _points()
+    rough = shade_points(position, normal, LIGHTS, Reflectance("oren-nayar", 0.0))
+    assert np.array_equal(rough.light, shade_points(position, normal, LIGHTS, Reflectance("lambert")).light)
+
+
+def test_facing_texel_at_the_origin_gets_the_intensity_from_any_distance():
+    for distance in (300.0, math.inf):
+        light = light_from_direction((0.3, 0.4, 1.0), distance, 2.5)
+        shading = shade_points(np.zeros((1, 3)), light.direction[None], (light,), Reflectance())
+        assert shading.light[0] == pytest.approx(3.5)
+
+
+def test_near_light_falls_off_with_the_square():
+    light = PointLight(0.0, 0.0, 200.0, 1.0)
+    shading = shade_points([[0, 0, 100.0], [0, 0, -200.0]], [[0, 0, 1.0]] * 2, (light,), Reflectance())
+    assert shading.light - 1 == pytest.approx([4.0, 0.25])
+
+
+def test_inputs_are_not_changed_and_bad_names_are_refused():
+    position, normal, _ = _points()
+    before = position.copy(), normal.copy()
+    shade_points(position, normal, LIGHTS, Reflectance(), view_direction=(0, 0, 2))
+    assert np.array_equal(position, before[0])
+    assert np.array_equal(normal, before[1])
+    with pytest.raises(ValueError, match="expected one of"):
+        Reflectance("cook-torrance")
+    with pytest.raises(ValueError, match="roughness 0"):
+        Reflectance("lambert", 0.3)
+
+
+def test_harmonics_are_orthonormal_on_the_sphere():
+    count = 40_000
+    z = 1 - 2 * (np.arange(count) + 0.5) / count
+    turn = np.arange(count) * math.pi * (3 - math.sqrt(5))
+    ring = np.sqrt(1 - z**2)
+    basis = spherical_harmonics_basis(np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1))
+    assert 4 * math.pi * basis.T @ basis / count == pytest.approx(np.eye(9), abs=1e-3)
+
+
+def test_harmonic_shading_takes_27_parameters():
+    coefficients = np.arange(27.0).reshape(9, 3)
+    normal = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
+    shading = spherical_harmonics_shading(normal, coefficients)
+    assert shading.shape == (2, 3)
+    assert shading[:, 1] == pytest.approx(spherical_harmonics_shading(normal, coefficients[:, 1]))

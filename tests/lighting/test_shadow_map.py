@@ -1,0 +1,84 @@
+"""Cast shadows against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions, view_frame
+
+RADIUS, HEIGHT = 20.0, 60.0
+
+
+def _sphere_over_plane():
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
+    sphere.apply_translation([0, 0, HEIGHT])
+    corners = np.array([[-200, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0.0]])
+    vertices = np.concatenate([sphere.vertices, corners])
+    faces = np.concatenate([sphere.faces, np.array([[0, 1, 2], [0, 2, 3]]) + len(sphere.vertices)])
+    return RayCaster(vertices, faces)
+
+
+def _plane_points():
+    axis = np.linspace(-150, 150, 120)
+    x, y = np.meshgrid(axis, axis)
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    return points, np.broadcast_to([0, 0, 1.0], points.shape)
+
+
+def _distance_to_ray(points, toward):
+    """Distance of the sphere's centre from the line through each point toward the light."""
+    unit = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+    center = np.array([0, 0, HEIGHT]) - points
+    return np.linalg.norm(center - np.sum(center * unit, -1, keepdims=True) * unit, axis=1)
+
+
+@pytest.mark.parametrize("distance_mm", [math.inf, 400.0])
+def test_shadow_of_a_sphere_over_a_plane(distance_mm):
+    points, normals = _plane_points()
+    direction = np.array([0.4, 0.1, 1.0]) / np.linalg.norm([0.4, 0.1, 1.0])
+    visible = ShadowMap(_sphere_over_plane(), points, normals).visible(direction, distance_mm)
+    toward = direction if math.isinf(distance_mm) else distance_mm * direction - points
+    distance = _distance_to_ray(points, np.broadcast_to(toward, points.shape))
+    clear = np.abs(distance - RADIUS) > 0.3
+    assert np.array_equal(visible[clear] == 0, distance[clear] < RADIUS)
+    assert 100 < np.sum(visible == 0) < 2000
+
+
+def test_surfaces_turned_away_are_dark_without_any_ray():
+    points, normals = _plane_points()
+    assert not ShadowMap(None, points, normals).visible([0, 0, -1.0]).any()
+    assert not ShadowMap(None, points, normals).visible([1.0, 0, 0]).any()
+    assert ShadowMap(None, points, normals).visible([0, 0.1, 0.99]).all()
+
+
+def test_a_lit_plane_does_not_shadow_itself():
+    points, normals = _plane_points()
+    caster = RayCaster([[-200, -200, 0], [200, -200, 0], [0, 300, 0.0]], [[0, 1, 2]])
+    grazing = np.array([math.cos(0.02), 0, math.sin(0.02)])
+    assert ShadowMap(caster, points, normals).visible(grazing).all()
+
+
+def test_table_answers_with_the_nearest_direction():
+    points, normals = _plane_points()
+    shadows = ShadowMap(_sphere_over_plane(), points, normals)
+    directions = cone_directions(30, (0, 0, 1), 1.2)
+    table = shadows.table(directions)
+    turned = directions[7] + 0.01
+    assert np.array_equal(table.nearest(turned / np.linalg.norm(turned)), shadows.visible(directions[7]))
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0, 1, 0), (1, -2, 0.5), (0, 0, -1)])
+def test_frames_are_right_handed_and_cones_keep_their_angle(axis):
+    frame = view_frame(axis)
+    assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1)
+    unit = np.asarray(axis, float) / np.linalg.norm(axis)
+    assert np.all(cone_directions(100, axis, 0.7) @ unit >= math.cos(0.7))
+
+
+def test_the_frame_of_plus_z_is_the_identity():
+    assert view_frame((0, 0, 3)) == pytest.approx(np.eye(3))
