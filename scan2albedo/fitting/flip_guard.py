@@ -13,7 +13,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MAX_HALVINGS = 8
-FOLD_COSINE = -0.17
+FOLD_COSINE = -0.866
+"""Neighbours more than 150 degrees apart: lips and nostrils crease by less, a fold-over by 180."""
 MIN_STEP_COSINE = 0.2
 """A triangle whose normal turns further than this in one step counts as turning over."""
 
@@ -52,7 +53,7 @@ def guarded(
 
 
 def flipped_faces(vertices: FloatArray, rest: FloatArray, faces: IntArray) -> int:
-    """Count triangles at edges folded by more than 100 degrees that were not folded so at rest."""
+    """Count triangles at edges folded by more than 150 degrees that were not folded so at rest."""
     pairs = _neighbours(faces)
     folded = _folded(vertices, faces, pairs) & ~_folded(rest, faces, pairs)
     return len(np.unique(pairs[folded]))

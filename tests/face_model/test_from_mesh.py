@@ -1,0 +1,248 @@
+import igl
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.from_mesh import carried_template, surface_frames
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.hole_filling import boundary_loops
+from scan2albedo.geometry.mesh import face_areas, face_cross_products
+
+
+def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """A face-sized dome with a nose: (size^2, 3) mm."""
+    plane, faces = igl.triangulated_grid(size, size)
+    u, v = 2 * plane.T - 1
+    z = 60 * np.sqrt(1.7 - u**2 - 0.6 * v**2) + 25 * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
+    return np.column_stack([70 * u, 95 * v, z]), np.asarray(faces, np.int64)
+
+
+def without_disc(vertices, faces, x, y, radius):
+    """The faces without those whose centre lies within `radius` mm of (x, y)."""
+    return faces[np.linalg.norm(vertices[faces].mean(1)[:, :2] - [x, y], axis=1) > radius]
+
+
+def gap_mm(model: AnnotatedFaceModel, points: np.ndarray) -> np.ndarray:
+    return ClosestPointQuery(*model.surface(3)).query(points).distance
+
+
+def assert_sound(model: AnnotatedFaceModel) -> None:
+    assert len(boundary_loops(model.control_faces)) == 1
+    chart = np.column_stack([model.uv, np.zeros(len(model.uv))])
+    assert (face_cross_products(chart, model.control_faces)[:, 2] > 0).all()
+    assert model.uv.min() >= 0
+    assert model.uv.max() <= 1
+
+
+@pytest.fixture(scope="module")
+def dense():
+    vertices, faces = dome()
+    return vertices, faces, AnnotatedFaceModel.from_mesh(vertices, faces, control_size=300)
+
+
+def test_a_dense_template_gets_a_small_control_mesh_whose_limit_surface_follows_it(dense):
+    vertices, _, model = dense
+    assert 250 <= len(model.control_vertices) <= 400
+    assert_sound(model)
+    error = gap_mm(model, vertices - vertices.mean(0))
+    assert error.mean() < 0.08
+    assert error.max() < 2.0
+
+
+def test_the_template_comes_back_exactly_at_rest_and_turns_with_the_surface(dense):
+    vertices, faces, model = dense
+    carried = carried_template(model, model.control_vertices)
+    np.testing.assert_allclose(carried, vertices - vertices.mean(0), atol=1e-9)
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(
+        carried_template(model, model.control_vertices @ turn.T + 5), carried @ turn.T + 5, atol=1e-9
+    )
+    np.testing.assert_array_equal(model.template_faces, faces)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("cm", 0.1), ("m", 0.001)])
+def test_the_unit_is_decided_by_the_size_of_a_head(dense, unit, factor):
+    vertices, faces, model = dense
+    other = AnnotatedFaceModel.from_mesh(factor * vertices, faces, control_size=300)
+    np.testing.assert_allclose(other.control_vertices, model.control_vertices, atol=1e-6)
+
+
+def test_a_small_template_keeps_its_own_vertices():
+    vertices, faces = dome(16)
+    model = AnnotatedFaceModel.from_mesh(vertices, faces)
+    assert len(model.control_vertices) == 256
+    np.testing.assert_array_equal(model.control_faces, faces)
+
+
+def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
+    vertices, faces = dome()
+    holed = without_disc(vertices, without_disc(vertices, faces, 30, 30, 10), -30, 30, 10)
+    eyeball = np.array([[30.0, 30, 40], [32, 30, 40], [30, 32, 40]])
+    count = len(vertices)
+    model = AnnotatedFaceModel.from_mesh(
+        np.concatenate([vertices, eyeball]),
+        np.concatenate([holed, [[count, count + 1, count + 2]]]),
+        control_size=400,
+    )
+    assert_sound(model)
+    filled = model.region == model.regions["filled"].index
+    centre = model.control_vertices[model.control_faces[filled]].mean(1)
+    assert np.ptp(np.sign(centre[:, 0])) == 2
+    area = face_areas(model.control_vertices, model.control_faces)[filled].sum()
+    assert 300 < area < 3 * 2 * np.pi * 100
+    carried = carried_template(model, model.control_vertices)
+    assert carried.shape == (count + 3, 3)
+    gap = np.linalg.norm(carried[count:] - carried[0] - (eyeball - vertices[0]), axis=1)
+    np.testing.assert_allclose(gap, 0, atol=1e-6)
+
+
+def test_seams_with_doubled_vertices_are_welded():
+    vertices, faces = dome(24)
+    left = vertices[faces, 0].mean(1) < 0
+    count = len(vertices)
+    model = AnnotatedFaceModel.from_mesh(
+        np.concatenate([vertices, vertices]), np.where(left[:, None], faces, faces + count), control_size=200
+    )
+    assert_sound(model)
+    carried = carried_template(model, model.control_vertices)
+    both = np.intersect1d(faces[left], faces[~left])
+    np.testing.assert_allclose(carried[both], carried[both + count], atol=1e-6)
+
+
+def test_an_inside_out_template_is_turned(dense):
+    vertices, faces, _ = dense
+    model = AnnotatedFaceModel.from_mesh(vertices, faces[:, ::-1], control_size=300)
+    assert face_cross_products(model.control_vertices, model.control_faces)[:, 2].sum() > 0
+
+
+def test_a_closed_head_is_cut_open_at_the_back():
+    vertices, faces = igl.icosahedron()
+    for _ in range(3):
+        vertices, faces = igl.upsample(vertices, faces)
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, control_size=200)
+    assert_sound(model)
+    assert np.ptp(model.control_vertices[:, 2]) < 160
+
+
+def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
+    vertices, faces, _ = dense
+    uv = 0.1 + 0.8 * (vertices[:, :2] - vertices[:, :2].min(0)) / np.ptp(vertices[:, :2], axis=0)
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, uv, control_size=300)
+    assert_sound(model)
+    expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
+    np.testing.assert_allclose(model.uv, expected, atol=0.02)
+    folded = np.abs(uv - 0.5) + 0.2
+    assert_sound(AnnotatedFaceModel.from_mesh(vertices, faces, folded, control_size=300))
+
+
+def test_regions_by_indices_and_masks(dense):
+    vertices, faces, _ = dense
+    left = vertices[:, 0] > 5
+    low = vertices[faces][:, :, 1].mean(1) < -40
+    model = AnnotatedFaceModel.from_mesh(
+        vertices, faces, regions={"left": np.flatnonzero(left), "low": low}, control_size=300
+    )
+    centre = model.control_vertices[model.control_faces].mean(1)
+    names = {r.index: r.name for r in model.regions.values()}
+    for spot, name in (([40, 40], "left"), ([-40, 40], "face"), ([-40, -70], "low")):
+        nearest = np.argmin(np.linalg.norm(centre[:, :2] - spot, axis=1))
+        assert names[int(model.region[nearest])] == name
+
+
+def test_landmarks_by_points_and_by_vertices(dense):
+    vertices, faces, _ = dense
+    chosen = np.arange(68) * 20 + 101
+    by_index = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=chosen, control_size=300)
+    by_point = AnnotatedFaceModel.from_mesh(
+        0.1 * vertices, faces, landmarks=0.1 * vertices[chosen], control_size=300
+    )
+    np.testing.assert_allclose(by_point.landmarks, by_index.landmarks, atol=1e-6)
+    assert np.linalg.norm(by_index.landmarks - (vertices - vertices.mean(0))[chosen], axis=1).mean() < 0.2
+
+
+def test_what_cannot_be_used_is_refused_with_the_reason():
+    vertices, faces = dome(12)
+    broken = vertices.copy()
+    broken[3, 1] = np.nan
+    fin = np.concatenate([faces, [[*faces[40, :2], 100]]])
+    torus = _torus()
+    cases = [
+        (vertices[:, :2], faces, "shape"),
+        (vertices, faces[:0], "point cloud"),
+        (broken, faces, "NaN"),
+        (vertices, faces + 5, "refers to vertex"),
+        (vertices[:4], np.array([[0, 1, 2], [1, 3, 2]]), "at least 100"),
+        (7000 * vertices, faces, "no head"),
+        (vertices, fin, "more than two faces"),
+        (*torus, "disc"),
+    ]
+    for v, f, message in cases:
+        with pytest.raises(ModelError, match=message):
+            AnnotatedFaceModel.from_mesh(v, f)
+
+
+def test_wrong_annotations_are_refused_with_the_reason():
+    vertices, faces = dome(12)
+    for extra, message in (
+        ({"uv": np.zeros((3, 2))}, "uv has shape"),
+        ({"landmarks": np.zeros((51, 3))}, "68"),
+        ({"landmarks": np.full(68, 999)}, "out of range"),
+        ({"landmarks": vertices[:68] + 500}, "mm from the template"),
+        ({"regions": {"nose": np.array([0, 5000])}}, "'nose'"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            AnnotatedFaceModel.from_mesh(vertices, faces, **extra)
+
+
+def _torus() -> tuple[np.ndarray, np.ndarray]:
+    """A ring with a bite taken out of its surface: one rim and a handle."""
+    count = 16
+    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
+    a, b = 2 * np.pi * i.ravel() / count, 2 * np.pi * j.ravel() / count
+    vertices = np.column_stack(
+        [(80 + 30 * np.cos(b)) * np.cos(a), (80 + 30 * np.cos(b)) * np.sin(a), 30 * np.sin(b)]
+    )
+
+    def at(p, q):
+        return ((p % count) * count + q % count).ravel()
+
+    quads = np.stack([at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)], 1)
+    kept = quads[(i.ravel() > 3) | (j.ravel() > 3)]
+    return vertices, np.concatenate([kept[:, [0, 1, 2]], kept[:, [0, 2, 3]]])
+
+
+def test_surface_frames_are_orthonormal_and_finite_on_zero_area():
+    corners = np.random.default_rng(0).normal(size=(20, 3, 3))
+    frames = surface_frames(corners)
+    np.testing.assert_allclose(
+        np.einsum("nij,nik->njk", frames, frames), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12
+    )
+    assert np.isfinite(surface_frames(np.zeros((1, 3, 3)))).all()
+
+
+def test_the_468_vertex_mask(shared_data):
+    vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, name="mask of 468")
+    assert len(model.control_vertices) == 468
+    assert_sound(model)
+    carried = carried_template(model, model.control_vertices)
+    np.testing.assert_allclose(carried, 10 * (vertices - vertices.mean(0)), atol=1e-6)
+    assert 140 < np.ptp(model.control_vertices[:, 1]) < 200
+
+
+@pytest.mark.parametrize("part", ["face area", "inner face"])
+def test_the_generic_face(shared_data, part):
+    data = np.load(shared_data / "ict_faces.npz")
+    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
+    faces = faces[: int(data["face_area_faces"])]
+    if part == "inner face":
+        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=data["landmarks68"].astype(np.int64))
+    assert_sound(model)
+    assert 800 <= len(model.control_vertices) <= 1200
+    inner = vertices[: int(data["narrow_face_vertices"])] - vertices[np.unique(faces)].mean(0)
+    error = gap_mm(model, inner)
+    assert error.mean() < (0.16 if part == "face area" else 0.1)
+    assert model.landmarks.shape == (68, 3)
