@@ -134,12 +134,13 @@ def test_two_textures_chosen_by_number(tmp_path):
 
 
 @pytest.mark.parametrize("layout", FORMATS)
-def test_triangles_and_quads_mixed(tmp_path, layout):
+@pytest.mark.parametrize(("counter", "dtype"), [("uchar", "u1"), ("ushort", "u2"), ("int", "i4")])
+def test_triangles_and_quads_mixed(tmp_path, layout, counter, dtype):
     points = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0], [50, 150, 0]])
-    rows = [[("u1", [4]), ("u2", [0, 1, 2, 3]), ("u1", [9])], [("u1", [3]), ("u2", [3, 2, 4]), ("u1", [7])]]
+    rows = [[(dtype, [4]), ("u2", [0, 1, 2, 3]), ("u1", [9])], [(dtype, [3]), ("u2", [3, 2, 4]), ("u1", [7])]]
     elements = {
         "vertex": (XYZ, [[("f4", [float(x) for x in p])] for p in points]),
-        "face": (["list uchar ushort vertex_index", "uchar quality"], rows),
+        "face": ([f"list {counter} ushort vertex_index", "uchar quality"], rows),
     }
     scan = load_scan(ply(tmp_path / "a.ply", layout, elements))
     np.testing.assert_array_equal(scan.faces, [[0, 1, 2], [0, 2, 3], [3, 2, 4]])
