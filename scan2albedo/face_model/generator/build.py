@@ -15,6 +15,7 @@ from scan2albedo.face_model.generator.regions import (
     MIDDLE_REGIONS,
     default_regions,
     half_region_names,
+    in_one_piece,
     without_spikes,
 )
 from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
@@ -35,6 +36,7 @@ CURVE_EDGE_MM = {
     "upper_lip": 3.4,
     "lower_lip": 3.4,
     "alar_crease": 3.0,
+    "nose_rim": 3.4,
 }
 """Edge lengths along the features on which vertices are spent."""
 
@@ -104,9 +106,9 @@ def _centroid(control: FloatArray, faces: IntArray) -> FloatArray:
 def _region_of_faces(
     lifted: FloatArray, mesh: HalfMesh, curves: dict[str, FloatArray], index: dict[str, int]
 ) -> NDArray[np.uint8]:
-    names = without_spikes(
-        half_region_names(lifted[mesh.faces].mean(1), curves), _face_neighbours(mesh.faces)
-    )
+    neighbours = _face_neighbours(mesh.faces)
+    names = half_region_names(lifted[mesh.faces].mean(1), curves)
+    names = in_one_piece(without_spikes(names, neighbours), neighbours)
     sided = [
         [index[n if n in MIDDLE_REGIONS else f"{side}_{n}"] for n in names] for side in ("left", "right")
     ]

@@ -43,7 +43,7 @@ class HalfFace:
 def half_face(m: Measurements) -> HalfFace:
     """Lay out the left half of the face from its measurements."""
     middle = _midline(m)
-    eye, mouth, nose = _eye(m), _mouth(m, middle), _nose(m)
+    eye, mouth, nose = _eye(m), _mouth(m, middle), _nose(m, middle)
     curves = {"midline": np.array(list(middle.values())), "outline": _outline(m, middle)}
     # Between sparse points the spline would let creases fade and swell.
     curves |= {name: _dense(curve) for name, curve in (eye.curves | mouth.curves).items()} | nose.curves
@@ -194,8 +194,8 @@ def _mouth(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> Ha
     top, bottom = middle["ls"][1] - sto[1], middle["li"][1] - sto[1]
     upper_border = row((top + 0.9, top - 0.9, top - 3.0, top - 5.5), (5.9, 5.2, 3.6, 1.8))
     lower_border = row((bottom + 0.2, bottom + 1.1, bottom + 3.0, bottom + 5.6), (2.9, 2.7, 2.0, 1.0))
-    upper_lip = row((4.4, 3.9, 2.8, 1.5), (5.8, 4.8, 3.2, 1.5))
-    lower_lip = row((-4.4, -3.9, -2.9, -1.7), (4.5, 4.0, 2.8, 1.3))
+    upper_lip = row((4.4, 3.9, 2.8, 1.4), (5.8, 4.8, 3.2, 1.4))
+    lower_lip = row((-4.4, -3.9, -2.9, -1.7), (4.5, 4.0, 2.6, 1.1))
     above = row((12.2, 11.6, 10.6, 9.4), (5.2, 4.2, 3.6, 3.2))
     below = row((-13.2, -12.4, -10.4, -7.6), (-1.2, -0.8, 0.2, 0.8))
     aside = [
@@ -214,11 +214,13 @@ def _mouth(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> Ha
         "upper_lip": np.concatenate([[middle["upper_lip"]], upper_lip[:3]]),
         "lower_lip": np.concatenate([[middle["lower_lip"]], lower_lip[:3]]),
     }
-    return HalfFace(curves, np.concatenate([above, below, _xyz(aside), _xyz(chin)]))
+    return HalfFace(
+        curves, np.concatenate([upper_lip[3:], lower_lip[3:], above, below, _xyz(aside), _xyz(chin)])
+    )
 
 
-def _nose(m: Measurements) -> HalfFace:
-    """Return the crease around the wing, from its top to the nostril's sill, and the nose's surface."""
+def _nose(m: Measurements, middle: dict[str, tuple[float, float, float]]) -> HalfFace:
+    """Return the crease around the wing, the lower rim from columella to wing, and the nose's surface."""
     wing = m.nose_width_mm / 33
     crease = [
         (13.4, -36.4, 3.4),
@@ -235,18 +237,30 @@ def _nose(m: Measurements) -> HalfFace:
     ]  # fmt: skip
     tip = [
         (5, -35, 20.2), (9, -35.6, 14.2), (12, -36, 7.4), (5.4, -39.6, 20.2), (9.2, -40.6, 15),
-        (4.6, -43.6, 18.6),        (8.4, -44.4, 14.8), (10.8, -42.4, 10.6), (10.6, -46.4, 11),
+        (4.6, -43.6, 18.6),        (8.4, -44.4, 14.8), (10.8, -42.4, 10.6), (10.2, -45.6, 12),
     ]  # fmt: skip
     ala = [
         (12.8, -39.8, 7.4), (14.6, -41.2, 4), (16, -42.6, 1.8), (14.4, -43.8, 6.8), (16.5, -45.4, 1.6),
-        (14.6, -46.8, 5.8), (12.8, -46.8, 9), (15.4, -48.4, 2.2), (13, -49.4, 5),
+        (14.8, -46.4, 5.6), (12.6, -45.2, 9.2),
     ]  # fmt: skip
+    rim = [
+        (3.4, -48.4, 13.2),
+        (6.8, -47.6, 12.4),
+        (10, -47.2, 10.6),
+        (12.6, -47.8, 8),
+        (14.4, -48.4, 5),
+        (15.3, -49, 1.8),
+    ]
     under = [
-        (3.2, -48.2, 13.2), (7, -48.2, 11.6), (9, -48.2, 8.8), (3.6, -51.4, 8.8), (9.6, -50.8, 5.4),
-        (6.2, -52.6, 6.8), (10, -53.4, 4.2),
+        (7, -49.4, 10.2), (9.4, -49.4, 7.8), (12, -49.8, 5.2), (3.6, -51.4, 8.8), (9.6, -51.2, 5),
+        (6.2, -52.6, 6.8), (10, -53.6, 4.2),
     ]  # fmt: skip
+    curves = {
+        "alar_crease": _xyz([(x * wing, y, z) for x, y, z in crease]),
+        "nose_rim": np.concatenate([[middle["columella"]], _xyz([(x * wing, y, z) for x, y, z in rim])]),
+    }
     rows = [*bridge, *((x * wing, y, z) for x, y, z in [*tip, *ala, *under])]
-    return HalfFace({"alar_crease": _xyz([(x * wing, y, z) for x, y, z in crease])}, _xyz(rows))
+    return HalfFace(curves, _xyz(rows))
 
 
 def _section_fill(m: Measurements) -> FloatArray:

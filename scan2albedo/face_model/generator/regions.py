@@ -82,6 +82,37 @@ def without_spikes(names: list[str], neighbours: list[list[int]], passes: int = 
     return current
 
 
+def in_one_piece(names: list[str], neighbours: list[list[int]]) -> list[str]:
+    """Give faces cut off from the largest piece of their region to the region around them.
+
+    >>> in_one_piece(["a", "a", "b", "a"], [[1], [0, 2], [1, 3], [2]])
+    ['a', 'a', 'b', 'b']
+    """
+    current = list(names)
+    for name in sorted(set(names)):
+        pieces = _pieces({face for face, own in enumerate(names) if own == name}, neighbours)
+        for piece in pieces[1:]:
+            around = [names[k] for face in piece for k in neighbours[face] if names[k] != name]
+            for face in piece:
+                current[face] = max(sorted(set(around)), key=around.count)
+    return current
+
+
+def _pieces(faces: set[int], neighbours: list[list[int]]) -> list[set[int]]:
+    """Return the edge-connected pieces of a set of faces, largest first."""
+    pieces, left = [], set(faces)
+    while left:
+        piece, front = set(), [min(left)]
+        while front:
+            face = front.pop()
+            if face in left:
+                left.remove(face)
+                piece.add(face)
+                front += neighbours[face]
+        pieces.append(piece)
+    return sorted(pieces, key=len, reverse=True)
+
+
 def _front_polygons(curves: dict[str, FloatArray]) -> list[tuple[str, FloatArray]]:
     """Return closed polygons in the front view (x, y), most particular first."""
     line = curves["mouth_line"][:, :2]
