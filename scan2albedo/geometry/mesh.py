@@ -83,7 +83,12 @@ def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
 
 def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     """Return (V,) component labels 0..n-1 of vertices connected through faces."""
-    _, labels = connected_components(adjacency(vertex_count, faces), directed=False)
+    # Two edges join a face's three vertices; repeated entries do not matter for connectivity.
+    rows, columns = faces[:, :2].ravel(), faces[:, 1:].ravel()
+    graph = sparse.csr_matrix(
+        (np.ones(len(rows), np.int8), (rows, columns)), shape=(vertex_count, vertex_count)
+    )
+    _, labels = connected_components(graph, directed=False)
     return labels.astype(np.int64)
 
 
