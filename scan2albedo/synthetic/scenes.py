@@ -35,7 +35,7 @@ class SceneParameters:
     ----------
     material : Material
     exposure : float
-        Factor from radiance (ambient 1 times albedo) to the picture.
+        Relative: 1 puts the brightest texel just below white, larger values clip.
     noise : float
         Standard deviation of the noise, picture white = 1.
     bits : int or None
@@ -55,7 +55,7 @@ class SceneParameters:
 class SyntheticScene:
     """A geometry image with its ground truth.
 
-    ``image.texture_linear = camera(exposure (albedo shading + specular))``.
+    ``image.texture_linear = camera(gain (albedo shading + specular))``.
 
     Parameters
     ----------
@@ -68,9 +68,11 @@ class SyntheticScene:
     shadow : (H, W, L) bool
         True where light l does not reach the texel (turned away or hidden); False outside the mask.
     shading : (H, W) float64
-        ``1 + sum of lights``, before exposure; zeros outside the mask.
+        ``1 + sum of lights``, before the gain; zeros outside the mask.
     specular : (H, W) float64
-        Highlights before exposure.
+        Highlights before the gain.
+    gain : float
+        Factor from radiance (albedo under ambient light 1) to the picture, where 1 is white.
     parameters : SceneParameters
     """
 
@@ -80,6 +82,7 @@ class SyntheticScene:
     shadow: NDArray[np.bool_]
     shading: FloatArray
     specular: FloatArray
+    gain: float
     parameters: SceneParameters
 
 
@@ -242,7 +245,7 @@ def photographed(
     lights: tuple[PointLight, ...],
     parameters: SceneParameters,
 ) -> SyntheticScene:
-    """Light and photograph the texels of a geometry image; `parameters.exposure` is relative to automatic."""
+    """Light and photograph the texels of a geometry image."""
     mask, shape = image.mask, image.shape
     scale = np.ones(int(mask.sum())) if image.specular_scale is None else image.specular_scale[mask]
     rendered = render(
@@ -254,10 +257,10 @@ def photographed(
         occluder=RayScene(*image.occluder_mesh()),
         specular_scale=scale,
     )
-    exposure = parameters.exposure * auto_exposure(rendered.radiance_linear)
+    gain = parameters.exposure * auto_exposure(rendered.radiance_linear)
     rng = np.random.default_rng([parameters.seed, 1])
     picture = photograph(
-        rendered.radiance_linear, exposure=exposure, noise=parameters.noise, bits=parameters.bits, rng=rng
+        rendered.radiance_linear, exposure=gain, noise=parameters.noise, bits=parameters.bits, rng=rng
     )
 
     def grid(values: NDArray) -> NDArray:
@@ -272,5 +275,6 @@ def photographed(
         grid(~rendered.visible),
         grid(rendered.shading),
         grid(rendered.specular),
-        replace(parameters, exposure=exposure),
+        gain,
+        parameters,
     )

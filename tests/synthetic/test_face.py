@@ -92,7 +92,7 @@ def test_texels_lie_where_the_models_chart_says(model):
 def test_texture_is_albedo_times_shading_plus_highlights(texture):
     scene = face(2, size=96, texture=texture, bits=None, material=Material(0.3, 0.2, 15.0))
     made = scene.albedo_linear * scene.shading[..., None] + scene.specular[..., None]
-    assert np.allclose(scene.image.texture_linear, made * scene.parameters.exposure, atol=1e-6)
+    assert np.allclose(scene.image.texture_linear, made * scene.gain, atol=1e-6)
     assert scene.specular.max() > 0.1
     assert np.all(scene.shading[scene.image.mask] >= 1)
 

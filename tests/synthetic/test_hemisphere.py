@@ -24,7 +24,7 @@ def test_texture_is_the_albedo_times_the_light():
     scene = hemisphere(size=96, material=LAMBERT, bits=None, lights=[light_at(40, 10, intensity=2.0)])
     mask = scene.image.mask
     cosine = np.maximum(0, scene.image.normal[mask] @ scene.lights[0].direction)
-    expected = scene.albedo_linear[mask] * (1 + 2 * cosine[:, None]) * scene.parameters.exposure
+    expected = scene.albedo_linear[mask] * (1 + 2 * cosine[:, None]) * scene.gain
     assert np.allclose(scene.image.texture_linear[mask], expected, atol=1e-6)
     assert scene.image.texture_linear.max() == pytest.approx(0.98, abs=1e-6)
     assert np.array_equal(scene.shadow[mask, 0], scene.image.normal[mask] @ scene.lights[0].direction <= 0)
@@ -46,7 +46,7 @@ def test_same_seed_same_bits():
 
 def test_no_lights_leave_the_albedo():
     scene = hemisphere(size=64, lights=[], bits=None)
-    assert np.allclose(scene.image.texture_linear, scene.albedo_linear * scene.parameters.exposure, atol=1e-6)
+    assert np.allclose(scene.image.texture_linear, scene.albedo_linear * scene.gain, atol=1e-6)
     assert scene.shadow.shape == (64, 64, 0)
 
 
