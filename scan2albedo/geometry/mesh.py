@@ -86,7 +86,7 @@ def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     # Two edges join a face's three vertices; repeated entries do not matter for connectivity.
     rows, columns = faces[:, :2].ravel(), faces[:, 1:].ravel()
     graph = sparse.csr_matrix(
-        (np.ones(len(rows), np.int8), (rows, columns)), shape=(vertex_count, vertex_count)
+        (np.ones(len(rows), bool), (rows, columns)), shape=(vertex_count, vertex_count)
     )
     _, labels = connected_components(graph, directed=False)
     return labels.astype(np.int64)
