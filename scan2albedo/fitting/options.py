@@ -38,6 +38,8 @@ class FitOptions:
         Most iterations of the pose and scale refinement; 0 keeps the pose given.
     scale_range : (float, float)
         Least and greatest size of the face relative to the model.
+    open_mouth : bool
+        Search the angle of the jaw before anything bends (models with landmarks).
     result_levels : int
         Loop refinements of the surface returned.
     residual_gate_mm : float
@@ -62,6 +64,7 @@ class FitOptions:
     damping: float = 0.1
     rigid_iterations: int = 30
     scale_range: tuple[float, float] = (0.75, 1.35)
+    open_mouth: bool = True
     result_levels: int = 2
     residual_gate_mm: float = 5.0
     min_coverage: float = 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.kernels import surface_normals
+from scan2albedo.fitting.mouth_opening import MouthSearch
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -24,6 +25,7 @@ FloatArray = NDArray[np.float64]
 
 GAIN_WINDOW = 5
 SEARCH_EVERY = 5
+MOUTH_LEVEL = 1
 HELD_SPRINGS = 0.55
 """Part of the springs' greatest stiffness taken implicitly: from 1/2 on every step is stable."""
 
@@ -77,6 +79,27 @@ class StagesOutcome:
 
     q: FloatArray
     converged: bool
+
+
+def mouth_opened(deformation: Deformation) -> Deformation:
+    """Return the deformation that starts from the mouth opened as the scan's is.
+
+    Each candidate of `MouthSearch` runs through the first, stiffest stage; trials count as evaluations
+    but leave no rows in the trace.
+    """
+    scan, meter = deformation.scan, deformation.meter
+    search = MouthSearch.of(deformation.model, deformation.reference, scan, MOUTH_LEVEL)
+    if len(search.candidates) == 1:
+        return deformation
+    reached = []
+    for reference in search.candidates:
+        if meter.exhausted:
+            return deformation
+        trial = replace(deformation, reference=reference, meter=Meter("trial", "mm", meter.budget))
+        start = np.zeros_like(reference)
+        reached.append(reference + _run_stage(trial, deformation.options.levels[0], 0.0, start))
+        meter.count(trial.meter.evaluations)
+    return replace(deformation, reference=search.candidates[search.best(scan, reached)])
 
 
 def run_stages(deformation: Deformation) -> StagesOutcome:

@@ -1,0 +1,136 @@
+"""Open the model's mouth before it bends: a search over one angle at the jaw's hinge.
+
+Closest points alone let the lips of a closed model slide along the chin of an open mouth; so opened
+models are tried, and chosen by what a coarse fit makes of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.dynamics import factorized
+from scan2albedo.fitting.kernels import surface_normals
+from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.operators import laplacian
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+EARS = (0, 16)
+BELOW_EARS = (1, 15)
+HINGE_DEPTH = 0.18
+"""The jaw's joint lies this part of the face's width behind the ends of the jaw line."""
+STILL = (*range(17, 48), *range(49, 54), 61, 62, 63, *EARS)
+"""iBUG-68 indices of brows, nose, eyes, upper lip and the jaw line's ends, which the jaw leaves in place."""
+MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
+"""Chin and lower lip."""
+CHIN = 8
+NECK_BELOW_CHIN_MM = 35.0
+ANGLES_DEG = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
+REACH_MM = 8.0
+MIN_GAIN = 0.1
+TRIAL_MARGIN = 0.1
+LOWER_FACE = 0.1
+
+
+@dataclass(frozen=True)
+class JawHinge:
+    """How the lower face turns about an axis along x through `center` (3,), by `weight` (C,) 0 ... 1."""
+
+    center: FloatArray
+    weight: FloatArray
+
+    @classmethod
+    def of(cls, model: AnnotatedFaceModel, control_points: FloatArray) -> JawHinge | None:
+        """Return the hinge of an annotated model at `control_points`; None without landmarks.
+
+        The weight is 1 at chin and lower lip, 0 at the upper face and the neck, harmonic in between.
+        """
+        landmarks = model.landmarks_of(control_points)
+        if landmarks is None or model.landmark_points is None:
+            return None
+        corners = model.control_faces[model.landmark_points.face]
+        moving, still = np.zeros((2, len(control_points)), bool)
+        moving[corners[list(MOVING)]] = True
+        still[corners[list(STILL)]] = True
+        still |= control_points[:, 1] < landmarks[CHIN, 1] - NECK_BELOW_CHIN_MM
+        # A face across the mouth holds both lips: its corners follow their neighbours.
+        fixed = moving ^ still
+        weight = _harmonic(laplacian(control_points, model.control_faces), fixed, moving)
+        ears = landmarks[list(EARS)]
+        center = ears.mean(0) - [0.0, 0.0, HINGE_DEPTH * float(np.linalg.norm(ears[1] - ears[0]))]
+        center[1] = landmarks[list(BELOW_EARS), 1].mean()
+        return cls(center, weight)
+
+    def opened(self, control_points: FloatArray, angle_deg: float) -> FloatArray:
+        """Return the control points (C, 3) with the jaw turned down by `angle_deg`."""
+        angle = np.deg2rad(angle_deg) * self.weight
+        _, y, z = (control_points - self.center).T
+        turned = control_points.copy()
+        turned[:, 1] = self.center[1] + np.cos(angle) * y - np.sin(angle) * z
+        turned[:, 2] = self.center[2] + np.sin(angle) * y + np.cos(angle) * z
+        return turned
+
+
+@dataclass(frozen=True)
+class MouthSearch:
+    """Opened control points worth a trial, and what tells them apart.
+
+    Parameters
+    ----------
+    candidates : tuple of (C, 3) float64
+        The first is the mouth as it is.
+    samples : SurfaceSamples
+    weight : (N,) float64
+        Area of the samples of the lower face, 0 elsewhere.
+    """
+
+    candidates: tuple[FloatArray, ...]
+    samples: SurfaceSamples
+    weight: FloatArray
+
+    @classmethod
+    def of(
+        cls, model: AnnotatedFaceModel, control_points: FloatArray, scan: ScanSurface, level: int
+    ) -> MouthSearch:
+        """Try ANGLES_DEG as they are, and keep those that come near the best; only the first without landmarks."""
+        samples = SurfaceSamples.of(model, control_points, level)
+        hinge = JawHinge.of(model, control_points)
+        if hinge is None:
+            return cls((control_points,), samples, samples.area)
+        lower = samples.area * (samples.matrix @ hinge.weight > LOWER_FACE)
+        opened = [hinge.opened(control_points, angle) for angle in ANGLES_DEG]
+        search = cls((control_points,), samples, lower)
+        costs = np.array([search.cost(scan, points) for points in opened])
+        near = np.flatnonzero(costs[1:] < (1 + TRIAL_MARGIN) * costs.min()) + 1
+        return cls((control_points, *(opened[i] for i in near)), samples, lower)
+
+    def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
+        """Mean distance of the lower face to the scan, cut off at REACH_MM, in full where normals disagree."""
+        points = self.samples.matrix @ control_points
+        hits = scan.nearest.query(points)
+        normals = surface_normals(points, self.samples.faces)[0]
+        agreement = np.einsum("ij,ij->i", scan.normals_at(hits), normals)
+        distance = np.where(agreement > 0, np.minimum(hits.distance, REACH_MM), REACH_MM)
+        return float(self.weight @ distance / max(self.weight.sum(), 1e-300))
+
+    def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
+        """Return which candidate's coarse fit ends nearest; the first unless another gains MIN_GAIN."""
+        costs = [self.cost(scan, points) for points in reached]
+        chosen = int(np.argmin(costs))
+        return chosen if costs[chosen] < (1 - MIN_GAIN) * costs[0] else 0
+
+
+def _harmonic(matrix: sparse.csr_matrix, fixed: NDArray[np.bool_], one: NDArray[np.bool_]) -> FloatArray:
+    """Solve L w = 0 with w = 1 where `fixed` and `one`, 0 where `fixed` only."""
+    weight = (fixed & one).astype(float)
+    free = np.flatnonzero(~fixed)
+    inner = matrix[free][:, free] + 1e-9 * sparse.identity(len(free))
+    weight[free] = factorized(inner)(-(matrix[free] @ weight)[:, None])[:, 0]
+    return np.clip(weight, 0.0, 1.0)
