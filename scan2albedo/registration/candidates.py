@@ -26,11 +26,10 @@ _OTHER_POSITION_MM = 30.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """A refined pose (scan frame centred), the evidence for it and its inlier RMS."""
+    """A refined pose (scan frame centred) and the evidence for it."""
 
     pose: SimilarPose
     evidence: FaceEvidence
-    rms_mm: float
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def judged_candidates(
         poses.append(pose)
         candidates.append(_judged(scan, template, pose))
         meter.count()
-        meter.record(min(c.rms_mm for c in candidates))
+        meter.record(min(c.evidence.rms_mm for c in candidates))
     return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
 
 
@@ -73,8 +72,8 @@ def _judged(scan: ScanView, template: Template, start: SimilarPose) -> Candidate
     samples = template.first(_SAMPLES)
     pose = robust_icp(scan.tree, samples, samples.areas, start, iterations=15, sigma_mm=(6.0, 3.0))
     rms_mm = residuals(scan.tree, samples, pose).trimmed_rms_mm(samples.areas)
-    evidence = template.image.evidence(scan.vertices, scan.faces, pose.model_from_scan())
-    return Candidate(pose, evidence, rms_mm)
+    evidence = template.image.evidence(scan.vertices, scan.faces, pose.model_from_scan(), rms_mm)
+    return Candidate(pose, evidence)
 
 
 def runner_up_score(candidates: tuple[Candidate, ...]) -> float:

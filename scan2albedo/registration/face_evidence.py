@@ -1,18 +1,18 @@
-"""How much a posed scan looks like a face: relief correlation of depth images."""
+"""How much a posed scan looks like a face: local relief correlation of depth images."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image
-from scan2albedo.registration.relief import correlation, without_quadratic_trend
+from scan2albedo.registration.relief import without_quadratic_trend
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _SIZE = 72
@@ -20,8 +20,11 @@ _LOOK_THROUGH_MM = 30.0
 _SAME_SURFACE_MM = 20.0
 _STEEPEST_SLOPE = 1.5
 _SMOOTHING_PIXELS = 1.5
+_WINDOW_PIXELS = 4.0
 _FEATURE_PIXELS = 5.0
+_FLAT_SLOPE_SQUARED = 0.01
 _FEWEST_PIXELS = 64
+_ALLOWED_RMS_MM = 7.0
 
 
 @dataclass(frozen=True)
@@ -33,24 +36,30 @@ class FaceEvidence:
     coverage : float
         Part of the model's features within 20 mm of which the scan lies.
     relief_correlation : float
-        Correlation of the depth derivatives there, after a quadratic fit is taken out of each: the
-        bulge that a head shares with a ball does not count, nose, orbits and mouth do.
+        Correlation of the depth derivatives in windows of about 3 cm, averaged over the features, after a
+        quadratic fit is taken out of each: the bulge that a head shares with a ball does not count,
+        and nose, orbits and mouth must each be there (one bump in the right place is no face).
+    rms_mm : float
+        RMS distance of the model's inlying samples to the scan.
     """
 
     coverage: float
     relief_correlation: float
+    rms_mm: float
+
+    @property
+    def likeness(self) -> float:
+        """Relief correlation times exp(-(rms / 7 mm)^2); 0.9 for the model itself."""
+        return self.relief_correlation * float(np.exp(-((self.rms_mm / _ALLOWED_RMS_MM) ** 2)))
 
     @property
     def score(self) -> float:
-        """Relief correlation, lessened where little of the face is covered."""
-        return self.relief_correlation * min(1.0, self.coverage / 0.6) ** 0.5
+        """Likeness, lessened where little of the face is covered: ranks poses."""
+        return self.likeness * min(1.0, self.coverage / 0.6) ** 0.5
 
 
 class FaceImage:
     """The model's depth image, against which posed scans are judged.
-
-    Pixels count by how much relief the model has around them: noise on a smooth forehead says
-    nothing, a nose does.
 
     Parameters
     ----------
@@ -65,17 +74,15 @@ class FaceImage:
         self.depth = depth_image(vertices, faces, self.frame)
         self._inside = np.isfinite(self.depth)
         self._highest_mm = float(high[2]) + _LOOK_THROUGH_MM
-        self._weights = self._feature_weights()
-
-    def _feature_weights(self) -> FloatArray:
-        """Return (S, S) squared relief, blurred to features; 0 outside the model."""
-        energy = np.zeros_like(self.depth)
-        for slopes, row, column in _slopes(self.depth, self._inside, self.frame.pixel, 0.0):
-            energy[row, column] += _without_trend(slopes, row, column, np.ones(len(row))) ** 2
-        return gaussian_filter(energy, _FEATURE_PIXELS) * self._inside
+        relief, _ = self._relief(self.depth, self._inside, 0.0)
+        self._weights = self._inside * np.sqrt(gaussian_filter((relief**2).sum(0), _FEATURE_PIXELS))
 
     def evidence(
-        self, vertices: FloatArray, faces: NDArray[np.int64], model_from_scan: FloatArray
+        self,
+        vertices: FloatArray,
+        faces: NDArray[np.int64],
+        model_from_scan: FloatArray,
+        rms_mm: float = 0.0,
     ) -> FaceEvidence:
         """Judge a scan under a (4, 4) transform into the model's frame (rigid or similarity)."""
         seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
@@ -83,30 +90,23 @@ class FaceImage:
         common = np.abs(difference) < _SAME_SURFACE_MM
         coverage = float(self._weights[common].sum() / self._weights.sum())
         if common.sum() < _FEWEST_PIXELS:
-            return FaceEvidence(coverage, 0.0)
-        a, b = self._relief(seen, common), self._relief(self.depth, common)
-        return FaceEvidence(coverage, correlation(a[0], b[0], a[1]))
+            return FaceEvidence(coverage, 0.0, rms_mm)
+        scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
+        model, _ = self._relief(self.depth, common, _SMOOTHING_PIXELS)
+        return FaceEvidence(coverage, _local_correlation(scan, model, used, self._weights), rms_mm)
 
-    def _relief(self, depth: FloatArray, common: Mask) -> tuple[FloatArray, FloatArray]:
-        """Return slopes without their trend and their weights, (P,) each, both axes in one row."""
-        values, weights = [], []
-        for slopes, row, column in _slopes(depth, common, self.frame.pixel, _SMOOTHING_PIXELS):
-            weights.append(self._weights[row, column])
-            values.append(_without_trend(slopes, row, column, weights[-1]))
-        return np.concatenate(values), np.concatenate(weights)
-
-
-def _slopes(
-    depth: FloatArray, mask: Mask, pixel_mm: float, smoothing: float
-) -> tuple[tuple[FloatArray, IntArray, IntArray], ...]:
-    """Return, across and down, the slopes (P,) between neighbours in the mask and their (row, column)."""
-    smooth = _smoothed(depth, mask, smoothing)
-    across, down = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
-    found = []
-    for difference, both in ((np.diff(smooth, axis=1), across), (np.diff(smooth, axis=0), down)):
-        row, column = np.nonzero(both)
-        found.append((np.clip(difference[both] / pixel_mm, -_STEEPEST_SLOPE, _STEEPEST_SLOPE), row, column))
-    return tuple(found)
+    def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
+        """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
+        smooth = _smoothed(depth, mask, smoothing)
+        used = np.zeros_like(mask)
+        used[:-1, :-1] = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1]
+        position = np.argwhere(used) / _SIZE - 0.5
+        relief = np.zeros((2, *mask.shape))
+        for image, axis in zip(relief, (1, 0), strict=True):
+            slope = np.diff(smooth, axis=axis, append=0.0)[used] / self.frame.pixel
+            slope = np.clip(slope, -_STEEPEST_SLOPE, _STEEPEST_SLOPE)
+            image[used] = without_quadratic_trend(slope, position, np.ones(len(slope)))
+        return relief, used
 
 
 def _smoothed(depth: FloatArray, mask: Mask, sigma: float) -> FloatArray:
@@ -118,5 +118,14 @@ def _smoothed(depth: FloatArray, mask: Mask, sigma: float) -> FloatArray:
     return np.where(mask, gaussian_filter(filled, sigma) / np.maximum(weight, 1e-9), 0.0)
 
 
-def _without_trend(slopes: FloatArray, row: IntArray, column: IntArray, weights: FloatArray) -> FloatArray:
-    return without_quadratic_trend(slopes, np.stack([row, column], 1) / _SIZE - 0.5, weights)
+def _local_correlation(a: FloatArray, b: FloatArray, used: Mask, weights: FloatArray) -> float:
+    """Return the weighted mean over pixels of the correlation of a and b (2, S, S) in Gaussian windows."""
+
+    def window(values: NDArray[Any]) -> FloatArray:
+        return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
+
+    # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
+    floor = _FLAT_SLOPE_SQUARED * (window(used) + 1e-9)
+    norm = np.sqrt((window((a * a).sum(0)) + floor) * (window((b * b).sum(0)) + floor))
+    counted = weights * used
+    return float((counted * window((a * b).sum(0)) / norm).sum() / max(counted.sum(), 1e-300))

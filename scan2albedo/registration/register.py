@@ -127,13 +127,14 @@ def _box_text(vertices: FloatArray) -> str:
 
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:
     evidence = candidates[0].evidence
-    if evidence.coverage >= options.coverage_needed and evidence.relief_correlation >= options.relief_needed:
+    if evidence.coverage >= options.coverage_needed and evidence.likeness >= options.likeness_needed:
         return
     raise RegistrationError(
         f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
         f"{100 * evidence.coverage:.0f} % of the face (needed: {100 * options.coverage_needed:.0f} %) "
-        f"with a relief correlation of {evidence.relief_correlation:.2f} "
-        f"(needed: {options.relief_needed:.2f}); the scan's box is {_box_text(scan.vertices)}. "
+        f"with a likeness of {evidence.likeness:.2f} (needed: {options.likeness_needed:.2f}; "
+        f"relief correlation {evidence.relief_correlation:.2f}, {evidence.rms_mm:.1f} mm RMS); "
+        f"the scan's box is {_box_text(scan.vertices)}. "
         "Give a scan of a face, or process it without a model"
     )
 
@@ -141,7 +142,7 @@ def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: R
 def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions) -> float:
     """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1."""
     best = candidates[0].evidence
-    clear = (best.relief_correlation - (options.relief_needed - 0.1)) / 0.3
+    clear = (best.likeness - options.likeness_needed) / 0.1 + 0.3
     alone = (best.score - runner_up_score(candidates)) / 0.15
     return float(np.clip(min(clear, alone), 0, 1))
 

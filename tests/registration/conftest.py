@@ -1,0 +1,81 @@
+"""Shapes and raw-like scans that the registration tests share."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from scan2albedo import AnnotatedFaceModel, RawScan
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_angle_rad, transform_points
+from scan2albedo.synthetic import RawLikeOptions, raw_like
+from scan2albedo.synthetic.identity import person
+
+FACE_PART = 6706
+
+
+@dataclass(frozen=True)
+class PosedScan:
+    """A scan whose pose is known."""
+
+    scan: RawScan
+    model_from_scan: np.ndarray
+
+    def error(self, model_from_scan: np.ndarray) -> tuple[float, float]:
+        """Return how far a pose is off: degrees, and mm at the model's origin."""
+        truth, found = invert_rigid(self.model_from_scan), invert_rigid(model_from_scan)
+        angle = rotation_angle_rad(found[:3, :3].T @ truth[:3, :3])
+        return float(np.degrees(angle)), float(np.linalg.norm(found[:3, 3] - truth[:3, 3]))
+
+
+@pytest.fixture(scope="session")
+def model() -> AnnotatedFaceModel:
+    return AnnotatedFaceModel.default()
+
+
+@pytest.fixture(scope="session")
+def synthetic_scan(model) -> Callable[..., PosedScan]:
+    """Make a raw-like scan of a synthetic person, in the model's own correspondence."""
+
+    def make(seed: int, **options) -> PosedScan:
+        control = person(model, np.random.default_rng(seed))
+        subdivision = model.subdivision(2)
+        shape = subdivision.matrix @ control
+        scan, scan_from_shape = raw_like(shape, subdivision.faces, seed, options=RawLikeOptions(**options))
+        return PosedScan(scan, invert_rigid(scan_from_shape))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def ict(shared_data) -> dict[str, np.ndarray]:
+    """The published shapes: `faces` and one (V, 3) array a shape, in mm."""
+    with np.load(shared_data / "ict_faces.npz") as data:
+        shapes = {key[6:]: data[key].astype(float) for key in data if key.startswith("shape_")}
+        return {"faces": data["faces"].astype(np.int64), "landmarks68": data["landmarks68"], **shapes}
+
+
+@pytest.fixture(scope="session")
+def ict_scan(ict, model) -> Callable[..., PosedScan]:
+    """Make a raw-like scan of a published shape; its true pose comes from landmarks of the generic one."""
+    inner = ict["landmarks68"][17:]
+    generic = ict["generic_neutral"]
+    model_from_generic = procrustes(generic[inner], model.landmarks[17:])
+
+    def make(shape: str, seed: int, **options) -> PosedScan:
+        vertices = ict[shape]
+        model_from_shape = model_from_generic @ procrustes(vertices[:FACE_PART], generic[:FACE_PART])
+        scan, scan_from_shape = raw_like(vertices, ict["faces"], seed, options=RawLikeOptions(**options))
+        return PosedScan(scan, model_from_shape @ np.linalg.inv(scan_from_shape))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def posed() -> Callable[..., RawScan]:
+    """Return a scan moved by a rigid transform."""
+
+    def move(scan: RawScan, pose: np.ndarray) -> RawScan:
+        return RawScan(transform_points(pose, scan.vertices), scan.faces, name=scan.name)
+
+    return move

@@ -1,0 +1,64 @@
+"""The depth-derivative objective and its annealing, with the model as its own scan."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.rigid import rotation_angle_rad, rotation_from_vector
+from scan2albedo.optimization import Budget, Meter
+from scan2albedo.registration.depth_annealing import DepthDerivativeObjective, anneal_depth_derivatives
+from scan2albedo.registration.robust_icp import SimilarPose
+from scan2albedo.registration.template import Template
+
+REST = SimilarPose(np.eye(3), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def template(model) -> Template:
+    return Template.of(model, 6.0, seed=0)
+
+
+def test_the_objective_is_zero_at_the_truth_and_grows_away_from_it(template):
+    scan = template.coarse_vertices, template.coarse_faces
+    objective = DepthDerivativeObjective(*scan, template, REST, 64)
+    assert objective(np.zeros(5)) == 0
+    for axis, unit in enumerate([np.radians(1)] * 3 + [1.0] * 2):
+        costs = [objective(step * unit * np.eye(5)[axis]) for step in (1, 2, 4)]
+        assert 0 < costs[0] < costs[1] < costs[2] < 1
+
+
+def test_derivatives_do_not_see_depth_but_the_shift_is_found_apart(template):
+    lifted = template.coarse_vertices + [0, 0, 3.5]
+    objective = DepthDerivativeObjective(lifted, template.coarse_faces, template, REST, 64)
+    assert objective(np.zeros(5)) < 1e-9
+    assert objective.depth_shift_mm(np.zeros(5)) == pytest.approx(3.5)
+
+
+def test_a_missing_part_of_the_scan_costs_nothing(template):
+    half = template.coarse_faces[(template.coarse_vertices[template.coarse_faces][..., 0] > 0).all(1)]
+    objective = DepthDerivativeObjective(template.coarse_vertices, half, template, REST, 64)
+    assert objective(np.zeros(5)) == 0
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.93])
+def test_annealing_walks_back_from_four_degrees_and_four_millimetres(template, scale):
+    scan = scale * template.coarse_vertices, template.coarse_faces
+    start = SimilarPose(rotation_from_vector(np.radians([2.5, -3, 1])), np.array([3.0, -2.0, 2.0]), scale)
+    meter = Meter("depth_annealing", "objective")
+    found = anneal_depth_derivatives(*scan, template, start, size=64, evaluations=1500, seed=0, meter=meter)
+    assert found.converged
+    assert found.error < 0.35 * found.start_error
+    assert np.degrees(rotation_angle_rad(found.pose.rotation)) < 0.6
+    assert np.linalg.norm(found.pose.translation) < 0.8
+    errors = [row.error for row in meter.trace]
+    assert errors[0] == found.start_error
+    assert errors[-1] == found.error
+
+
+def test_a_budget_ends_it_with_the_best_so_far(template):
+    scan = template.coarse_vertices, template.coarse_faces
+    start = SimilarPose(rotation_from_vector([0.05, 0, 0]), np.zeros(3))
+    meter = Meter("depth_annealing", "objective", Budget(evaluations=40))
+    found = anneal_depth_derivatives(*scan, template, start, size=64, evaluations=1500, seed=0, meter=meter)
+    assert not found.converged
+    assert meter.evaluations <= 41
+    assert found.error <= found.start_error

@@ -1,0 +1,138 @@
+"""Registration end to end: synthetic people, published shapes, real scans; poses, bits and budgets."""
+
+import numpy as np
+import pytest
+
+from scan2albedo import Budget, load_scan, register
+from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, rotation_angle_rad
+from scan2albedo.registration import RegistrationOptions
+
+ICT_SHAPES = (
+    "generic_neutral",
+    "person1",
+    "person2",
+    "person3",
+    "person4",
+    "generic_mouthSmile_L_mouthSmile_R",
+    "generic_jawOpen0.7",
+    "person2_mouthSmile_L_mouthSmile_R",
+    "person3_browInnerUp_L_browInnerUp_R_jawOpen0.5",
+)
+
+
+@pytest.fixture(scope="module")
+def registered(synthetic_scan, model):
+    example = synthetic_scan(3)
+    return example, register(example.scan, model)
+
+
+def test_the_pose_of_a_synthetic_person_is_found(registered):
+    example, registration = registered
+    degrees, millimetres = example.error(registration.model_from_scan)
+    assert degrees < 4
+    assert millimetres < 6
+    assert registration.converged
+    assert registration.confidence > 0.8
+    assert registration.rmse_mm < 4
+
+
+def test_the_pose_is_rigid_and_the_size_is_told_apart(registered):
+    _, registration = registered
+    rotation = registration.model_from_scan[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    assert registration.model_from_scan[3].tolist() == [0, 0, 0, 1]
+    assert 0.85 < registration.face_scale < 1.15
+
+
+def test_the_trace_and_the_notes_tell_what_happened(registered):
+    _, registration = registered
+    assert registration.trace.stages == ("icp", "depth_annealing")
+    assert {row.unit for row in registration.trace.of_stage("icp")} == {"mm"}
+    annealing = [row.error for row in registration.trace.of_stage("depth_annealing")]
+    assert (np.diff(annealing) <= 0).all()
+    assert annealing[-1] <= registration.depth_error <= annealing[0]
+    assert [(step, ran) for step, ran, _, _ in registration.notes] == [
+        ("search", True),
+        ("depth_annealing", True),
+    ]
+    assert "evaluations" in registration.notes[1][3]
+    assert registration.iterations >= 1500
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_the_same_pose(registered, model):
+    example, first = registered
+    again = register(example.scan, model)
+    assert np.array_equal(first.model_from_scan, again.model_from_scan)
+    assert (first.rmse_mm, first.depth_error) == (again.rmse_mm, again.depth_error)
+    other = register(example.scan, model, seed=1)
+    change = other.model_from_scan @ invert_rigid(first.model_from_scan)
+    assert np.degrees(rotation_angle_rad(change[:3, :3])) < 1
+    assert np.linalg.norm(change[:3, 3]) < 1
+
+
+def test_the_scan_is_not_touched(synthetic_scan, model):
+    scan = synthetic_scan(4).scan
+    vertices, faces = scan.vertices.copy(), scan.faces.copy()
+    register(scan, model)
+    assert np.array_equal(scan.vertices, vertices)
+    assert np.array_equal(scan.faces, faces)
+
+
+@pytest.mark.parametrize("budget", [Budget(evaluations=1), Budget(evaluations=3000), 0.02])
+def test_a_budget_ends_with_a_pose_and_says_so(registered, model, budget):
+    example, whole = registered
+    registration = register(example.scan, model, budget)
+    assert not registration.converged
+    assert np.isfinite(registration.model_from_scan).all()
+    assert 0 <= registration.confidence <= 1
+    assert registration.iterations < whole.iterations
+
+
+def test_annealing_can_be_left_out(registered, model):
+    example, _ = registered
+    registration = register(example.scan, model, options=RegistrationOptions(annealing_evaluations=0))
+    assert registration.depth_error is None
+    assert registration.notes[1][:2] == ("depth_annealing", False)
+    assert registration.trace.stages == ("icp",)
+    assert example.error(registration.model_from_scan)[0] < 4
+
+
+def test_progress_is_reported_as_it_is_recorded(registered, model):
+    example, _ = registered
+    rows = []
+    registration = register(example.scan, model, on_progress=rows.append)
+    assert tuple(rows) == registration.trace.rows
+
+
+@pytest.mark.parametrize("shape", ICT_SHAPES)
+def test_every_published_shape_is_found_in_a_random_pose(ict_scan, model, shape):
+    example = ict_scan(shape, ICT_SHAPES.index(shape))
+    registration = register(example.scan, model)
+    degrees, millimetres = example.error(registration.model_from_scan)
+    assert degrees < 10
+    assert millimetres < 15
+    assert registration.confidence > 0.5
+
+
+@pytest.mark.parametrize("name", ["james.obj", "humface.ply"])
+def test_real_scans_give_the_same_answer_in_any_pose(shared_data, model, posed, name):
+    scan = load_scan(shared_data / name)
+    straight = register(scan, model)
+    assert straight.confidence > 0.5
+    rng = np.random.default_rng(5)
+    for _ in range(2):
+        pose = compose(random_rotation(rng), rng.uniform(-500, 500, 3))
+        turned = register(posed(scan, pose), model)
+        change = turned.model_from_scan @ pose @ invert_rigid(straight.model_from_scan)
+        assert np.degrees(rotation_angle_rad(change[:3, :3])) < 2
+        assert np.linalg.norm(change[:3, 3]) < 2
+
+
+def test_the_landmarks_of_a_real_scan_come_near_the_models(shared_data, model):
+    scan = load_scan(shared_data / "james.obj")
+    picked = np.genfromtxt(shared_data / "james_ibug68.csv", delimiter=",", skip_header=1)[:, -3:]
+    registration = register(scan, model)
+    moved = picked @ registration.model_from_scan[:3, :3].T + registration.model_from_scan[:3, 3]
+    inner = np.linalg.norm(moved[17:] - model.landmarks[17:], axis=1)
+    assert inner.mean() < 9

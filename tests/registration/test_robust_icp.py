@@ -1,0 +1,58 @@
+"""The tight ICP finds pose and size, and outliers do not move it."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.rigid import random_rotation, rotation_angle_rad, rotation_from_vector
+from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
+
+
+@pytest.fixture(scope="module")
+def samples(model) -> OrientedPoints:
+    return oriented_points(*model.surface(1), 5.0)
+
+
+def scan_of(samples: OrientedPoints, pose: SimilarPose) -> OrientedPoints:
+    points = pose.scale * samples.points @ pose.rotation.T + pose.translation
+    return OrientedPoints(points, samples.normals @ pose.rotation.T, samples.areas)
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
+def test_pose_and_size_are_recovered(samples, scale):
+    truth = SimilarPose(random_rotation(np.random.default_rng(0)), np.array([3.0, -9.0, 4.0]), scale)
+    scan = ScanTree.of(scan_of(samples, truth))
+    start = SimilarPose(
+        rotation_from_vector([0.05, -0.06, 0.04]) @ truth.rotation, truth.translation + [3.0, 2.0, -4.0]
+    )
+    found = robust_icp(scan, samples, samples.areas, start, iterations=40, sigma_mm=(6.0, 1.0))
+    assert np.degrees(rotation_angle_rad(found.rotation @ truth.rotation.T)) < 0.3
+    assert np.linalg.norm(found.translation - truth.translation) < 0.5
+    assert found.scale == pytest.approx(scale, abs=0.01)
+    assert residuals(scan, samples, found).trimmed_rms_mm(samples.areas) < 0.2
+
+
+def test_a_raised_tenth_of_the_surface_does_not_pull(samples):
+    truth = SimilarPose(np.eye(3), np.zeros(3))
+    scan = scan_of(samples, truth)
+    raised = scan.points[:, 1] > np.quantile(scan.points[:, 1], 0.9)
+    points = scan.points + 12 * raised[:, None] * scan.normals
+    target = ScanTree.of(OrientedPoints(points, scan.normals, scan.areas))
+    start = SimilarPose(rotation_from_vector([0.03, 0.02, 0.0]), np.array([2.0, 1.0, 2.0]))
+    found = robust_icp(target, samples, samples.areas, start, iterations=30, sigma_mm=(4.0, 1.0))
+    assert np.degrees(rotation_angle_rad(found.rotation)) < 0.7
+    assert np.linalg.norm(found.translation) < 1.0
+
+
+def test_similarity_and_its_inverse():
+    pose = SimilarPose(random_rotation(np.random.default_rng(1)), np.array([1.0, 2.0, 3.0]), 1.07)
+    np.testing.assert_allclose(pose.model_from_scan() @ pose.similarity(), np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(pose.rigid()[:3, 3], pose.similarity()[:3, 3])
+    assert np.linalg.det(pose.rigid()[:3, :3]) == pytest.approx(1)
+
+
+def test_nothing_near_is_an_infinite_rms_and_the_worst_cost(samples):
+    scan = ScanTree.of(scan_of(samples, SimilarPose(np.eye(3), np.array([1e5, 0, 0]))))
+    far = residuals(scan, samples, SimilarPose(np.eye(3), np.zeros(3)))
+    assert far.trimmed_rms_mm(samples.areas) == np.inf
+    assert far.robust_cost(samples.areas, 2.0) == pytest.approx(6.0)

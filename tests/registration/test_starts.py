@@ -1,0 +1,31 @@
+"""Starting poses face outward and reach every part of a scan."""
+
+import numpy as np
+import trimesh
+
+from scan2albedo.registration.oriented_points import oriented_points
+from scan2albedo.registration.starts import anchored_starts
+
+
+def test_starts_on_a_sphere_face_outward_everywhere():
+    mesh = trimesh.creation.icosphere(4, 90.0)
+    scan = oriented_points(np.asarray(mesh.vertices), np.asarray(mesh.faces), 5.0)
+    front = np.array([1.0, 2.0, 40.0])
+    starts = anchored_starts(
+        scan,
+        front,
+        rotation_count=300,
+        anchor_spacing_mm=30.0,
+        anchor_limit=500,
+        cone_rad=np.radians(35),
+        smoothing_mm=45.0,
+    )
+    on_surface = np.einsum("nij,j->ni", starts.rotations, front) + starts.translations
+    outward = on_surface / np.linalg.norm(on_surface, axis=1, keepdims=True)
+    cosine = np.einsum("ni,ni->n", outward, starts.rotations[:, :, 2])
+    assert np.degrees(np.arccos(cosine.min())) < 36.5
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert np.degrees(np.arccos((directions @ outward.T).max(1).min())) < 25
+    # Every anchor is tried at several roll angles.
+    assert len(starts) > 10 * len(np.unique(on_surface.round(3), axis=0))
