@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.registration.oriented_points import OrientedPoints
@@ -77,10 +80,8 @@ class ScanTarget:
         iterations : int
             At most so many.
         """
-        from threadpoolctl import threadpool_limits
-
         registration = self._open3d.pipelines.registration
-        with threadpool_limits(1, "openmp"):
+        with _one_thread(self._open3d):
             result = registration.registration_icp(
                 self._cloud_of(model),
                 self._cloud,
@@ -90,3 +91,18 @@ class ScanTarget:
                 registration.ICPConvergenceCriteria(1e-6, 1e-6, iterations),
             )
         return np.array(result.transformation)
+
+
+@contextmanager
+def _one_thread(open3d: ModuleType) -> Iterator[None]:
+    """Keep Open3D on one thread: from 0.20 on through its own setting (TBB), before that through OpenMP's."""
+    if not hasattr(open3d.utility, "set_max_threads"):
+        with threadpool_limits(1, "openmp"):
+            yield
+        return
+    threads = open3d.utility.get_max_threads()
+    open3d.utility.set_max_threads(1)
+    try:
+        yield
+    finally:
+        open3d.utility.set_max_threads(threads)
