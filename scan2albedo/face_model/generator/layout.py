@@ -68,7 +68,7 @@ def layout_of(half: HalfFace) -> FaceLayout:
     whole, mirrored, mirror = mirrored_mesh(points, faces, middle)
     flat = flatten_disc(whole, mirrored, mirror=mirror, options=ChartOptions(boundary_weight=1e-3))
     flat *= np.sqrt(face_areas(whole, mirrored).sum())
-    half_flat = flat[: len(points)]
+    half_flat = np.round(flat[: len(points)], 4)
     half_flat[middle, 0] = 0.0
     return FaceLayout(half_flat, points)
 

@@ -73,20 +73,36 @@ def mesh_half(curves: dict[str, FloatArray], outline: tuple[str, str], options: 
     polygon = np.concatenate([sampled[outline[0]], sampled[outline[1]][::-1][1:-1]])
     free = _initial(polygon, fixed, size, options)
     points = _relaxed(fixed, free, polygon, size, options)
-    faces = _triangles(points, polygon)
-    _check_edges(faces, index)
+    faces = _with_curves(_triangles(points, polygon), index)
     return HalfMesh(points, faces, index)
 
 
-def _check_edges(faces: IntArray, curves: dict[str, IntArray]) -> None:
-    present = {tuple(edge) for edge in _edges(faces).tolist()}
+def _with_curves(faces: IntArray, curves: dict[str, IntArray]) -> IntArray:
+    """Flip the edges that cross a curve's edge (Delaunay's criterion does not know the curves)."""
+    result = faces
     for name, index in curves.items():
-        missing = [pair for pair in pairwise(index.tolist()) if tuple(sorted(pair)) not in present]
-        if missing:
-            raise ModelError(
-                f"the mesh does not follow the curve {name}: {len(missing)} of {len(index) - 1} edges are "
-                "missing; give it shorter edges, or move its key points away from other curves"
-            )
+        for a, b in pairwise(index.tolist()):
+            present = np.any(np.sum(np.isin(result, [a, b]), axis=1) == 2)
+            if not present:
+                result = _flipped(result, a, b, name)
+    return result
+
+
+def _flipped(faces: IntArray, a: int, b: int, name: str) -> IntArray:
+    """Return the faces with edge (a, b) in place of the one edge that crosses it."""
+    at_a, at_b = (np.flatnonzero(np.any(faces == corner, axis=1)) for corner in (a, b))
+    for first in at_a:
+        # Turned so that its corners are (a, c, d): b's triangle must be (b, d, c).
+        _, c, d = np.roll(faces[first], -int(np.argmax(faces[first] == a)))
+        for second in at_b:
+            if {int(c), int(d)} <= set(faces[second].tolist()):
+                flipped = faces.copy()
+                flipped[first], flipped[second] = (a, c, b), (a, b, d)
+                return flipped
+    raise ModelError(
+        f"the mesh cannot follow the curve {name} between vertices {a} and {b}; "
+        "give the curve shorter edges, or move its key points away from other curves"
+    )
 
 
 @dataclass(frozen=True)
@@ -195,7 +211,8 @@ def _relaxed(
         np.add.at(force, edges[:, 0], pull)
         np.add.at(force, edges[:, 1], -pull)
         force[: len(fixed)] = 0
-        moved = points + 0.2 * force
+        # Rounded, so that the last bits of another processor do not grow into another mesh.
+        moved = np.round(points + 0.2 * force, 6)
         # A vertex pushed to the boundary's rim would make a sliver there: it stays where it was.
         rim, _ = boundary.query(moved)
         stay = ~inside_polygon(moved, polygon) | (rim < 0.45 * size.at(moved))
