@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_ANCHOR = 1e-6
+_ANCHOR = 1e-9
 """Weight of the old value: it decides only where a region touches nothing known."""
 
 

@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from scan2albedo.io.geometry_image import GeometryImage
@@ -166,3 +168,15 @@ def scene(shape, kind, lights, *, size=128, seed=0, **settings):
     color, _ = render(geometry, albedo, lights, shadows=shape == "bumps", seed=seed, **settings)
     image = GeometryImage(*geometry, texture_linear=color)
     return Scene(image, albedo, np.array([direction(a, e) for a, e, _, _ in lights]))
+
+
+@pytest.fixture(scope="session")
+def scenes():
+    """The functions of this file that make scenes."""
+    return SimpleNamespace(
+        scene=scene,
+        hemisphere_geometry=hemisphere_geometry,
+        bumps_geometry=bumps_geometry,
+        texture=texture,
+        direction=direction,
+    )

@@ -1,0 +1,79 @@
+"""Averaging texels into cells, and which texels count."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.albedo import EstimateOptions
+from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.errors import LightingError
+from scan2albedo.io.geometry_image import GeometryImage
+
+OPTIONS = EstimateOptions()
+
+
+@pytest.fixture
+def make_image(scenes):
+    def make(size=64, **fields):
+        position, normal, mask = scenes.hemisphere_geometry(size)
+        texture = np.random.default_rng(0).uniform(0.2, 0.8, (size, size, 3)).astype(np.float32)
+        return GeometryImage(position, normal, **{"mask": mask, "texture_linear": texture, **fields})
+
+    return make
+
+
+def test_means_equal_a_loop_over_cells(make_image):
+    image = make_image()
+    usable = usable_texels(image, OPTIONS)
+    level = build_level(image, usable, 16, OPTIONS)
+    value, means, weights = image.texture_linear.max(-1), [], []
+    for row in range(0, 64, 4):
+        for column in range(0, 64, 4):
+            chosen = usable[row : row + 4, column : column + 4]
+            if chosen.any():
+                means.append(value[row : row + 4, column : column + 4][chosen].mean())
+                weights.append(chosen.mean())
+    assert level.value * level.unit == pytest.approx(np.array(means))
+    assert level.weight == pytest.approx(np.array(weights))
+    assert np.linalg.norm(level.normal, axis=1) == pytest.approx(1)
+
+
+def test_anchors_are_texels_of_the_surface(make_image):
+    image = make_image()
+    level = build_level(image, usable_texels(image, OPTIONS), 16, OPTIONS)
+    assert np.linalg.norm(level.anchor, axis=1) == pytest.approx(80)
+    assert np.linalg.norm(level.anchor - level.position, axis=1).max() < 10
+
+
+def test_blocks_have_the_area_asked_for(make_image):
+    image = make_image(128)
+    level = build_level(image, usable_texels(image, OPTIONS), 128, OPTIONS)
+    largest = [np.bincount(partition).max() for partition in level.blocks]
+    assert largest == pytest.approx([image.mask.sum() / 8] * 2, rel=0.1)
+    assert not set(level.blocks[0]) & set(level.blocks[1])
+
+
+def test_hidden_black_and_saturated_texels_do_not_vote(make_image):
+    texture = np.full((64, 64, 3), 0.5, np.float32)
+    texture[20:24, 30] = 0
+    texture[30:34, 30] = 1
+    valid = np.ones((64, 64), bool)
+    valid[40:44, 30] = False
+    image = make_image(texture_linear=texture, texture_valid=valid)
+    out = image.mask & ~usable_texels(image, OPTIONS)
+    assert sorted(np.nonzero(out)[0]) == [*range(20, 24), *range(30, 34), *range(40, 44)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"texture_linear": None}, "no texture"),
+        ({"mask": np.zeros((64, 64), bool)}, "mask .* is empty"),
+        ({"texture_linear": np.zeros((64, 64, 3))}, "black 3"),
+        ({"texture_linear": np.ones((64, 64, 3))}, "saturated 3"),
+        ({"texture_valid": np.zeros((64, 64), bool)}, "seen 0"),
+    ],
+    ids=["no texture", "empty mask", "all black", "all saturated", "nothing seen"],
+)
+def test_images_that_tell_nothing_are_refused_with_the_reason(make_image, fields, message):
+    with pytest.raises(LightingError, match=message):
+        usable_texels(make_image(**fields), OPTIONS)
