@@ -32,11 +32,14 @@ MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
 """Chin and lower lip."""
 CHIN = 8
 NECK_BELOW_CHIN_MM = 35.0
-ANGLES_DEG = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
+ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 REACH_MM = 8.0
-MIN_GAIN = 0.1
-TRIAL_MARGIN = 0.1
-LOWER_FACE = 0.1
+MIN_GAIN = 0.35
+TRIALS = 2
+TRIAL_GAIN = 0.25
+"""An angle is tried when it gains this much as it is, and chosen when its coarse fit gains MIN_GAIN."""
+JAW_WEIGHT = 0.6
+"""Samples that follow the jaw by at least this much judge it."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class MouthSearch:
         The first is the mouth as it is.
     samples : SurfaceSamples
     weight : (N,) float64
-        Area of the samples of the lower face, 0 elsewhere.
+        Area of the samples that the jaw moves, 0 elsewhere.
     """
 
     candidates: tuple[FloatArray, ...]
@@ -99,20 +102,21 @@ class MouthSearch:
     def of(
         cls, model: AnnotatedFaceModel, control_points: FloatArray, scan: ScanSurface, level: int
     ) -> MouthSearch:
-        """Try ANGLES_DEG as they are, and keep those that come near the best; only the first without landmarks."""
+        """Find the TRIALS angles that lie nearest to the scan before any fit; none without landmarks."""
         samples = SurfaceSamples.of(model, control_points, level)
         hinge = JawHinge.of(model, control_points)
         if hinge is None:
             return cls((control_points,), samples, samples.area)
-        lower = samples.area * (samples.matrix @ hinge.weight > LOWER_FACE)
+        jaw = samples.area * (samples.matrix @ hinge.weight > JAW_WEIGHT)
         opened = [hinge.opened(control_points, angle) for angle in ANGLES_DEG]
-        search = cls((control_points,), samples, lower)
-        costs = np.array([search.cost(scan, points) for points in opened])
-        near = np.flatnonzero(costs[1:] < (1 + TRIAL_MARGIN) * costs.min()) + 1
-        return cls((control_points, *(opened[i] for i in near)), samples, lower)
+        search = cls((control_points,), samples, jaw)
+        costs = [search.cost(scan, points) for points in (control_points, *opened)]
+        nearest = np.argsort(costs[1:], kind="stable")[:TRIALS]
+        worth = [opened[i] for i in nearest if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
+        return cls((control_points, *worth), samples, jaw)
 
     def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
-        """Mean distance of the lower face to the scan, cut off at REACH_MM, in full where normals disagree."""
+        """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""
         points = self.samples.matrix @ control_points
         hits = scan.nearest.query(points)
         normals = surface_normals(points, self.samples.faces)[0]

@@ -37,7 +37,7 @@ class Similarity:
 SETTLED_MM = 0.01
 GATE_SHRINK = 0.85
 REACH_PER_MEDIAN = 5.0
-SCALE_PRIOR = 0.005
+SCALE_PRIOR = 0.01
 """Weight that pulls the scale to 1, as a part of what all samples together say."""
 
 

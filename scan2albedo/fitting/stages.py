@@ -26,6 +26,7 @@ FloatArray = NDArray[np.float64]
 GAIN_WINDOW = 5
 SEARCH_EVERY = 5
 MOUTH_LEVEL = 1
+MOUTH_STAGES = 2
 HELD_SPRINGS = 0.55
 """Part of the springs' greatest stiffness taken implicitly: from 1/2 on every step is stable."""
 
@@ -84,7 +85,7 @@ class StagesOutcome:
 def mouth_opened(deformation: Deformation) -> Deformation:
     """Return the deformation that starts from the mouth opened as the scan's is.
 
-    Each candidate of `MouthSearch` runs through the first, stiffest stage; trials count as evaluations
+    Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations
     but leave no rows in the trace.
     """
     scan, meter = deformation.scan, deformation.meter
@@ -96,17 +97,17 @@ def mouth_opened(deformation: Deformation) -> Deformation:
         if meter.exhausted:
             return deformation
         trial = replace(deformation, reference=reference, meter=Meter("trial", "mm", meter.budget))
-        start = np.zeros_like(reference)
-        reached.append(reference + _run_stage(trial, deformation.options.levels[0], 0.0, start))
+        outcome = run_stages(trial, MOUTH_STAGES)
+        reached.append(reference + outcome.q)
         meter.count(trial.meter.evaluations)
     return replace(deformation, reference=search.candidates[search.best(scan, reached)])
 
 
-def run_stages(deformation: Deformation) -> StagesOutcome:
-    """Run all stages, or as many as the budget allows."""
+def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
+    """Run all stages, or the first `count`, or as many as the budget allows."""
     levels = deformation.options.levels
     q = np.zeros_like(deformation.reference)
-    for index, level in enumerate(levels):
+    for index, level in enumerate(levels[:count]):
         if deformation.meter.exhausted:
             return StagesOutcome(q, False)
         q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), q)

@@ -80,7 +80,7 @@ def test_pose_and_size_are_refined_before_anything_bends(mask_model):
     fitted = fit(RawScan(1.1 * vertices, faces), mask_model, off)
     assert fitted.metrics["scale"] == pytest.approx(1.1, abs=0.03)
     assert np.rad2deg(rotation_angle_rad(fitted.model_from_scan[:3, :3])) < 0.5
-    assert np.linalg.norm(fitted.model_from_scan[:3, 3]) < 1.0
+    assert np.linalg.norm(fitted.model_from_scan[:3, 3]) < 2.0
     error = np.linalg.norm(fitted.vertices - transform_points(fitted.model_from_scan, 1.1 * vertices), axis=1)
     assert error.mean() < 0.7
 
@@ -149,7 +149,8 @@ CEILINGS = {
     "person1": (0.45, 0.22, 2.4),
     "person2": (0.50, 0.24, 3.4),
     "person4": (0.50, 0.24, 3.4),
-    "generic_mouthSmile_L_mouthSmile_R": (0.70, 0.20, 2.6),
+    "generic_mouthSmile_L_mouthSmile_R": (0.62, 0.18, 2.7),
+    "generic_jawOpen0.7": (0.55, 0.17, 1.6),
 }
 """Surface mean, surface median, dense correspondence mean [mm], about a fifth above what was measured."""
 
@@ -157,9 +158,7 @@ CEILINGS = {
 @pytest.mark.parametrize(
     "name",
     [
-        n
-        if n in ("person1", "generic_mouthSmile_L_mouthSmile_R")
-        else pytest.param(n, marks=pytest.mark.slow)
+        n if n in ("person1", "generic_jawOpen0.7") else pytest.param(n, marks=pytest.mark.slow)
         for n in CEILINGS
     ],
 )
