@@ -137,7 +137,7 @@ class LightSearch:
         options = self.options
         starts = direction_grid(coarse, model, tables[0], options)
         each = options.polish_evaluations * model.lights // 2
-        tried = [polish(middle, start, each) for start in starts]
+        tried = [polish(coarse, start, each) for start in starts]
         tried.sort(key=lambda s: s.cost)
         polished = [polish(middle, start, each) for start in tried[:2]]
         best = min(polished, key=lambda s: s.cost)

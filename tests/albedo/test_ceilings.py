@@ -1,4 +1,4 @@
-"""Albedo error on the synthetic scenes, worst of lights at 0, 30 and 60 degrees (the paper: 1.07 and 2.01 %)."""
+"""Albedo error on the synthetic scenes, worst of lights at 0, 30, 60 degrees (the paper: 1.07, 2.01 %)."""
 
 import pytest
 
