@@ -35,6 +35,7 @@ class Similarity:
 
 
 SETTLED_MM = 0.01
+SEARCH_EVERY = 6
 GATE_SHRINK = 0.85
 REACH_PER_MEDIAN = 5.0
 SCALE_PRIOR = 0.01
@@ -77,14 +78,16 @@ def refine_similarity(
     pose = Similarity(1.0, np.eye(3), np.zeros(3))
     wide, narrow = gates
     reach = wide.distance_mm
-    for _ in range(iterations):
+    forces: ScanForces | None = None
+    for iteration in range(iterations):
         if meter.exhausted:
             break
+        start = forces.hits if forces is not None and iteration % SEARCH_EVERY else None
         moved = pose.apply(points)
         gate = ForceGates(
             reach, wide.min_normal_cosine, wide.tangential, wide.robust_scale, wide.min_robust_mm
         )
-        forces = scan_forces(scan, moved, samples.normals(moved), gate)
+        forces = scan_forces(scan, moved, samples.normals(moved), gate, start)
         meter.count()
         meter.record(forces.mean_distance_mm(samples.area))
         if not forces.weight.any():

@@ -24,7 +24,7 @@ from scan2albedo.optimization import Meter
 FloatArray = NDArray[np.float64]
 
 GAIN_WINDOW = 5
-SEARCH_EVERY = 5
+SEARCH_EVERY = 10
 MOUTH_LEVEL = 1
 MOUTH_STAGES = 2
 HELD_SPRINGS = 0.55

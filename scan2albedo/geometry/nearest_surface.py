@@ -43,7 +43,7 @@ class NearestSurface:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
         self._faces = np.ascontiguousarray(faces, np.int64)
         self._used = np.unique(self._faces)
-        self._tree = cKDTree(self._vertices[self._used], balanced_tree=False, compact_nodes=False)
+        self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
         order = np.argsort(self._faces.ravel(), kind="stable")
         self._ring = order // 3
         self._ring_start = np.zeros(len(self._vertices) + 1, np.int64)
@@ -85,53 +85,58 @@ class NearestSurface:
 def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face, weights, distance):  # type: ignore[no-untyped-def]
     """Walk each point's `vertex` downhill, then take the best of the triangles around it."""
     for i in range(len(points)):
-        p = points[i]
-        v = vertex[i]
-        best = np.inf
-        here = (xyz[v, 0] - p[0]) ** 2 + (xyz[v, 1] - p[1]) ** 2 + (xyz[v, 2] - p[2]) ** 2
-        moved = True
-        while moved:
-            moved = False
-            centre = v
-            for r in range(ring_start[centre], ring_start[centre + 1]):
-                for k in range(3):
-                    u = faces[ring[r], k]
-                    there = (xyz[u, 0] - p[0]) ** 2 + (xyz[u, 1] - p[1]) ** 2 + (xyz[u, 2] - p[2]) ** 2
-                    if there < here:
-                        here, v, moved = there, u, True
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        v = _walk(x, y, z, vertex[i], xyz, faces, ring, ring_start)
         vertex[i] = v
+        best = np.inf
         for r in range(ring_start[v], ring_start[v + 1]):
             f = ring[r]
-            a, b, c = xyz[faces[f, 0]], xyz[faces[f, 1]], xyz[faces[f, 2]]
-            w0, w1, w2 = _triangle_weights(p, a, b, c)
-            d = 0.0
-            for k in range(3):
-                d += (w0 * a[k] + w1 * b[k] + w2 * c[k] - p[k]) ** 2
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
+            bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
+            cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
+            w0, w1, w2 = _origin_weights(ax, ay, az, bx, by, bz, cx, cy, cz)
+            px = w0 * ax + w1 * bx + w2 * cx
+            py = w0 * ay + w1 * by + w2 * cy
+            pz = w0 * az + w1 * bz + w2 * cz
+            d = px * px + py * py + pz * pz
             if d < best:
                 best = d
                 face[i] = f
                 weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
-                for k in range(3):
-                    closest[i, k] = w0 * a[k] + w1 * b[k] + w2 * c[k]
+                closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz
         distance[i] = np.sqrt(best)
 
 
 @njit(cache=True, nogil=True)
-def _triangle_weights(p, a, b, c):  # type: ignore[no-untyped-def]
-    """Weights of the point of triangle abc nearest to p (Ericson, Real-Time Collision Detection, 5.1.5)."""
-    d1 = d2 = d3 = d4 = d5 = d6 = 0.0
-    for k in range(3):
-        ab, ac = b[k] - a[k], c[k] - a[k]
-        d1 += ab * (p[k] - a[k])
-        d2 += ac * (p[k] - a[k])
-        d3 += ab * (p[k] - b[k])
-        d4 += ac * (p[k] - b[k])
-        d5 += ab * (p[k] - c[k])
-        d6 += ac * (p[k] - c[k])
+def _walk(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
+    """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
+    here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
+    moved = True
+    while moved:
+        moved = False
+        centre = v
+        for r in range(ring_start[centre], ring_start[centre + 1]):
+            for k in range(3):
+                u = faces[ring[r], k]
+                there = (xyz[u, 0] - x) ** 2 + (xyz[u, 1] - y) ** 2 + (xyz[u, 2] - z) ** 2
+                if there < here:
+                    here, v, moved = there, u, True
+    return v
+
+
+@njit(cache=True, nogil=True)
+def _origin_weights(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
+    """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    d1, d2 = -(ux * ax + uy * ay + uz * az), -(vx * ax + vy * ay + vz * az)
     if d1 <= 0 and d2 <= 0:
         return 1.0, 0.0, 0.0
+    d3, d4 = -(ux * bx + uy * by + uz * bz), -(vx * bx + vy * by + vz * bz)
     if d3 >= 0 and d4 <= d3:
         return 0.0, 1.0, 0.0
+    d5, d6 = -(ux * cx + uy * cy + uz * cz), -(vx * cx + vy * cy + vz * cz)
     if d6 >= 0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     vc = d1 * d4 - d3 * d2
