@@ -35,19 +35,20 @@ def photograph(
     rng : numpy.random.Generator
         Of the noise.
     """
-    sensor = np.asarray(radiance_linear, float) * exposure
+    sensor = np.asarray(radiance_linear, np.float32) * np.float32(exposure)
     if noise > 0:
-        sensor = sensor + rng.normal(scale=noise, size=sensor.shape)
+        sensor += np.float32(noise) * rng.standard_normal(sensor.shape, dtype=np.float32)
     sensor = np.clip(sensor, 0, 1)
-    if bits is not None:
-        levels = 2**bits - 1
-        sensor = decode_srgb(np.round(encode_srgb(sensor) * levels) / levels)
-    return sensor.astype(np.float32)
+    if bits is None:
+        return sensor
+    levels = 2**bits - 1
+    stored = np.round(encode_srgb(sensor) * levels).astype(np.int64)
+    return decode_srgb(np.arange(levels + 1) / levels).astype(np.float32)[stored]
 
 
 def encode_srgb(linear: ArrayLike) -> FloatArray:
     """Return sRGB values of linear ones in [0, 1] (IEC 61966-2-1)."""
-    x = np.asarray(linear, float)
+    x = np.asarray(linear)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
 
 

@@ -42,7 +42,10 @@ class Pod:
     def directions(self, plane: ArrayLike) -> FloatArray:
         """Return (N, 3) unit rays through picture-plane points (N, 2) in [-1, 1], +x right, +y up."""
         xy = np.asarray(plane, float) * np.tan(self.half_angle_rad)
-        return normalized(np.column_stack([xy, np.ones(len(xy))]) @ self.axes)
+        right, up, forward = self.axes
+        rays = xy[:, :1] * right + xy[:, 1:] * up + forward
+        rays /= np.sqrt(1 + np.einsum("ij,ij->i", xy, xy))[:, None]
+        return rays
 
     def project(self, points: ArrayLike) -> FloatArray:
         """Return (N, 2) picture-plane coordinates in [-1, 1] of points (N, 3) in front of the pod."""
