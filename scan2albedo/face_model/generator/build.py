@@ -28,15 +28,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 CURVE_EDGE_MM = {
-    "upper_lid": 3.2,
-    "lower_lid": 3.2,
-    "upper_vermilion": 3.4,
-    "mouth_line": 3.4,
-    "lower_vermilion": 3.4,
-    "upper_lip": 3.4,
-    "lower_lip": 3.4,
+    "upper_lid": 2.9,
+    "lower_lid": 2.9,
+    "upper_vermilion": 3.0,
+    "mouth_line": 3.0,
+    "lower_vermilion": 3.0,
+    "upper_lip": 3.0,
+    "lower_lip": 3.0,
     "alar_crease": 3.0,
-    "nose_rim": 3.4,
+    "nose_rim": 3.0,
 }
 """Edge lengths along the features on which vertices are spent."""
 
