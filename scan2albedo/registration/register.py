@@ -154,7 +154,7 @@ def _search_note(candidates: tuple[Candidate, ...], kept: int) -> tuple[str, boo
         True,
         "the pose whose depth image has the relief of a face is taken",
         f"{kept} candidates, {len(candidates)} distinct; "
-        f"relief correlation {best.evidence.relief_correlation:.2f} "
+        f"likeness {best.evidence.likeness:.2f} of a face "
         f"(next pose {runner_up_score(candidates):.2f}), coverage {100 * best.evidence.coverage:.0f} %, "
         f"face {100 * best.pose.scale:.0f} % of the model's size",
     )
