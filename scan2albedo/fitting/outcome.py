@@ -18,6 +18,9 @@ from scan2albedo.geometry.operators import linear_refinement
 
 FloatArray = NDArray[np.float64]
 
+MAX_EXACT_FACES = 100_000
+"""Denser scans have triangles so small that the faces around the nearest vertex are as good."""
+
 
 def fitted_face(
     deformation: Deformation,
@@ -68,7 +71,9 @@ def residuals_mm(
     scan: ScanSurface, vertices: FloatArray, faces: NDArray[np.int64], gate_mm: float
 ) -> FloatArray:
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
-    hits = ClosestPointQuery(scan.vertices, scan.faces).query(vertices)
+    exact = len(scan.faces) <= MAX_EXACT_FACES
+    query = ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest
+    hits = query.query(vertices)
     facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
     seen = ~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing
     return np.where(seen, hits.distance, np.nan)

@@ -85,16 +85,16 @@ def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     """Return (V,) component labels 0..n-1 of vertices connected through faces."""
     # Two edges join a face's three vertices; repeated entries do not matter for connectivity.
     rows, columns = faces[:, :2].ravel(), faces[:, 1:].ravel()
-    graph = sparse.csr_matrix(
-        (np.ones(len(rows), bool), (rows, columns)), shape=(vertex_count, vertex_count)
-    )
+    graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(vertex_count, vertex_count))
     _, labels = connected_components(graph, directed=False)
     return labels.astype(np.int64)
 
 
 def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return (kept vertex indices (K,), faces renumbered to them)."""
-    kept = np.unique(faces)
+    used = np.zeros(len(vertices), bool)
+    used[faces.ravel()] = True
+    kept = np.flatnonzero(used)
     renumber = np.full(len(vertices), -1, np.int64)
     renumber[kept] = np.arange(len(kept))
     return kept, renumber[faces]

@@ -42,7 +42,9 @@ class NearestSurface:
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
         self._faces = np.ascontiguousarray(faces, np.int64)
-        self._used = np.unique(self._faces)
+        used = np.zeros(len(self._vertices), bool)
+        used[self._faces.ravel()] = True
+        self._used = np.flatnonzero(used)
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
         order = np.argsort(self._faces.ravel(), kind="stable")
         self._ring = order // 3

@@ -175,6 +175,18 @@ def test_error_ceilings_on_raw_like_scans(ict, name):
     assert correspondence.mean() < matched
 
 
+def test_the_pose_given_may_be_off_by_ten_degrees_and_ten_millimetres(ict):
+    shape = ict.shapes["person1"]
+    scan, scan_from_shape = raw_like(shape, ict.faces, 1, options=RawLikeOptions(spacing_mm=4.0))
+    pose = pose_of(ict, shape) @ invert_rigid(scan_from_shape)
+    axis = np.array([0.6, -0.64, 0.48])
+    off = compose(rotation_from_vector(np.deg2rad(10) * axis), [6.0, 4.8, -6.4])
+    fitted = [fit(scan, ict.model, start).model_from_scan for start in (pose, off @ pose)]
+    between = fitted[0] @ invert_rigid(fitted[1])
+    assert np.rad2deg(rotation_angle_rad(between[:3, :3])) < 0.3
+    assert np.linalg.norm(between[:3, 3]) < 0.5
+
+
 def test_james_with_the_default_model(shared_data):
     from scan2albedo.io import load_scan
 
