@@ -1,7 +1,8 @@
 """Key points and feature curves of the left half (x >= 0) of an average face.
 
 Frame: origin at the nasion, +x the subject's left, +y up, +z out of the face, millimetres. Widths and
-heights follow from `Measurements`; depths, which the literature hardly tabulates, are this table's own.
+heights follow from `Measurements`. Depths, which the literature hardly tabulates, were set by hand and
+corrected against depths read off horizontal and midline sections of measured faces; no vertex is theirs.
 """
 
 from __future__ import annotations
