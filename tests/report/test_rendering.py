@@ -57,7 +57,7 @@ def test_preview_keeps_hue_and_leaves_room_below_white():
     mask[0] = False
     preview = preview_srgb(linear, mask)
     assert (preview[0] == 255).all()
-    assert preview[1, 0, 0] == round(255 * (1.055 * 0.9 ** (1 / 2.4) - 0.055))
+    assert preview[1, 0, 0] == round(255 * (1.055 * 0.55 ** (1 / 2.4) - 0.055))
     assert preview[1, 0, 0] > preview[1, 0, 1] > preview[1, 0, 2]
 
 
