@@ -216,9 +216,7 @@ def _linearize(  # type: ignore[no-untyped-def]
         _accumulate(
             normal_matrix, gradient, row, rho, n0 / length, n1 / length, n2 / length, x0, x1, x2, e0, e1, e2
         )
-        _accumulate(normal_matrix, gradient, row, 0.1 * rho, 1.0, 0.0, 0.0, x0, x1, x2, e0, e1, e2)
-        _accumulate(normal_matrix, gradient, row, 0.1 * rho, 0.0, 1.0, 0.0, x0, x1, x2, e0, e1, e2)
-        _accumulate(normal_matrix, gradient, row, 0.1 * rho, 0.0, 0.0, 1.0, x0, x1, x2, e0, e1, e2)
+        _accumulate_point(normal_matrix, gradient, 0.1 * rho, x0, x1, x2, e0, e1, e2)
     return score
 
 
@@ -235,6 +233,32 @@ def _accumulate(  # type: ignore[no-untyped-def]
         gradient[a] -= weight * row[a] * residual
         for b in range(a + 1):
             normal_matrix[a, b] += weight * row[a] * row[b]
+
+
+@njit(cache=True, nogil=True)
+def _accumulate_point(normal_matrix, gradient, weight, x0, x1, x2, e0, e1, e2):  # type: ignore[no-untyped-def]
+    """Add the point-to-point term: rows (x cross e_i, e_i) for the three axes, summed in closed form."""
+    xx, yy, zz = x0 * x0, x1 * x1, x2 * x2
+    normal_matrix[0, 0] += weight * (yy + zz)
+    normal_matrix[1, 1] += weight * (xx + zz)
+    normal_matrix[2, 2] += weight * (xx + yy)
+    normal_matrix[1, 0] -= weight * x0 * x1
+    normal_matrix[2, 0] -= weight * x0 * x2
+    normal_matrix[2, 1] -= weight * x1 * x2
+    normal_matrix[3, 1] += weight * x2
+    normal_matrix[3, 2] -= weight * x1
+    normal_matrix[4, 0] -= weight * x2
+    normal_matrix[4, 2] += weight * x0
+    normal_matrix[5, 0] += weight * x1
+    normal_matrix[5, 1] -= weight * x0
+    for axis in range(3):
+        normal_matrix[3 + axis, 3 + axis] += weight
+    gradient[0] -= weight * (x1 * e2 - x2 * e1)
+    gradient[1] -= weight * (x2 * e0 - x0 * e2)
+    gradient[2] -= weight * (x0 * e1 - x1 * e0)
+    gradient[3] -= weight * e0
+    gradient[4] -= weight * e1
+    gradient[5] -= weight * e2
 
 
 @njit(cache=True, nogil=True)
