@@ -15,6 +15,7 @@ BoolArray = NDArray[np.bool_]
 _WINDOW = 3
 _STATISTICS_WINDOW = 17
 _NOISE_GROUPS = 12
+_DIM = 0.15
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,15 @@ def divide_light(
     usable: BoolArray,
     *,
     shrink: bool = True,
+    block_side: float = 64.0,
 ) -> Division:
     """Return (V - I_s) / I, drawn toward the neighbourhood's albedo where noise outweighs it.
 
     With noise of standard deviation s in V the quotient has variance s^2 / I^2. Against a local variance t
     of the albedo the best linear estimate keeps the part c = t / (t + s^2 / I^2) of the texel's own
-    deviation from the local mean (Wiener's filter); c is the confidence.
+    deviation from the local mean (Wiener's filter). Where the light is less than about a seventh of its
+    median, what errs is the light itself: there the albedo is drawn on toward its block's mean by
+    the part 1 / (1 + (I / (0.15 median I))^6). The product of the two is the confidence.
 
     Parameters
     ----------
@@ -48,7 +52,9 @@ def divide_light(
     mask, usable : (H, W) bool
         The surface; the texels with a trustworthy value. The others get confidence 0.
     shrink : bool
-        Draw toward the local mean; the confidence is reported in any case.
+        Draw toward the means; the confidence is reported in any case.
+    block_side : float
+        Side of a block in texels.
     """
     divisor = np.where(light > 0, light, 1.0)
     quotient = np.where(mask, np.maximum(value - specular, 0.0) / divisor, 0.0)
@@ -61,9 +67,13 @@ def divide_light(
     variance *= _WINDOW**2 / (_WINDOW**2 - 1)
     own = np.clip((variance - noise_here) / np.maximum(variance, 1e-30), 0.0, 1.0)
     own = np.where(noise > 0, own, 1.0)
-    kept = mean + own * (quotient - mean) if shrink else quotient
-    albedo = np.where(mask, np.where(usable, np.maximum(kept, 0.0), quotient), 0.0)
-    return Division(albedo, np.where(usable, own, 0.0), noise)
+    kept = np.where(usable, mean + own * (quotient - mean), quotient)
+    typical = float(np.median(light[usable])) if usable.any() else 1.0
+    lit = 1 / (1 + (_DIM * typical / divisor) ** 6)
+    block = _local_mean(quotient, weight, 2 * round(block_side / 2) + 1)
+    kept = block + lit * (kept - block) if shrink else quotient
+    albedo = np.where(mask, np.maximum(kept, 0.0), 0.0)
+    return Division(albedo, np.where(usable, own * lit, 0.0), noise)
 
 
 def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:

@@ -13,7 +13,7 @@ from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.evidence import LightFound, LightSearch
 from scan2albedo.albedo.finishing import inpainted, rectified
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import median_value, usable_texels, value_channel
+from scan2albedo.albedo.levels import block_side, median_value, usable_texels, value_channel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.result import AlbedoEstimate, shade_image
@@ -126,7 +126,9 @@ def _divide(
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
     value = value_channel(image.texture_linear)
-    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
+    division = divide_light(
+        value, light, specular, mask, usable, shrink=options.shrink, block_side=block_side(image, options)
+    )
     albedo, rectification = rectified(division.albedo, light, cast, usable, options)
     color = recolor(image.texture_linear, value, albedo)
     color, inpainting = inpainted(color, image, specular, usable, options, seed)
@@ -205,6 +207,7 @@ def _divide_harmonics(
             image.mask,
             usable,
             shrink=options.shrink,
+            block_side=block_side(image, options),
         )
         for c in range(3)
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,12 +156,12 @@ class LightSearch:
         for lights in range(2, options.maximal_lights + 1):
             if self.meter.exhausted:
                 break
-            trial = self._search(coarse, middle, tables, self._model(lights))
-            same = replace(current.model, lights=lights)
             each = options.polish_evaluations * lights
-            trial = polish(middle, Solution(same, trial.model.extend(trial.x, same), math.inf), each)
+            trial, trial_rows = self._with_parts(
+                middle, self._search(coarse, middle, tables, self._model(lights))
+            )
             # Both have to be equally well polished for their costs to be compared.
-            current = polish(middle, current, each)
+            trial, current = polish(middle, trial, each), polish(middle, current, each)
             gain = 1 - trial.cost / current.cost
             intensities = trial.hypothesis.rows[:, 4]
             share = float(intensities.min() / intensities.max())
@@ -172,7 +172,7 @@ class LightSearch:
             if gain < options.light_gain or share < options.light_share:
                 decision = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
                 break
-            current, rows = self._with_parts(middle, trial)
+            current, rows = trial, trial_rows
             decision = PlanStep(stage, True, f"{lights} lights", evidence)
         return current, [decision, *rows]
 
@@ -190,7 +190,11 @@ class LightSearch:
                 )
             if choice and not getattr(current.model, part):
                 current = self._free(problem, current, part)
-        pay = {"near": options.distance_gain, "specular": options.part_gain, "rough": options.part_gain}
+        pay = {
+            "near": options.distance_gain,
+            "specular": options.specular_gain,
+            "rough": options.roughness_gain,
+        }
         wanted = {
             part: pay[part]
             for part, choice in asked.items()

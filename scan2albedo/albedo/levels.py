@@ -60,6 +60,11 @@ def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:
     return float(np.median(value_channel(image.texture_linear)[usable]))
 
 
+def block_side(image: GeometryImage, options: EstimateOptions) -> float:
+    """Return the side of a block of the objective in texels."""
+    return float(np.sqrt(options.block_area * image.mask.sum()))
+
+
 def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.bool_]:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
@@ -118,7 +123,7 @@ def build_level(
     anchor = image.position[rows, columns][_closest_member(image.position[rows, columns], position, cell)]
     unit = max(float(np.median(field[usable])), 1e-12)
     center = np.stack([np.bincount(cell, axis) / count for axis in (rows, columns)], 1)
-    blocks, block_count = _blocks(center, float(np.sqrt(options.block_area * image.mask.sum())))
+    blocks, block_count = _blocks(center, block_side(image, options))
     return Level(
         position,
         _unit(mean(image.normal)),

@@ -75,7 +75,7 @@ class LightModel:
             )
         if self.specular:
             rows.append(("specular", 0.05, 0.0, 2.0, 0.08))
-            rows.append(("log_exponent", math.log(_DEFAULT_EXPONENT), 0.0, math.log(200.0), 0.6))
+            rows.append(("log_exponent", math.log(_DEFAULT_EXPONENT), math.log(4.0), math.log(200.0), 0.6))
         return rows
 
     @cached_property
@@ -92,7 +92,7 @@ class LightModel:
         """Return (lower, upper) of x."""
         tail = self._tail
         lower = [-1.95, -1.95, math.log(0.02)] * self.lights + [row[2] for row in tail]
-        upper = [1.95, 1.95, math.log(60.0)] * self.lights + [row[3] for row in tail]
+        upper = [1.95, 1.95, math.log(20.0)] * self.lights + [row[3] for row in tail]
         return np.array(lower), np.array(upper)
 
     def steps(self) -> FloatArray:

@@ -10,13 +10,16 @@ from scan2albedo.lighting.kernels import shade
 RESIDUAL, ALBEDO_DEVIATION = 0, 1
 KINDS = {"residual": RESIDUAL, "albedo-deviation": ALBEDO_DEVIATION}
 
+_EXCESS = 3.0
+
 
 @njit(cache=True, nogil=True)
 def block_residual(value, weight, light, specular, blocks, block_count):  # type: ignore[no-untyped-def]
     """Return sum w |T - I_s - I a_b| / sum w T, with a_b = sum w (T - I_s) I / sum w I^2 of each block.
 
     T is `value` (N,), I = I_a + I_d is `light`, I_s is `specular`; `blocks` (S, N) are S partitions, the
-    result is their mean. Measured in the image, not in the albedo, so dark texels weigh little.
+    result is their mean. Measured in the image, not in the albedo, so dark texels weigh little. A highlight
+    brighter than the whole texel, which no albedo explains, costs its excess `_EXCESS` times more.
     """
     top, bottom = np.zeros(block_count), np.zeros(block_count)
     cost, total = 0.0, 0.0
@@ -30,7 +33,8 @@ def block_residual(value, weight, light, specular, blocks, block_count):  # type
         top[b] = max(top[b], 0.0) / bottom[b] if bottom[b] > 0.0 else 0.0
     for s in range(blocks.shape[0]):
         for i in range(value.size):
-            cost += weight[i] * abs(value[i] - specular[i] - light[i] * top[blocks[s, i]])
+            rest = value[i] - specular[i]
+            cost += weight[i] * (abs(rest - light[i] * top[blocks[s, i]]) + _EXCESS * max(-rest, 0.0))
     return cost / total
 
 

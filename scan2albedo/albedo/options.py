@@ -44,8 +44,10 @@ class EstimateOptions:
     """Intensity that every light has to have, as a part of the strongest one's."""
     distance_gain: float = 0.01
     """Part of the cost that a finite distance of the lights has to remove."""
-    part_gain: float = 0.005
-    """Part of the cost that roughness, or the highlight, has to remove."""
+    roughness_gain: float = 0.005
+    """Part of the cost that roughness has to remove."""
+    specular_gain: float = 0.01
+    """Part of the cost that a highlight has to remove."""
     shadow_fraction: float = 0.01
     """Part of the texels facing some light that has to lie in cast shadow for shadow rays to be used."""
     shadow_offset_mm: float = 0.2

@@ -66,3 +66,15 @@ def test_texels_without_weight_have_no_vote():
     cost = block_residual(value, weight, light, specular, blocks, count)
     value[::3] = 50
     assert block_residual(value, weight, light, specular, blocks, count) == pytest.approx(cost)
+
+
+def test_a_highlight_brighter_than_the_texel_costs_its_excess_again():
+    value, weight, light, specular, blocks, count = _problem()
+    plain = block_residual(value, weight, light, specular, blocks, count)
+    specular[5] = value[5]
+    edge = block_residual(value, weight, light, specular, blocks, count)
+    specular[5] += 0.2
+    beyond = block_residual(value, weight, light, specular, blocks, count)
+    per_unit = weight[5] / np.sum(weight * value)
+    assert abs(edge - plain) < per_unit
+    assert beyond - edge > 3 * 0.2 * per_unit
