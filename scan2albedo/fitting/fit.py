@@ -145,7 +145,7 @@ def _refined(
         samples,
         model.control_vertices,
         samples.area * samples.rigidity,
-        (gates(options, 0.0), gates(options, 1.0)),
+        (ForceGates.at(options, 0.0), ForceGates.at(options, 1.0)),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,
@@ -154,18 +154,6 @@ def _refined(
         surface, samples, similarity.apply(samples.matrix @ model.control_vertices), options, name
     )
     return similarity
-
-
-def gates(options: FitOptions, progress: float) -> ForceGates:
-    """Return the gates at `progress` 0 (first stage) ... 1 (last), the distance in geometric steps."""
-    first, last = options.gate_mm
-    return ForceGates(
-        first * (last / first) ** progress,
-        options.min_normal_cosine,
-        options.tangential,
-        options.robust_scale,
-        options.min_robust_mm,
-    )
 
 
 def _require_contact(

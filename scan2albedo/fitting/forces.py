@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.nearest_surface import NearestHits
@@ -23,6 +24,17 @@ class ForceGates:
     tangential: float
     robust_scale: float
     min_robust_mm: float
+
+    @classmethod
+    def at(cls, options: FitOptions, progress: float) -> ForceGates:
+        """Return the gates at `progress` 0 (first stage) ... 1 (last)."""
+        return cls(
+            between(options.gate_mm, progress),
+            options.min_normal_cosine,
+            options.tangential,
+            options.robust_scale,
+            options.min_robust_mm,
+        )
 
 
 @dataclass(frozen=True)

@@ -69,3 +69,15 @@ class FitOptions:
     residual_gate_mm: float = 5.0
     min_coverage: float = 0.1
     gain_tolerance: float = 0.003
+
+
+def between(ends: tuple[float, float], progress: float) -> float:
+    """Return the geometric interpolation between two values at `progress` 0 ... 1, linear when one is 0.
+
+    >>> between((16.0, 1.0), 0.5)
+    4.0
+    """
+    first, last = ends
+    if first <= 0 or last <= 0:
+        return first + (last - first) * progress
+    return float(first * (last / first) ** progress)

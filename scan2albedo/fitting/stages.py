@@ -14,7 +14,7 @@ from scan2albedo.fitting.flip_guard import guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.mouth_opening import MouthSearch
-from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
@@ -56,21 +56,10 @@ class Deformation:
         """Return K (C, C) at `progress` 0 ... 1 of the stiffness schedule."""
         faces, options = self.model.control_faces, self.options
         weight = self.model.region_values("stiffness")[self.model.region]
-        membrane = _between(options.membrane_mm, progress) ** 2
-        thin_plate = _between(options.bending_mm, progress) ** 4
+        membrane = between(options.membrane_mm, progress) ** 2
+        thin_plate = between(options.bending_mm, progress) ** 4
         return membrane * laplacian(self.reference, faces, weight) + thin_plate * bending(
             self.reference, faces, weight
-        )
-
-    def gates(self, progress: float) -> ForceGates:
-        """Return the force gates at `progress` 0 ... 1."""
-        options = self.options
-        return ForceGates(
-            _between(options.gate_mm, progress),
-            options.min_normal_cosine,
-            options.tangential,
-            options.robust_scale,
-            options.min_robust_mm,
         )
 
 
@@ -118,7 +107,7 @@ def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatAr
     options, meter, reference = deformation.options, deformation.meter, deformation.reference
     samples = SurfaceSamples.of(deformation.model, reference, level)
     system = _system(deformation, samples, progress)
-    gates = deformation.gates(progress)
+    gates = ForceGates.at(options, progress)
     state = State(q, np.zeros_like(q))
     errors: list[float] = []
     forces: ScanForces | None = None
@@ -166,11 +155,3 @@ def _settled(errors: list[float], tolerance: float) -> bool:
         return False
     before, now = errors[-1 - GAIN_WINDOW], errors[-1]
     return not before - now > tolerance * before
-
-
-def _between(ends: tuple[float, float], progress: float) -> float:
-    """Return the geometric interpolation between two positive values (0 stays 0)."""
-    first, last = ends
-    if first <= 0 or last <= 0:
-        return first + (last - first) * progress
-    return float(first * (last / first) ** progress)
