@@ -32,8 +32,8 @@ def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Met
     """Finish on all samples, weighted to the rigid regions; records the inlier RMS."""
     pose = start
     if not meter.exhausted:
-        pose = _polished(view, template, start, (3.0, 1.5), 15)
-        meter.count(15)
+        pose = _polished(view, template, start, (3.0, 1.0), 20)
+        meter.count(20)
     meter.record(rms_mm(view, template, pose))
     return pose
 
@@ -70,7 +70,7 @@ def annealed(
         seed=seed,
         meter=meter,
     )
-    polished = _polished(view, template, found.pose, (2.0, 1.5), 8)
+    polished = _polished(view, template, found.pose, (2.0, 1.0), 10)
     before, after = _check_mm(view, template, start), _check_mm(view, template, polished)
     taken = after <= before
     note = _annealing_note(found, start, polished, before, after, meter.evaluations)
