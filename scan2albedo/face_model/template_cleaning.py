@@ -192,7 +192,9 @@ def _holes_filled(xyz: FloatArray, faces: IntArray) -> tuple[IntArray, NDArray[n
     length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
     rim = int(np.argmax(length)) if loops else -1
     patches = [
-        fill_hole(xyz, loop) for i, loop in enumerate(loops) if i != rim and len(loop) <= MAX_FILLED_LOOP
+        fill_hole(xyz, faces, loop)
+        for i, loop in enumerate(loops)
+        if i != rim and len(loop) <= MAX_FILLED_LOOP
     ]
     extra = np.concatenate(patches) if patches else np.zeros((0, 3), np.int64)
     return np.concatenate([faces, extra]), np.arange(len(faces) + len(extra)) >= len(faces)

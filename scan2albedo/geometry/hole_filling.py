@@ -18,12 +18,14 @@ def boundary_loops(faces: IntArray) -> list[IntArray]:
     return sorted(loops, key=len, reverse=True)
 
 
-def fill_hole(vertices: FloatArray, loop: IntArray) -> IntArray:
+def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:
     """Return the (n - 2, 3) faces of least total area that close a loop of n vertices.
 
     Parameters
     ----------
     vertices : (V, 3) float64
+    faces : (F, 3) int64
+        The mesh with the hole; its edges are not used again as chords, which would join three faces.
     loop : (n,) int64
         Boundary loop in the direction of the faces' edges (`boundary_loops`); the new faces run
         against it, so that the mesh stays consistently oriented.
@@ -37,7 +39,7 @@ def fill_hole(vertices: FloatArray, loop: IntArray) -> IntArray:
     .. [1] G. Barequet, M. Sharir, "Filling gaps in the boundary of a polyhedron", 1995.
     """
     ring = np.ascontiguousarray(loop[::-1])
-    split = _least_area_splits(np.ascontiguousarray(vertices[ring]))
+    split = _least_area_splits(np.ascontiguousarray(vertices[ring]), _joined(len(vertices), faces, ring))
     faces, pending = [], [(0, len(ring) - 1)]
     while pending:
         i, k = pending.pop()
@@ -49,9 +51,22 @@ def fill_hole(vertices: FloatArray, loop: IntArray) -> IntArray:
     return np.array(faces, np.int64).reshape(-1, 3)
 
 
+def _joined(vertex_count: int, faces: IntArray, ring: IntArray) -> NDArray[np.bool_]:
+    """Return (n, n) True where the mesh has an edge between two vertices of the loop."""
+    place = np.full(vertex_count, -1)
+    place[ring] = np.arange(len(ring))
+    ends = place[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
+    ends = ends[(ends >= 0).all(1)]
+    joined = np.zeros((len(ring), len(ring)), bool)
+    joined[ends[:, 0], ends[:, 1]] = joined[ends[:, 1], ends[:, 0]] = True
+    return joined
+
+
 @njit(cache=True, nogil=True)
-def _least_area_splits(points):  # type: ignore[no-untyped-def]
+def _least_area_splits(points, joined):  # type: ignore[no-untyped-def]
     n = len(points)
+    # More than any triangulation's area, so that a chord already in the mesh is the last resort.
+    forbidden = n * np.sum((points - points[0]) ** 2)
     cost = np.zeros((n, n))
     split = np.zeros((n, n), np.int64)
     for span in range(2, n):
@@ -64,5 +79,5 @@ def _least_area_splits(points):  # type: ignore[no-untyped-def]
                 if total < best:
                     best = total
                     split[i, k] = j
-            cost[i, k] = best
+            cost[i, k] = best + (forbidden if joined[i, k] and span < n - 1 else 0.0)
     return split
