@@ -40,15 +40,15 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
     """
     ring = np.ascontiguousarray(loop[::-1])
     split = _least_area_splits(np.ascontiguousarray(vertices[ring]), _joined(len(vertices), faces, ring))
-    faces, pending = [], [(0, len(ring) - 1)]
+    patch, pending = [], [(0, len(ring) - 1)]
     while pending:
         i, k = pending.pop()
         if k - i < 2:
             continue
         j = int(split[i, k])
-        faces.append((ring[i], ring[j], ring[k]))
+        patch.append((ring[i], ring[j], ring[k]))
         pending += [(i, j), (j, k)]
-    return np.array(faces, np.int64).reshape(-1, 3)
+    return np.array(patch, np.int64).reshape(-1, 3)
 
 
 def _joined(vertex_count: int, faces: IntArray, ring: IntArray) -> NDArray[np.bool_]:
