@@ -25,9 +25,9 @@ class RegistrationOptions:
     """Distinct poses that Open3D refines, at least 6 to be safe."""
     coverage_needed: float = 0.25
     """Least part of the model's depth image that the scan must cover to be a face."""
-    likeness_needed: float = 0.44
+    likeness_needed: float = 0.46
     """Least likeness (see `face_evidence.FaceEvidence`) of a face: faces reach 0.5 and more, balls, boxes,
-    backs of heads and random bumpy bodies at most 0.42."""
+    backs of heads and random bumpy bodies at most 0.44."""
     annealing_evaluations: int = 1500
     """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
     annealing_size: int = 64
