@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,9 +157,16 @@ class LightSearch:
             if self.meter.exhausted:
                 break
             each = options.polish_evaluations * lights
-            trial, trial_rows = self._with_parts(
-                middle, self._search(coarse, middle, tables, self._model(lights))
-            )
+            plain = self._search(coarse, middle, tables, self._model(lights))
+            trial, trial_rows = self._with_parts(middle, plain)
+            same = replace(current.model, lights=lights)
+            inherited = polish(middle, Solution(same, plain.model.extend(plain.x, same), math.inf), each)
+            # Parts that pay together need not pay one by one: try those of fewer lights as well.
+            inherited, more_rows = self._with_parts(middle, inherited)
+            if inherited.cost < trial.cost:
+                decided = {row.stage for row in more_rows}
+                kept_rows = [row for row in rows if row.ran and row.stage not in decided]
+                trial, trial_rows = inherited, [*kept_rows, *more_rows]
             # Both have to be equally well polished for their costs to be compared.
             trial, current = polish(middle, trial, each), polish(middle, current, each)
             gain = 1 - trial.cost / current.cost

@@ -30,7 +30,7 @@ class Hypothesis:
         """Return the lights, strongest first."""
         order = np.argsort(-self.rows[:, 4], kind="stable")
         return tuple(
-            light_from_direction(row[:3], 1 / row[3] if row[3] > 0 else math.inf, row[4])
+            light_from_direction(row[:3], float(1 / row[3]) if row[3] > 0 else math.inf, row[4])
             for row in self.rows[order]
         )
 
