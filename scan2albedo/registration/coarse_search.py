@@ -17,7 +17,8 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _BLOCK = 128
-_JUDGED = 48
+_SECOND_ROUND = 480
+_JUDGED = 160
 _CELL_MM = 5.0
 _MARGIN_MM = 40.0
 _NORMAL_SMOOTHING_MM = 45.0
@@ -28,9 +29,9 @@ _SAME_POSITION_MM = 10.0
 def coarse_candidates(
     scan: OrientedPoints, template: Template, options: RegistrationOptions, meter: Meter, seed: int
 ) -> Starts:
-    """Return distinct candidate poses, best first.
+    """Return distinct candidate poses: `options.candidates` likely ones, then those for a second look.
 
-    Round 1 runs 5 iterations on 60 model samples from every start; the best 240 go on to 8
+    Round 1 runs 5 iterations on 60 model samples from every start; the best 480 go on to 8
     iterations on 300 samples with a tighter scale. The meter counts one evaluation a start and round;
     when its budget ends, what has been tried so far is ranked.
     """
@@ -47,9 +48,9 @@ def coarse_candidates(
     # In random order a budget that ends early has still seen starts from all over the scan.
     starts = _taken(starts, np.random.default_rng(seed).permutation(len(starts)))
     starts, _ = _round(grid, template.first(60), starts, 5, (20.0, 10.0), meter)
-    starts = _taken(starts, np.arange(min(240, len(starts))))
+    starts = _taken(starts, np.arange(min(_SECOND_ROUND, len(starts))))
     starts, _ = _round(grid, template.first(300), starts, 8, (12.0, 5.0), meter)
-    return _selected(grid, template, _distinct(starts, _JUDGED), options.candidates)
+    return _selected(grid, template, _distinct(starts, _JUDGED), options)
 
 
 def _taken(starts: Starts, index: NDArray[np.int64]) -> Starts:
@@ -88,8 +89,8 @@ def _round(
     return Starts(rotations[order], translations[order]), score[order]
 
 
-def _selected(grid: NearestGrid, template: Template, starts: Starts, count: int) -> Starts:
-    """Keep half of the candidates by surface distance and half by the relief that the normals show.
+def _selected(grid: NearestGrid, template: Template, starts: Starts, options: RegistrationOptions) -> Starts:
+    """Keep half of the first candidates by surface distance, all others by the relief that normals show.
 
     Distance alone prefers the whole back of a head to half a face.
     """
@@ -98,9 +99,9 @@ def _selected(grid: NearestGrid, template: Template, starts: Starts, count: int)
         for rotation, translation in zip(starts.rotations, starts.translations, strict=True)
     ]
     by_relief = np.argsort(-np.array(relief), kind="stable")
-    first = np.arange(min((count + 1) // 2, len(starts)))
+    first = np.arange(min((options.candidates + 1) // 2, len(starts)))
     rest = by_relief[~np.isin(by_relief, first)]
-    return _taken(starts, np.concatenate([first, rest])[:count])
+    return _taken(starts, np.concatenate([first, rest])[: options.candidates + options.more_candidates])
 
 
 def _distinct(starts: Starts, count: int) -> Starts:

@@ -23,6 +23,8 @@ class RegistrationOptions:
     """Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
     candidates: int = 8
     """Distinct poses that Open3D refines, at least 6 to be safe."""
+    more_candidates: int = 24
+    """Further poses that it refines before a scan is refused."""
     coverage_needed: float = 0.25
     """Least part of the model's depth image that the scan must cover to be a face."""
     likeness_needed: float = 0.46

@@ -18,6 +18,7 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.result import Registration
 from scan2albedo.registration.robust_icp import ScanTree
+from scan2albedo.registration.starts import Starts
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -78,9 +79,7 @@ def register(
     template = Template.of(model, options.model_spacing_mm, seed)
     starts = coarse_candidates(cloud, template, options, meter, seed)
     view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
-    candidates = judged_candidates(view, ScanTarget(cloud), template, starts, meter)
-    if not meter.exhausted:
-        _refuse_no_face(scan, candidates, options)
+    candidates = _judged(scan, view, template, starts, options, meter)
     pose = tightened(view, template, candidates[0].pose, meter)
     annealing = Meter("depth_annealing", "truncated slope difference", _rest(meter), on_progress)
     final = annealed(view, template, pose, options, annealing, seed)
@@ -125,10 +124,35 @@ def _box_text(vertices: FloatArray) -> str:
     return " x ".join(f"{side:.0f}" for side in np.ptp(vertices, axis=0)) + " mm"
 
 
+def _judged(
+    scan: RawScan,
+    view: ScanView,
+    template: Template,
+    starts: Starts,
+    options: RegistrationOptions,
+    meter: Meter,
+) -> tuple[Candidate, ...]:
+    """Refine and rank the likely candidates and, where none is a face, the others before refusing."""
+    target = ScanTarget(view.tree.samples)
+    likely, others = starts.split(options.candidates)
+    candidates = judged_candidates(view, target, template, likely, meter)
+    if not _is_face(candidates[0], options) and not meter.exhausted and len(others):
+        second_look = judged_candidates(view, target, template, others, meter)
+        candidates = tuple(sorted(candidates + second_look, key=lambda c: -c.evidence.score))
+    if not meter.exhausted:
+        _refuse_no_face(scan, candidates, options)
+    return candidates
+
+
+def _is_face(candidate: Candidate, options: RegistrationOptions) -> bool:
+    evidence = candidate.evidence
+    return evidence.coverage >= options.coverage_needed and evidence.likeness >= options.likeness_needed
+
+
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:
-    evidence = candidates[0].evidence
-    if evidence.coverage >= options.coverage_needed and evidence.likeness >= options.likeness_needed:
+    if _is_face(candidates[0], options):
         return
+    evidence = candidates[0].evidence
     raise RegistrationError(
         f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
         f"{100 * evidence.coverage:.0f} % of the face (needed: {100 * options.coverage_needed:.0f} %) "
@@ -153,7 +177,7 @@ def _search_note(candidates: tuple[Candidate, ...], kept: int) -> tuple[str, boo
         "search",
         True,
         "the pose whose depth image has the relief of a face is taken",
-        f"{kept} candidates, {len(candidates)} distinct; "
+        f"{len(candidates)} of {kept} candidates refined; "
         f"likeness {best.evidence.likeness:.2f} of a face "
         f"(next pose {runner_up_score(candidates):.2f}), coverage {100 * best.evidence.coverage:.0f} %, "
         f"face {100 * best.pose.scale:.0f} % of the model's size",
