@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.staging import remove_unfinished
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -53,6 +56,7 @@ def process(
     json_summary: JsonOption = False,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
+    _stop_cleanly_on_interrupt(out)
     from scan2albedo.pipeline import process as run
     from scan2albedo.progress import ProgressLines
 
@@ -95,6 +99,7 @@ def demo(
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
+    _stop_cleanly_on_interrupt(out)
     from scan2albedo.demo import run_demo
     from scan2albedo.progress import ProgressLines
 
@@ -166,6 +171,23 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
+def _stop_cleanly_on_interrupt(out: Path) -> None:
+    """Make Ctrl-C remove what is half-written in `out`, say so, and end the process at once.
+
+    Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state
+    they are in; numba has crashed on that.
+    """
+
+    def stop(signum: int, frame: object) -> None:
+        remove_unfinished(out)
+        show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
+        complaint = f"{show_cursor}scan2albedo: interrupted; nothing half-written was left behind"
+        print(complaint, file=sys.stderr, flush=True)
+        os._exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, stop)
+
+
 def main() -> None:
     """Run the command line; every expected trouble ends in one line and an exit status."""
     try:
@@ -173,11 +195,6 @@ def main() -> None:
     except Scan2AlbedoError as error:
         print(f"scan2albedo: error: {_one_line(error)}", file=sys.stderr)
         sys.exit(USAGE_ERROR)
-    except SystemExit as stop:
-        # Typer turns Ctrl-C into this exit status without a word.
-        if stop.code == INTERRUPTED:
-            print("scan2albedo: interrupted; nothing half-written was left behind", file=sys.stderr)
-        raise
 
 
 if __name__ == "__main__":

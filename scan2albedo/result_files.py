@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
@@ -29,9 +28,29 @@ from scan2albedo.io.result_json import (
     write_record,
 )
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
+from scan2albedo.staging import staging_folder
 
 if TYPE_CHECKING:
     from scan2albedo.process_result import ProcessResult
+
+FILES = frozenset(
+    {
+        "result.json",
+        "geometry_image.npz",
+        "geometry_image.exr",
+        "albedo.exr",
+        "albedo.png",
+        "shading.exr",
+        "specular.exr",
+        "shadow.png",
+        "fitted.glb",
+        "registration.json",
+        "trace.csv",
+        "error_vs_time.png",
+        "overview.png",
+    }
+)
+"""Every file a result may have."""
 
 
 def check_writable(out: Path) -> None:
@@ -63,14 +82,13 @@ def write_result(result: ProcessResult, out: Path) -> Path:
     """
     folder = out / result.scan.name
     try:
-        staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".part", dir=make_folder(out)))
-        try:
+        with staging_folder(make_folder(out), folder.name) as staging:
             _write_all(result, staging)
             make_folder(folder)
+            for name in FILES - {path.name for path in staging.iterdir()}:
+                (folder / name).unlink(missing_ok=True)  # of an older run with more stages
             for path in sorted(staging.iterdir(), key=lambda p: p.name == "result.json"):
                 os.replace(path, folder / path.name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
     except (OSError, OutputError) as error:
         cause = error if isinstance(error, OSError) else error.__cause__
         reason = getattr(cause, "strerror", None) or str(error)

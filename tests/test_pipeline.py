@@ -214,6 +214,17 @@ def test_an_interrupted_write_keeps_the_older_result(result, tmp_path, monkeypat
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
 
 
+def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
+    from scan2albedo import result_files
+
+    result_files.write_result(result, tmp_path)
+    folder = result_files.write_result(replace(result, albedo=None), tmp_path)
+    assert not (folder / "albedo.png").exists()
+    assert set(json.loads((folder / "result.json").read_text())["files"]) == {
+        p.name for p in folder.iterdir()
+    }
+
+
 @pytest.mark.slow
 def test_demo_at_full_size():
     report = run_demo(None)

@@ -18,6 +18,7 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _SAMPLES = 400
+_CHECK_SIGMA_MM = 2.0
 _SAME_ROTATION_RAD = np.deg2rad(3)
 _SAME_POSITION_MM = 3.0
 _OTHER_ROTATION_RAD = np.deg2rad(20)
@@ -64,7 +65,8 @@ def judged_candidates(
         poses.append(pose)
         candidates.append(_judged(scan, template, pose))
         meter.count()
-        meter.record(min(c.evidence.rms_mm for c in candidates))
+        best = max(candidates, key=lambda c: c.evidence.score)
+        meter.record(rigid_distance_mm(scan, template, best.pose))
     return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
 
 
@@ -74,6 +76,11 @@ def _judged(scan: ScanView, template: Template, start: SimilarPose) -> Candidate
     rms_mm = residuals(scan.tree, samples, pose).trimmed_rms_mm(samples.areas)
     evidence = template.image.evidence(scan.vertices, scan.faces, pose.model_from_scan(), rms_mm)
     return Candidate(pose, evidence)
+
+
+def rigid_distance_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
+    """Return the robust distance of the model's samples to the scan, weighted to the rigid regions."""
+    return residuals(view.tree, template.samples, pose).robust_cost(template.rigidity, _CHECK_SIGMA_MM)
 
 
 def runner_up_score(candidates: tuple[Candidate, ...]) -> float:

@@ -8,13 +8,11 @@ import numpy as np
 
 from scan2albedo.geometry.rigid import rotation_angle_rad
 from scan2albedo.optimization import Meter
-from scan2albedo.registration.candidates import ScanView
+from scan2albedo.registration.candidates import ScanView, rigid_distance_mm
 from scan2albedo.registration.depth_annealing import AnnealedPose, anneal_depth_derivatives
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.robust_icp import SimilarPose, residuals, robust_icp
 from scan2albedo.registration.template import Template
-
-_CHECK_SIGMA_MM = 2.0
 
 Note = tuple[str, bool, str, str]
 
@@ -29,12 +27,12 @@ class Annealed:
 
 
 def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> SimilarPose:
-    """Finish on all samples, weighted to the rigid regions; records the inlier RMS."""
+    """Finish on all samples, weighted to the rigid regions; records their robust distance."""
     pose = start
     if not meter.exhausted:
         pose = _polished(view, template, start, (3.0, 1.0), 20)
         meter.count(20)
-    meter.record(rms_mm(view, template, pose))
+    meter.record(rigid_distance_mm(view, template, pose))
     return pose
 
 
@@ -71,7 +69,7 @@ def annealed(
         meter=meter,
     )
     polished = _polished(view, template, found.pose, (2.0, 1.0), 10)
-    before, after = _check_mm(view, template, start), _check_mm(view, template, polished)
+    before, after = rigid_distance_mm(view, template, start), rigid_distance_mm(view, template, polished)
     taken = after <= before
     note = _annealing_note(found, start, polished, before, after, meter.evaluations)
     if taken:
@@ -89,10 +87,6 @@ def _polished(
     return robust_icp(
         view.tree, template.samples, template.rigidity, start, iterations=iterations, sigma_mm=sigma_mm
     )
-
-
-def _check_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
-    return residuals(view.tree, template.samples, pose).robust_cost(template.rigidity, _CHECK_SIGMA_MM)
 
 
 def _annealing_note(
