@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -118,7 +119,7 @@ def validate(
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
     from scan2albedo import validation
 
-    tables = {
+    tables: dict[str, Callable[..., Any]] = {
         "hemisphere": validation.validate_hemisphere,
         "face": validation.validate_face,
         "lighting": validation.validate_lighting,

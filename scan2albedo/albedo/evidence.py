@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.albedo.problem import Problem, Solution
+from scan2albedo.albedo.problem import Problem, Solution, Yardstick
 from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.geometry_image import GeometryImage
@@ -74,14 +74,16 @@ class LightSearch:
         caster, steps = self._occluder(directions)
         coarse, middle, fine = (self._problem(size, caster) for size in (options.grid_size, *options.sizes))
         tables = coarse.table(directions), middle.table(directions)
+        yardstick = Yardstick(fine)
         if lights is None:
-            solution, rows = self._count_lights(coarse, middle, tables)
+            solution, rows = self._count_lights(coarse, middle, tables, yardstick)
         else:
-            solution, rows = self._with_parts(
-                middle, self._search(coarse, middle, tables, self._model(lights))
-            )
+            plain = self._search(coarse, middle, tables, self._model(lights), yardstick)
+            solution, rows = self._with_parts(middle, plain, yardstick)
             rows.insert(0, PlanStep("albedo.lights", True, f"{lights} asked for"))
-        best = polish(fine, solution, 2 * options.polish_evaluations)
+        yardstick.record(solution)
+        best = polish(fine, solution, 2 * options.polish_evaluations, traced=True)
+        yardstick.record(best)
         return LightFound(best, [*steps, *rows], caster)
 
     def _model(self, lights: int) -> LightModel:
@@ -132,26 +134,39 @@ class LightSearch:
         middle: Problem,
         tables: tuple[VisibilityTable, VisibilityTable],
         model: LightModel,
+        yardstick: Yardstick | None = None,
     ) -> Solution:
-        """Return the best plain solution: grid, polish, and annealing where the starts disagree."""
+        """Return the best plain solution: grid, polish, and annealing where the starts disagree.
+
+        The yardstick is given when the solution would be the answer, not a trial of more lights.
+        """
         options = self.options
         starts = direction_grid(coarse, model, tables[0], options)
+        if yardstick is not None:
+            yardstick.record(starts[0])
         each = options.polish_evaluations * model.lights // 2
         tried = [polish(coarse, start, each) for start in starts]
         tried.sort(key=lambda s: s.cost)
         polished = [polish(middle, start, each) for start in tried[:2]]
         best = min(polished, key=lambda s: s.cost)
+        if yardstick is not None:
+            yardstick.record(best)
         if options.refiner == "annealing" or (options.refiner == "auto" and disagree(polished)):
             annealed = anneal(middle, best, tables[1], self.seed, options)
             polished.append(polish(middle, annealed, each))
         return min(polished, key=lambda s: s.cost)
 
     def _count_lights(
-        self, coarse: Problem, middle: Problem, tables: tuple[VisibilityTable, VisibilityTable]
+        self,
+        coarse: Problem,
+        middle: Problem,
+        tables: tuple[VisibilityTable, VisibilityTable],
+        yardstick: Yardstick,
     ) -> tuple[Solution, list[PlanStep]]:
         """Add lights while each removes `light_gain` of the cost."""
         options, stage = self.options, "albedo.lights"
-        current, rows = self._with_parts(middle, self._search(coarse, middle, tables, self._model(1)))
+        plain = self._search(coarse, middle, tables, self._model(1), yardstick)
+        current, rows = self._with_parts(middle, plain, yardstick)
         decision = PlanStep(stage, True, "one light", "no second one tried")
         for lights in range(2, options.maximal_lights + 1):
             if self.meter.exhausted:
@@ -180,10 +195,13 @@ class LightSearch:
                 decision = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
                 break
             current, rows = trial, trial_rows
+            yardstick.record(current)
             decision = PlanStep(stage, True, f"{lights} lights", evidence)
         return current, [decision, *rows]
 
-    def _with_parts(self, problem: Problem, base: Solution) -> tuple[Solution, list[PlanStep]]:
+    def _with_parts(
+        self, problem: Problem, base: Solution, yardstick: Yardstick | None = None
+    ) -> tuple[Solution, list[PlanStep]]:
         """Free distance, roughness and highlight one after another, the most useful first, while it pays."""
         options = self.options
         asked = {"near": options.near_light, "specular": options.specular, "rough": options.roughness}
@@ -214,6 +232,8 @@ class LightSearch:
             if gains[best] < wanted[best]:
                 break
             current = trials[best]
+            if yardstick is not None:
+                yardstick.record(current)
             rows.append(_part_row(best, True, gains[best], wanted.pop(best)))
         rows += [_part_row(part, False, gains[part], asked) for part, asked in wanted.items()]
         return current, rows

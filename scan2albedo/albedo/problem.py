@@ -89,8 +89,12 @@ class Problem:
         return self._known[key]
 
     def cost(self, hypothesis: Hypothesis, visible: NDArray[np.uint8] | None = None) -> float:
-        """Return the objective; `visible` (L, N) saves the rays."""
+        """Return the objective and count it; `visible` (L, N) saves the rays."""
         self.meter.count()
+        return self.evaluate(hypothesis, visible)
+
+    def evaluate(self, hypothesis: Hypothesis, visible: NDArray[np.uint8] | None = None) -> float:
+        """Return the objective, which the caller counts."""
         level, reflectance = self.level, hypothesis.reflectance
         return evaluate(
             self._kind,
@@ -118,3 +122,23 @@ class Problem:
             shape = (len(directions), len(self.level.value))
             return VisibilityTable(directions, np.ones(shape, np.uint8))
         return self._shadows.table(directions)
+
+
+class Yardstick:
+    """One measure for a search that works at several image sizes: the cost on the finest.
+
+    Costs at different sizes do not compare, so the trace holds this one only.
+
+    Parameters
+    ----------
+    finest : Problem
+    """
+
+    def __init__(self, finest: Problem) -> None:
+        self._finest = finest
+
+    def record(self, solution: Solution) -> None:
+        """Add a trace row with the cost of what would be the answer now, while the budget lasts."""
+        meter = self._finest.meter
+        if not (meter.exhausted and meter.rows):
+            meter.record(self._finest.cost(solution.hypothesis))

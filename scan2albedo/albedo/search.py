@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
@@ -44,7 +44,6 @@ def direction_grid(
         kept = _distinct(found, table.directions, 2, options.start_separation_rad)
         more = ((*item[2], k) for item in kept for k in choice if k not in item[2])
         found = _evaluate(problem, model, table, more, options)
-    problem.meter.record(found[0][0])
     return [
         Solution(model, x, cost)
         for cost, x, _ in _distinct(
@@ -90,8 +89,10 @@ def _distinct(found: list[_Found], directions: FloatArray, count: int, separatio
     return kept
 
 
-def polish(problem: Problem, start: Solution, evaluations: int) -> Solution:
+def polish(problem: Problem, start: Solution, evaluations: int, *, traced: bool = False) -> Solution:
     """Improve a solution by Nelder-Mead with shadow rays, within the meter's budget.
+
+    `traced` records improvements of more than a thousandth: at the finest size only, see `Yardstick`.
 
     References
     ----------
@@ -107,8 +108,13 @@ def polish(problem: Problem, start: Solution, evaluations: int) -> Solution:
     step = np.where(x + step > upper, -step, step)
     simplex = np.vstack([x, x + np.diag(step)])
 
-    def stop_when_exhausted(intermediate_result: object) -> None:
-        if problem.meter.exhausted:
+    meter = problem.meter
+
+    def after_each(intermediate_result: OptimizeResult) -> None:
+        cost = float(intermediate_result.fun)
+        if traced and cost < 0.999 * meter.rows[-1].error:
+            meter.record(cost)
+        if meter.exhausted:
             raise StopIteration
 
     result = minimize(
@@ -116,7 +122,7 @@ def polish(problem: Problem, start: Solution, evaluations: int) -> Solution:
         x,
         method="Nelder-Mead",
         bounds=list(zip(lower, upper, strict=True)),
-        callback=stop_when_exhausted,
+        callback=after_each,
         options={
             "initial_simplex": np.clip(simplex, lower, upper),
             "maxfev": left,
@@ -125,7 +131,6 @@ def polish(problem: Problem, start: Solution, evaluations: int) -> Solution:
             "adaptive": model.size > 6,
         },
     )
-    problem.meter.record(float(result.fun))
     return Solution(model, np.asarray(result.x, float), float(result.fun))
 
 
@@ -139,9 +144,12 @@ def anneal(
         return start
     lower, upper = model.bounds
 
+    meter = problem.meter.child("light_annealing", problem.meter.unit)
+
     def objective(x: FloatArray) -> float:
         hypothesis = model.decode(x)
-        return problem.cost(hypothesis, np.stack([table.nearest(row[:3]) for row in hypothesis.rows]))
+        visible = np.stack([table.nearest(row[:3]) for row in hypothesis.rows])
+        return problem.evaluate(hypothesis, visible)
 
     result = simulated_annealing(
         objective,
@@ -151,8 +159,9 @@ def anneal(
         seed=seed,
         initial_step=4 * model.steps(),
         options=AnnealingOptions(evaluations=left),
-        meter=problem.meter,
+        meter=meter,
     )
+    problem.meter.adopt(meter)
     return Solution(model, result.x, result.cost)
 
 

@@ -100,6 +100,20 @@ class Meter:
         if self.on_progress is not None:
             self.on_progress(row)
 
+    def child(self, stage: str, unit: str) -> Meter:
+        """Return a meter for a stage inside this one, with what is left of the budget; `adopt` it after."""
+        seconds, evaluations = self.budget.seconds, self.budget.evaluations
+        left = Budget(
+            None if seconds is None else max(seconds - self.elapsed_s, 1e-6),
+            None if evaluations is None else max(evaluations - self.evaluations, 1),
+        )
+        return Meter(stage, unit, left, self.on_progress)
+
+    def adopt(self, child: Meter) -> None:
+        """Take over the evaluations and rows of a finished `child`."""
+        self.evaluations += child.evaluations
+        self.rows.extend(child.rows)
+
     @property
     def trace(self) -> Trace:
         """The rows recorded so far."""

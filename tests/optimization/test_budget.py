@@ -52,3 +52,16 @@ def test_trace_joins_selects_writes_and_draws(tmp_path):
     assert [row["stage"] for row in rows] == ["register", "fit"]
     assert float(rows[1]["error"]) == 0.5
     assert len(trace.plot().axes) == 2
+
+
+def test_a_child_has_what_is_left_and_its_work_is_adopted():
+    meter = Meter("albedo", "cost", Budget(evaluations=10))
+    meter.count(4)
+    child = meter.child("annealing", "cost")
+    assert child.budget.evaluations == 6
+    child.count(6)
+    child.record(0.5)
+    assert child.exhausted
+    meter.adopt(child)
+    assert meter.exhausted
+    assert meter.trace.stages == ("annealing",)
