@@ -38,6 +38,9 @@ class AnnealingResult:
     """True when the cooling schedule ran to its end, False when a budget cut it short."""
 
 
+_MOVES_THAT_SET_THE_SCALE = 20
+
+
 def simulated_annealing(
     objective: Callable[[NDArray[np.float64]], float],
     start: ArrayLike,
@@ -96,44 +99,50 @@ def simulated_annealing(
 
     def evaluate(point: NDArray[np.float64]) -> float:
         meter.count()
-        return float(objective(point))
+        value = float(objective(point))
+        return value if np.isfinite(value) else np.inf
 
     cost = evaluate(x)
     best_x, best_cost, used = x.copy(), cost, 1
-    scale, seen = 0.0, [cost]
+    cooling = _Cooling(options, [cost])
     accepted = np.zeros(x.size)
-    moves = 0
     while used < options.evaluations and not meter.exhausted:
-        coordinate = moves % x.size
+        k = (used - 1) % x.size
         trial = x.copy()
-        trial[coordinate] = _reflect(
-            x[coordinate] + step[coordinate] * rng.uniform(-1, 1), low[coordinate], high[coordinate]
-        )
+        trial[k] = _reflect(x[k] + step[k] * rng.uniform(-1, 1), low[k], high[k])
         trial_cost = evaluate(trial)
-        used, moves = used + 1, moves + 1
-        if len(seen) < 20:
-            # The temperature's unit: how much the cost varies over the first moves.
-            seen.append(trial_cost)
-            finite = [c for c in seen if np.isfinite(c)]
-            scale = float(np.std(finite)) if len(finite) > 1 else 0.0
-        progress = used / options.evaluations
-        temperature = (
-            scale
-            * options.initial_temperature
-            * (options.final_temperature / options.initial_temperature) ** progress
-        )
+        used += 1
+        temperature = cooling.temperature(trial_cost, used)
         worse = trial_cost - cost
         if worse <= 0 or (temperature > 0 and rng.random() < np.exp(-worse / temperature)):
             x, cost = trial, trial_cost
-            accepted[coordinate] += 1
+            accepted[k] += 1
             if cost < best_cost:
                 best_x, best_cost = x.copy(), cost
                 meter.record(best_cost)
-        if moves % (options.sweep * x.size) == 0:
+        if (used - 1) % (options.sweep * x.size) == 0:
             rate = accepted / options.sweep
             step = np.clip(step * np.exp(rate - options.target_acceptance), 1e-9, high - low)
             accepted[:] = 0
     return AnnealingResult(best_x, best_cost, used, converged=used >= options.evaluations)
+
+
+@dataclass
+class _Cooling:
+    """The temperature, in units of how much the cost varies over the first moves."""
+
+    options: AnnealingOptions
+    seen: list[float]
+    scale: float = 0.0
+
+    def temperature(self, cost: float, used: int) -> float:
+        """Return T after `used` evaluations, the last of which gave `cost`."""
+        if len(self.seen) < _MOVES_THAT_SET_THE_SCALE:
+            self.seen.append(cost)
+            finite = [c for c in self.seen if np.isfinite(c)]
+            self.scale = float(np.std(finite)) if len(finite) > 1 else 0.0
+        first, last = self.options.initial_temperature, self.options.final_temperature
+        return self.scale * first * (last / first) ** (used / self.options.evaluations)
 
 
 def _reflect(value: float, low: float, high: float) -> float:

@@ -69,3 +69,12 @@ def test_a_start_outside_is_clipped_and_a_bad_box_refused():
     assert np.isfinite(simulated_annealing(rastrigin, [99, 0], *BOX).cost)
     with pytest.raises(ValueError, match="lower <= upper"):
         simulated_annealing(rastrigin, [0, 0], BOX[1], BOX[0])
+
+
+def test_a_start_where_the_cost_is_not_a_number_is_left():
+    def cost(x):
+        return float("nan") if x[0] > 0.5 else float((x[0] + 0.2) ** 2)
+
+    result = simulated_annealing(cost, [0.9], [-1], [1], options=AnnealingOptions(evaluations=500))
+    assert abs(result.x[0] + 0.2) < 0.05
+    assert np.isfinite(result.cost)
