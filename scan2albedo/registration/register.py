@@ -81,7 +81,7 @@ def register(
     view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
     candidates = _judged(scan, view, template, starts, options, meter)
     pose = tightened(view, template, candidates[0].pose, meter)
-    annealing = Meter("depth_annealing", "truncated slope difference", _rest(meter), on_progress)
+    annealing = meter.child("depth_annealing", "truncated slope difference")
     final = annealed(view, template, pose, options, annealing, seed)
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid()) @ compose(np.eye(3), -center),
@@ -93,15 +93,6 @@ def register(
         trace=meter.trace + annealing.trace,
         notes=(_search_note(candidates, len(starts)), final.note),
         face_scale=final.pose.scale,
-    )
-
-
-def _rest(meter: Meter) -> Budget:
-    """Return what a meter leaves of its budget (the least there is when it ended)."""
-    seconds, evaluations = meter.budget.seconds, meter.budget.evaluations
-    return Budget(
-        None if seconds is None else max(seconds - meter.elapsed_s, 1e-9),
-        None if evaluations is None else max(evaluations - meter.evaluations, 1),
     )
 
 
