@@ -94,12 +94,12 @@ def test_the_generic_face():
 @pytest.mark.parametrize("person", ["person1", "person2", "person3", "person4"])
 def test_persons(person):
     result = compare(ict_face(person))
-    assert result.surface <= 4.0
+    assert result.surface <= 4.2
     assert result.landmarks <= 5.0
 
 
 def test_the_canonical_face():
-    assert compare(canonical_face()).surface <= 2.2
+    assert compare(canonical_face()).surface <= 2.5
 
 
 def profile(vertices: np.ndarray, faces: np.ndarray, heights: np.ndarray) -> np.ndarray:

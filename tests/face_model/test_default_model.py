@@ -7,6 +7,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.face_model.generator.anthropometry import Measurements
 from scan2albedo.face_model.generator.build import build_face_model
+from scan2albedo.face_model.generator.key_points import half_face
 from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE
 from scan2albedo.face_model.generator.regions import MIDDLE_REGIONS
 from scan2albedo.face_model.model import AnnotatedFaceModel
@@ -117,11 +118,14 @@ def test_widths_of_the_surface(model):
     wing = from_nasion[corners]
     wing = wing[(wing[:, 1] < -43) & (wing[:, 1] > -47) & (wing[:, 2] > 0)]
     assert 2 * wing[:, 0].max() == pytest.approx(table.nose_width_mm, abs=2)
+    skin = half_face(table).skin
+    temple = float(skin.depth(table.forehead_width_mm / 2, 25.0))
     forehead = from_nasion[np.abs(from_nasion[:, 1] - 25) < 1.5]
-    near = forehead[np.abs(forehead[:, 2] + 29.4) < 2]
+    near = forehead[np.abs(forehead[:, 2] - temple) < 2]
     assert np.ptp(near[:, 0]) == pytest.approx(table.forehead_width_mm, abs=3)
-    zygion = [[table.face_width_mm / 2, -28, -52], [table.jaw_width_mm / 2, -93.5, -63]]
-    assert ClosestPointQuery(from_nasion, faces).query(zygion).distance.max() < 1
+    sides = [(table.face_width_mm / 2, -28.0), (table.jaw_width_mm / 2, -93.5)]
+    there = [[x, y, float(skin.depth(x, y))] for x, y in sides]
+    assert ClosestPointQuery(from_nasion, faces).query(there).distance.max() < 1
     hairline = from_nasion[np.abs(from_nasion[:, 0]) < 1e-9][:, 1:]
     assert np.linalg.norm(hairline[np.argmax(hairline[:, 0])]) == pytest.approx(
         table.hairline_height_mm, abs=2

@@ -35,7 +35,7 @@ CURVE_EDGE_MM = {
     "lower_vermilion": 3.0,
     "upper_lip": 3.0,
     "lower_lip": 3.0,
-    "alar_crease": 3.0,
+    "alar_crease": 2.6,
     "nose_rim": 3.0,
 }
 """Edge lengths along the features on which vertices are spent."""
@@ -72,7 +72,9 @@ def build_face_model(measurements: Measurements | None = None) -> AnnotatedFaceM
         parametrize_disc(lifted, faces, mirror=mirror),
         _region_of_faces(lifted, mesh, lifted_curves, {r.name: r.index for r in regions.values()}),
         regions,
-        landmark_points=_landmark_points(control, faces, lifted_curves),
+        landmark_points=_landmark_points(
+            control, faces, half_landmarks(lifted_curves, half.middle, half.skin)
+        ),
         name="default annotated face model",
     )
 
@@ -130,9 +132,8 @@ def _face_neighbours(faces: IntArray) -> list[list[int]]:
     return neighbours
 
 
-def _landmark_points(control: FloatArray, faces: IntArray, curves: dict[str, FloatArray]) -> SurfacePoints:
+def _landmark_points(control: FloatArray, faces: IntArray, targets: dict[int, FloatArray]) -> SurfacePoints:
     """Return the 68 landmarks: closest points of the limit surface, the right half mirrored."""
-    targets = half_landmarks(curves)
     numbers = sorted(targets)
     subdivision = LoopSubdivision.of(len(control), faces, LANDMARK_LEVELS)
     left = len(subdivision.faces) // 2

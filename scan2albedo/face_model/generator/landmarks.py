@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.face_model.generator.sections import Midline, Sections
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -20,13 +22,17 @@ MIDDLE = (8, 27, 28, 29, 30, 33, 51, 57, 62, 66)
 """Landmarks on the midline."""
 
 
-def half_landmarks(curves: dict[str, FloatArray]) -> dict[int, FloatArray]:
+def half_landmarks(curves: dict[str, FloatArray], middle: Midline, skin: Sections) -> dict[int, FloatArray]:
     """Return design positions of the midline's and the left half's landmarks, near the surface.
 
     Parameters
     ----------
     curves : dict of str to (N, 3) float64
         Feature curves of the left half in the design frame.
+    middle : dict of str to (x, y, z)
+        The midline's points by name.
+    skin : Sections
+        The face on which brow, chin and jaw lie.
     """
     upper, lower = curves["upper_lid"], curves["lower_lid"]
     top, line, bottom = curves["upper_vermilion"], curves["mouth_line"], curves["lower_vermilion"]
@@ -38,18 +44,36 @@ def half_landmarks(curves: dict[str, FloatArray]) -> dict[int, FloatArray]:
         62: line[0], 63: _share(line, 0.38), 64: _share(line, 0.86),
         65: _share(line, 0.38) - [0, 0.4, 0], 66: line[0] - [0, 0.4, 0],
     }  # fmt: skip
-    return sets | {k: np.array(v, float) for k, v in _TABLE.items()}
+    crease = curves["alar_crease"][-1]
+    sets |= {
+        number: np.array(middle[name]) for number, name in ((8, "gn"), (27, "n"), (30, "prn"), (33, "sn"))
+    }
+    sets |= {28: 0.7 * sets[27] + 0.3 * sets[30], 29: 0.4 * sets[27] + 0.6 * sets[30]}
+    sets |= {34: 0.5 * (sets[33] + crease), 35: crease}
+    return sets | _contour(curves["outline"], skin)
 
 
-_TABLE: dict[int, tuple[float, float, float]] = {
-    8: (0, -117, -6), 9: (15.5, -115.5, -9), 10: (30, -110, -21), 11: (43, -100.5, -35),
-    12: (55.5, -83, -48), 13: (63.5, -63, -57), 14: (67.5, -43, -62), 15: (69.6, -23, -66),
-    16: (69.5, -2, -66),
-    22: (11.5, 19, -0.5), 23: (24, 22, -3), 24: (38, 22.8, -9.5),
-    25: (49.5, 20, -17.5), 26: (58.5, 12.8, -30),
-    27: (0, 0, 0), 28: (0, -12, 7.2), 29: (0, -23, 14.2), 30: (0, -38.2, 22.5),
-    33: (0, -52, 8), 34: (6, -51.8, 6.8), 35: (12, -51.2, 2.2),
-}  # fmt: skip
+_BROW = {22: (11.5, 19.0), 23: (24.0, 22.0), 24: (38.0, 22.8), 25: (49.5, 20.0), 26: (58.5, 12.8)}
+_CHIN = {9: (15.5, -115.5), 10: (30.0, -110.0)}
+_JAW = {
+    11: (-100.5, 12.0),
+    12: (-83.0, 12.0),
+    13: (-63.0, 10.0),
+    14: (-43.0, 8.0),
+    15: (-23.0, 5.0),
+    16: (-2.0, 0.0),
+}
+"""Front view (x, y) of brow and chin; of the jaw, (y, depth before the outline)."""
+
+
+def _contour(outline: FloatArray, skin: Sections) -> dict[int, FloatArray]:
+    """Return brow, chin and jaw landmarks on the face's sections."""
+    found = {k: np.array([x, y, float(skin.depth(x, y))]) for k, (x, y) in (_BROW | _CHIN).items()}
+    falling = outline[np.argmax(outline[:, 1]) :]
+    for number, (y, before) in _JAW.items():
+        z = np.interp(-y, -falling[:, 1], falling[:, 2]) + before
+        found[number] = np.array([float(skin.width(y, z)), y, z])
+    return found
 
 
 def _share(curve: FloatArray, share: float) -> FloatArray:

@@ -52,7 +52,7 @@ class FaceLayout:
         return self.flat[np.argmin(distance, axis=1)]
 
 
-SMOOTHING = 6.0
+SMOOTHING = 8.0
 """Weight of bending against interpolation: takes the rounding of the key points' table out."""
 
 

@@ -55,7 +55,9 @@ def half_region_names(centroids: FloatArray, curves: dict[str, FloatArray]) -> l
     # The first polygon that holds the centroid wins: paint in reverse.
     for name, polygon in reversed(_front_polygons(curves)):
         names[inside_polygon(centroids[:, :2], polygon)] = name
-    nostril = np.linalg.norm((centroids - [7.6, -49.6, 8.0]) / [5.2, 3.4, 5.6], axis=1) < 1
+    rim = curves["nose_rim"]
+    inside = np.array([7.6, -49.6, np.interp(7.6, rim[:, 0], rim[:, 2]) - 4.0])
+    nostril = np.linalg.norm((centroids - inside) / [5.2, 3.4, 5.6], axis=1) < 1
     names[nostril] = "nostril"
     return names.tolist()
 
