@@ -18,7 +18,7 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _SAMPLES = 400
-_CHECK_SIGMA_MM = 2.0
+_CHECK_SIGMA_MM = 1.0
 _SAME_ROTATION_RAD = np.deg2rad(3)
 _SAME_POSITION_MM = 3.0
 _OTHER_ROTATION_RAD = np.deg2rad(20)

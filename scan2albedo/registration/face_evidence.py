@@ -25,6 +25,8 @@ _FEATURE_PIXELS = 5.0
 _FLAT_SLOPE_SQUARED = 0.01
 _FEWEST_PIXELS = 64
 _ALLOWED_RMS_MM = 7.0
+_SYMMETRY_GAIN = 0.2
+_CHANCE_SYMMETRY = 0.25
 
 
 @dataclass(frozen=True)
@@ -39,18 +41,30 @@ class FaceEvidence:
         Correlation of the depth derivatives in windows of about 3 cm, averaged over the features, after a
         quadratic fit is taken out of each: the bulge that a head shares with a ball does not count,
         and nose, orbits and mouth must each be there (one bump in the right place is no face).
+    symmetry : float
+        The same correlation of the scan's relief with its own mirror image: a face that opens its mouth
+        resembles the model less, but itself no less.
     rms_mm : float
         RMS distance of the model's inlying samples to the scan.
     """
 
     coverage: float
     relief_correlation: float
+    symmetry: float
     rms_mm: float
 
     @property
     def likeness(self) -> float:
         """Relief correlation times exp(-(rms / 7 mm)^2); 0.9 for the model itself."""
         return self.relief_correlation * float(np.exp(-((self.rms_mm / _ALLOWED_RMS_MM) ** 2)))
+
+    @property
+    def certainty(self) -> float:
+        """Likeness, raised where the relief is symmetric: tells faces from other bodies.
+
+        Symmetry can only help, since half a face has none to show.
+        """
+        return self.likeness + max(0.0, _SYMMETRY_GAIN * (self.symmetry - _CHANCE_SYMMETRY))
 
     @property
     def score(self) -> float:
@@ -90,10 +104,11 @@ class FaceImage:
         common = np.abs(difference) < _SAME_SURFACE_MM
         coverage = float(self._weights[common].sum() / self._weights.sum())
         if common.sum() < _FEWEST_PIXELS:
-            return FaceEvidence(coverage, 0.0, rms_mm)
+            return FaceEvidence(coverage, 0.0, 0.0, rms_mm)
         scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
         model, _ = self._relief(self.depth, common, _SMOOTHING_PIXELS)
-        return FaceEvidence(coverage, _local_correlation(scan, model, used, self._weights), rms_mm)
+        correlation = _local_correlation(scan, model, used, self._weights)
+        return FaceEvidence(coverage, correlation, _symmetry(scan, used, self._weights), rms_mm)
 
     def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
@@ -129,3 +144,9 @@ def _local_correlation(a: FloatArray, b: FloatArray, used: Mask, weights: FloatA
     norm = np.sqrt((window((a * a).sum(0)) + floor) * (window((b * b).sum(0)) + floor))
     counted = weights * used
     return float((counted * window((a * b).sum(0)) / norm).sum() / max(counted.sum(), 1e-300))
+
+
+def _symmetry(relief: FloatArray, used: Mask, weights: FloatArray) -> float:
+    """Return the local correlation of slopes (2, S, S) with their mirror image, where both sides are seen."""
+    mirrored = relief[:, :, ::-1] * np.array([-1.0, 1.0])[:, None, None]
+    return _local_correlation(relief, mirrored, used & used[:, ::-1], weights)

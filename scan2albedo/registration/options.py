@@ -27,9 +27,9 @@ class RegistrationOptions:
     """Further poses that it refines before a scan is refused."""
     coverage_needed: float = 0.25
     """Least part of the model's depth image that the scan must cover to be a face."""
-    likeness_needed: float = 0.49
-    """Least likeness (see `face_evidence.FaceEvidence`) of a face: faces reach 0.5 and more, balls, boxes,
-    backs of heads and random bumpy bodies at most 0.48."""
+    certainty_needed: float = 0.49
+    """Least certainty (see `face_evidence.FaceEvidence`) of a face: whole faces reach 0.55 and more, balls,
+    boxes, backs of heads and random bumpy bodies at most 0.48."""
     annealing_evaluations: int = 1500
     """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
     annealing_size: int = 64

@@ -91,7 +91,7 @@ def register(
         confidence=_confidence(candidates, options),
         iterations=meter.evaluations + annealing.evaluations,
         trace=meter.trace + annealing.trace,
-        notes=(_search_note(candidates, len(starts)), final.note),
+        notes=(_search_note(candidates, len(starts), options), final.note),
         face_scale=final.pose.scale,
     )
 
@@ -137,7 +137,7 @@ def _judged(
 
 def _is_face(candidate: Candidate, options: RegistrationOptions) -> bool:
     evidence = candidate.evidence
-    return evidence.coverage >= options.coverage_needed and evidence.likeness >= options.likeness_needed
+    return evidence.coverage >= options.coverage_needed and evidence.certainty >= options.certainty_needed
 
 
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:
@@ -147,8 +147,9 @@ def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: R
     raise RegistrationError(
         f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
         f"{100 * evidence.coverage:.0f} % of the face (needed: {100 * options.coverage_needed:.0f} %) "
-        f"with a likeness of {evidence.likeness:.2f} (needed: {options.likeness_needed:.2f}; "
-        f"relief correlation {evidence.relief_correlation:.2f}, {evidence.rms_mm:.1f} mm RMS); "
+        f"with a certainty of {evidence.certainty:.2f} (needed: {options.certainty_needed:.2f}; "
+        f"relief correlation {evidence.relief_correlation:.2f}, symmetry {evidence.symmetry:.2f}, "
+        f"{evidence.rms_mm:.1f} mm RMS); "
         f"the scan's box is {_box_text(scan.vertices)}. "
         "Give a scan of a face, or process it without a model"
     )
@@ -157,19 +158,22 @@ def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: R
 def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions) -> float:
     """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1."""
     best = candidates[0].evidence
-    clear = (best.likeness - options.likeness_needed) / 0.1 + 0.3
+    clear = (best.certainty - options.certainty_needed) / 0.1 + 0.3
     alone = (best.score - runner_up_score(candidates)) / 0.15
     return float(np.clip(min(clear, alone), 0, 1))
 
 
-def _search_note(candidates: tuple[Candidate, ...], kept: int) -> tuple[str, bool, str, str]:
+def _search_note(
+    candidates: tuple[Candidate, ...], kept: int, options: RegistrationOptions
+) -> tuple[str, bool, str, str]:
     best = candidates[0]
     return (
         "search",
         True,
         "the pose whose depth image has the relief of a face is taken",
         f"{len(candidates)} of {kept} candidates refined; "
-        f"likeness {best.evidence.likeness:.2f} of a face "
+        f"certainty {best.evidence.certainty:.2f} (needed: {options.certainty_needed:.2f}), "
+        f"likeness {best.evidence.likeness:.2f} "
         f"(next pose {runner_up_score(candidates):.2f}), coverage {100 * best.evidence.coverage:.0f} %, "
         f"face {100 * best.pose.scale:.0f} % of the model's size",
     )

@@ -35,7 +35,7 @@ def blob(seed):
 
 @pytest.mark.parametrize("scan", [sphere(), cube(), blob(0), blob(1)], ids=lambda scan: scan.name)
 def test_bodies_without_a_face_are_refused(scan, model):
-    with pytest.raises(RegistrationError, match=r"no face found.*covers \d+ %.*likeness of .*mm") as caught:
+    with pytest.raises(RegistrationError, match=r"no face found.*covers \d+ %.*certainty of .*mm") as caught:
         register(scan, model)
     assert scan.name in str(caught.value)
 
