@@ -18,7 +18,7 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _SAMPLES = 400
-_CHECK_SIGMA_MM = 1.0
+_TRACE_SIGMA_MM = 1.0
 _SAME_ROTATION_RAD = np.deg2rad(3)
 _SAME_POSITION_MM = 3.0
 _OTHER_ROTATION_RAD = np.deg2rad(20)
@@ -78,9 +78,11 @@ def _judged(scan: ScanView, template: Template, start: SimilarPose) -> Candidate
     return Candidate(pose, evidence)
 
 
-def rigid_distance_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
+def rigid_distance_mm(
+    view: ScanView, template: Template, pose: SimilarPose, sigma_mm: float = _TRACE_SIGMA_MM
+) -> float:
     """Return the robust distance of the model's samples to the scan, weighted to the rigid regions."""
-    return residuals(view.tree, template.samples, pose).robust_cost(template.rigidity, _CHECK_SIGMA_MM)
+    return residuals(view.tree, template.samples, pose).robust_cost(template.rigidity, sigma_mm)
 
 
 def runner_up_score(candidates: tuple[Candidate, ...]) -> float:

@@ -14,6 +14,8 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.robust_icp import SimilarPose, residuals, robust_icp
 from scan2albedo.registration.template import Template
 
+_CHECK_SIGMA_MM = 2.0
+
 Note = tuple[str, bool, str, str]
 
 
@@ -69,7 +71,7 @@ def annealed(
         meter=meter,
     )
     polished = _polished(view, template, found.pose, (2.0, 1.0), 10)
-    before, after = rigid_distance_mm(view, template, start), rigid_distance_mm(view, template, polished)
+    before, after = (rigid_distance_mm(view, template, p, _CHECK_SIGMA_MM) for p in (start, polished))
     taken = after <= before
     note = _annealing_note(found, start, polished, before, after, meter.evaluations)
     if taken:
