@@ -113,11 +113,13 @@ def demo(
 @app.command()
 def validate(
     what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
-    seed: SeedOption = 0,
+    size: SizeOption = 256,
+    seed: Annotated[int, typer.Option(help="Seed of the scenes.")] = 1,
     json_summary: JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
     from scan2albedo import validation
+    from scan2albedo.progress import ProgressLines
 
     tables: dict[str, Callable[..., Any]] = {
         "hemisphere": validation.validate_hemisphere,
@@ -127,7 +129,12 @@ def validate(
     chosen = list(tables) if what == "all" else [what]
     if unknown := [name for name in chosen if name not in tables]:
         raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(tables)}, all")
-    results = {name: tables[name](seed=seed) for name in chosen}
+    results = {}
+    for name in chosen:
+        with ProgressLines(name) as progress:
+            results[name] = tables[name](
+                size=size, seed=seed, on_row=lambda row, show=progress.say: show(row.text())
+            )
     if json_summary:
         typer.echo(json.dumps({name: table.figures() for name, table in results.items()}, indent=2))
         return

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,14 @@ class ValidationRow:
     light_error_deg: float
     light_count: int
 
+    def text(self) -> str:
+        """Return the row as a line of the table."""
+        return (
+            f"{self.brdf:<20}{self.texture:<9}{self.light_angle_deg:>5.0f}°{self.input_mse_percent:>9.3f}"
+            f"{self.mse_percent:>10.4f}{self.value_mse_percent:>10.4f}{self.relative_rmse:>11.4f}"
+            f"{self.light_error_deg:>10.2f}°"
+        )
+
 
 @dataclass(frozen=True)
 class ValidationTable:
@@ -82,6 +91,10 @@ class ValidationTable:
         """Largest error of any row, in RGB or on V, whichever is worse."""
         return max(max(row.mse_percent, row.value_mse_percent) for row in self.rows)
 
+    def figures(self) -> dict[str, Any]:
+        """Return the table as plain numbers for JSON."""
+        return {**asdict(self), "worst_mse_percent": self.worst_mse_percent}
+
 
 @dataclass(frozen=True)
 class LightingRow:
@@ -90,6 +103,10 @@ class LightingRow:
     seed: int
     texture_std_percent: float
     albedo_std_percent: float
+
+    def text(self) -> str:
+        """Return the row as a line of the table."""
+        return _lighting_line(self.seed, self.texture_std_percent, self.albedo_std_percent)
 
 
 @dataclass(frozen=True)
@@ -109,6 +126,18 @@ class LightingTable:
     def albedo_std_percent(self) -> float:
         """Mean over the subjects."""
         return float(np.mean([row.albedo_std_percent for row in self.rows]))
+
+    def figures(self) -> dict[str, Any]:
+        """Return the table as plain numbers for JSON."""
+        means = {
+            "texture_std_percent": self.texture_std_percent,
+            "albedo_std_percent": self.albedo_std_percent,
+        }
+        return {**asdict(self), **means}
+
+
+def _lighting_line(name: object, texture_std_percent: float, albedo_std_percent: float) -> str:
+    return f"{name!s:<10}{texture_std_percent:>8.2f} %{albedo_std_percent:>8.2f} %"
 
 
 def validate_hemisphere(
@@ -193,7 +222,8 @@ def angle_between_deg(found: Sequence[PointLight], true: PointLight) -> float:
 def validate_lighting(
     *,
     size: int = 256,
-    seeds: Sequence[int] = (1, 2),
+    seed: int = 1,
+    subjects: int = 2,
     on_row: Callable[[LightingRow], None] | None = None,
 ) -> LightingTable:
     """Compare textures and albedos of the same faces under three different lights.
@@ -208,14 +238,15 @@ def validate_lighting(
     Parameters
     ----------
     size : int
-    seeds : sequence of int
-        One subject each.
+    seed : int
+        Of the first subject; the others count on from it.
+    subjects : int
     on_row : callable, optional
         Called with each row as it is done.
     """
     rows = []
-    for seed in seeds:
-        rows.append(_lighting_row(seed, size))
+    for subject in range(seed, seed + subjects):
+        rows.append(_lighting_row(subject, size))
         if on_row is not None:
             on_row(rows[-1])
     return LightingTable(tuple(rows), *PAPER_LIGHTING_STD_PERCENT)
@@ -253,24 +284,21 @@ def format_table(table: ValidationTable | LightingTable) -> str:
         f"{'reflectance':<20}{'texture':<9}{'light':>6}{'input':>9}{'albedo':>10}{'on V':>10}"
         f"{'rel. RMSE':>11}{'light off':>11}"
     )
-    lines = [f"{table.scene}: albedo MSE in percent after the best single scale", head, "-" * len(head)]
-    for row in table.rows:
-        lines.append(
-            f"{row.brdf:<20}{row.texture:<9}{row.light_angle_deg:>5.0f}°{row.input_mse_percent:>9.3f}"
-            f"{row.mse_percent:>10.4f}{row.value_mse_percent:>10.4f}{row.relative_rmse:>11.4f}"
-            f"{row.light_error_deg:>10.2f}°"
-        )
+    title = f"{table.scene}: albedo MSE in percent after the best single scale"
+    lines = [title, head, "-" * len(head), *(row.text() for row in table.rows)]
     lines.append(f"worst: {table.worst_mse_percent:.4f} %   the paper: {table.paper_mse_percent:.2f} %")
     return "\n".join(lines)
 
 
 def _format_lighting(table: LightingTable) -> str:
     head = f"{'subject':<10}{'texture':>10}{'albedo':>10}"
-    lines = ["lighting: mean standard deviation over three lights, percent of white", head, "-" * 30]
-    for row in table.rows:
-        lines.append(f"{row.seed:<10}{row.texture_std_percent:>8.2f} %{row.albedo_std_percent:>8.2f} %")
-    lines.append(f"{'mean':<10}{table.texture_std_percent:>8.2f} %{table.albedo_std_percent:>8.2f} %")
-    lines.append(
-        f"{'the paper':<10}{table.paper_texture_std_percent:>8.2f} %{table.paper_albedo_std_percent:>8.2f} %"
+    return "\n".join(
+        [
+            "lighting: mean standard deviation over three lights, percent of white",
+            head,
+            "-" * 30,
+            *(row.text() for row in table.rows),
+            _lighting_line("mean", table.texture_std_percent, table.albedo_std_percent),
+            _lighting_line("the paper", table.paper_texture_std_percent, table.paper_albedo_std_percent),
+        ]
     )
-    return "\n".join(lines)

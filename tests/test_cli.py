@@ -10,6 +10,10 @@ import time
 import numpy as np
 import pytest
 import trimesh
+from typer.testing import CliRunner
+
+from scan2albedo import validation
+from scan2albedo.cli import app
 
 COMMAND = [sys.executable, "-m", "scan2albedo.cli"]
 
@@ -77,6 +81,22 @@ def test_a_bad_file_ends_in_one_line_and_exit_2(name, tmp_path):
     assert words in lines[0]
     assert name.split(".")[0] in lines[0]
     assert not list((tmp_path / "out").glob("*"))
+
+
+def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch):
+    row = validation.ValidationRow(30.0, "wood", "lambert", 5.0, 0.02, 0.03, 0.01, 0.5, 1)
+    monkeypatch.setattr(validation, "validation_row", lambda scene, angle, brdf: row)
+    monkeypatch.setattr(
+        validation, "_lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
+    )
+    done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
+    assert done.exit_code == 0, done.output
+    tables = json.loads(done.stdout)
+    assert [len(tables[name]["rows"]) for name in ("hemisphere", "face", "lighting")] == [12, 12, 2]
+    assert tables["hemisphere"]["worst_mse_percent"] == 0.03
+    assert tables["lighting"]["albedo_std_percent"] == 2.0
+    assert done.stderr.count("wood") == 24
+    assert "the paper" in CliRunner().invoke(app, ["validate", "lighting", "--size", "16"]).stdout
 
 
 @pytest.mark.parametrize(
