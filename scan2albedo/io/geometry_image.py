@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import GeometryImageError
 
@@ -21,6 +21,21 @@ _SHAPES = {
     "specular_scale": (np.float32, None),
     "inpaint": (np.bool_, None),
 }
+
+
+def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
+    xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
+        raise GeometryImageError(
+            f"occluder has vertices {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)"
+        )
+    if not np.isfinite(xyz).all():
+        raise GeometryImageError("occluder holds NaN or infinite vertices")
+    if len(index) and (index.min() < 0 or index.max() >= len(xyz)):
+        raise GeometryImageError(
+            f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
+        )
+    return xyz, index
 
 
 @dataclass(frozen=True)
@@ -52,7 +67,7 @@ class GeometryImage:
     Raises
     ------
     GeometryImageError
-        For shapes that disagree, or values that are not finite inside the mask.
+        For shapes that disagree, values that are not finite inside the mask, or an occluder that is no mesh.
     """
 
     position: NDArray[np.float64]
@@ -78,15 +93,12 @@ class GeometryImage:
                     f"{field} has shape {array.shape}, expected {wanted} to match the mask"
                 )
             object.__setattr__(self, field, array.astype(dtype, copy=False))
-        for field in ("position", "normal", "texture_linear"):
+        for field in ("position", "normal", "texture_linear", "specular_scale"):
             value = getattr(self, field)
             if value is not None and not np.isfinite(value[self.mask]).all():
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
         if self.occluder is not None:
-            vertices, faces = self.occluder
-            object.__setattr__(
-                self, "occluder", (np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
-            )
+            object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
 
     @property
     def shape(self) -> tuple[int, int]:

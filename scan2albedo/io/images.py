@@ -157,7 +157,7 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
     OutputError
         When the folder cannot be written.
     ValueError
-        For another shape or NaN.
+        For another shape, another dtype, or NaN.
     """
     write_bytes(path, encode_image(image, ".png"))
 
@@ -170,7 +170,7 @@ def write_image(path: str | Path, image: ArrayLike) -> None:
     OutputError
         When the folder cannot be written, or the extension is not supported.
     ValueError
-        For another shape or NaN.
+        For another shape, another dtype, or NaN.
     """
     extension = Path(path).suffix.lower()
     if extension == ".exr":
@@ -196,6 +196,8 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
         array = encode_srgb_bytes(array)
     elif array.dtype == np.bool_:
         array = array.astype(np.uint8) * 255
+    elif array.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"an image has samples of {array.dtype}, expected uint8, uint16, bool or floats")
     order = [2, 1, 0, 3][: array.shape[2]] if array.ndim == 3 else None
     stored = array if order is None else np.ascontiguousarray(array[..., order])
     options = [cv2.IMWRITE_JPEG_QUALITY, 95] if extension in (".jpg", ".jpeg") else []

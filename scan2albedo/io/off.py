@@ -15,6 +15,9 @@ from scan2albedo.io.polygons import cut_note, fan_triangles
 
 _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
 
+_LARGEST_INDEX = 2.0**53
+"""Beyond it a float64 does not hold every whole number; such an index, or NaN, points nowhere."""
+
 
 def read_off(path: Path) -> ParsedMesh:
     """Read an ASCII OFF file.
@@ -64,11 +67,11 @@ def _faces(
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     if len(rows) == 0:
         return np.zeros((0, 3), np.int64), ()
-    counts = np.nan_to_num(rows[:, 0]).astype(np.int64)
-    if (counts < 3).any() or (counts + 1 > read).any():
+    if not ((rows[:, 0] >= 3) & (rows[:, 0] + 1 <= read)).all():  # NaN is neither
         raise _damaged(path, "a face has fewer than 3 corners, or fewer than it declares")
+    counts = rows[:, 0].astype(np.int64)
     corners = rows[:, 1:][np.arange(rows.shape[1] - 1) < counts[:, None]]
-    index = np.nan_to_num(corners, nan=-1).astype(np.int64)
+    index = np.where(np.abs(corners) < _LARGEST_INDEX, corners, -1).astype(np.int64)
     return index[fan_triangles(counts).corners], cut_note(counts)
 
 

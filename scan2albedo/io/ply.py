@@ -31,7 +31,8 @@ def read_ply(path: Path) -> ParsedMesh:
         When the file is damaged or holds triangle strips; the message names it.
     """
     file = read_ply_elements(path)
-    vertex, face = file.elements.get("vertex", {}), file.elements.get("face", {})
+    columns, face = file.elements.get("vertex", {}), file.elements.get("face", {})
+    vertex: Columns = {name: values for name, values in columns.items() if isinstance(values, np.ndarray)}
     if "tristrips" in file.elements and not face:
         raise ScanError(f"{path.name}: holds triangle strips; export it again as plain triangles")
     missing = [axis for axis in "xyz" if axis not in vertex]

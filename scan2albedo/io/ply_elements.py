@@ -108,6 +108,10 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str | None, list[Elemen
             raise _damaged(path, f"its header holds '{line.strip()[:60]}'") from error
     if order == "?" or any(element.count < 0 for element in elements):
         raise _damaged(path, "its header names no known format")
+    for element in elements:
+        names = {prop.name for prop in element.properties}
+        if len(names) < max(len(element.properties), min(element.count, 1)):
+            raise _damaged(path, f"its {element.name} has no properties, or one twice")
     return order, elements
 
 
@@ -144,17 +148,28 @@ def _columns_of_table(path: Path, element: Element, table: NDArray[np.float64], 
         values = table[rows, column]
         column = column + 1
         if prop.count_type is None:
-            columns[prop.name] = values.astype(prop.item_type)
+            columns[prop.name] = _converted(path, element, prop, values)
             continue
-        counts = values.astype(np.int64)
-        if (counts < 0).any() or (column + counts > read).any():
+        if not ((values >= 0) & (column + values <= read)).all():  # NaN is neither
             raise _damaged(path, f"a list {prop.name} of {element.name} is cut short")
+        counts = values.astype(np.int64)
         inside = np.arange(table.shape[1]) - column[:, None]
-        columns[prop.name] = ListColumn(
-            counts, table[(inside >= 0) & (inside < counts[:, None])].astype(prop.item_type)
-        )
+        items = table[(inside >= 0) & (inside < counts[:, None])]
+        columns[prop.name] = ListColumn(counts, _converted(path, element, prop, items))
         column = column + counts
     return columns
+
+
+def _converted(path: Path, element: Element, prop: Property, values: NDArray[np.float64]) -> NDArray[Any]:
+    """Return numbers of a text file in the property's own type; what an integer cannot hold is refused."""
+    if prop.item_type.kind in "iu":
+        limits = np.iinfo(prop.item_type)
+        held = (values >= limits.min) & (values < float(limits.max) + 1)
+        if not held.all():
+            wrong = f"{values[~held][0]:g}, which is no {prop.item_type.name}"
+            raise _damaged(path, f"{prop.name} of {element.name} holds {wrong}")
+    with np.errstate(over="ignore"):  # beyond float32 is infinite, which is refused where it matters
+        return values.astype(prop.item_type)
 
 
 def _binary_columns(
@@ -164,7 +179,8 @@ def _binary_columns(
     position = 0
     for element in elements:
         result = _uniform_rows(body[position:], element, order)
-        if result is None:
+        # A row has a byte at least, so a count beyond the file's size is not worth making room for.
+        if result is None and element.count <= len(body):
             result = _ragged_rows(body[position:], element, order)
         if result is None:
             raise _damaged(path, f"it declares {element.count} {element.name} rows, but ends before that")

@@ -35,7 +35,8 @@ class RawScan:
     Raises
     ------
     ScanError
-        For wrong shapes, no faces, non-finite numbers, or face indices out of range.
+        For wrong shapes, no faces, non-finite numbers, face indices out of range, or a name that names no
+        folder.
     """
 
     vertices: NDArray[np.float64]
@@ -47,6 +48,11 @@ class RawScan:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.name in ("", ".", "..") or set(self.name) & set("/\\\0"):
+            raise ScanError(
+                f"a scan cannot be named {self.name!r}: its results get a folder of that name; "
+                "rename the file, or give another `name`"
+            )
         vertices = self._checked("vertices", self.vertices, np.float64, (None, 3))
         faces = self._checked("faces", self.faces, np.int64, (None, 3))
         object.__setattr__(self, "vertices", vertices)

@@ -136,3 +136,9 @@ def test_raw_scans_from_memory_are_checked():
         RawScan(np.eye(3), [[0, 1, 2]], uv=[[[0, 0], [0, np.nan], [1, 1]]], name="me")
     with pytest.raises(ScanError, match=r"me: the scan has no faces \(3 vertices\)"):
         RawScan(np.eye(3), np.zeros((0, 3)), name="me")
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "..\\up"])
+def test_a_name_that_names_no_folder_is_refused(name):
+    with pytest.raises(ScanError, match="a scan cannot be named"):
+        RawScan(np.eye(3), [[0, 1, 2]], name=name)

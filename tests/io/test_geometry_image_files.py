@@ -111,3 +111,24 @@ def test_archives_of_other_things_are_refused_by_name(tmp_path):
     (tmp_path / "e.png").touch()
     with pytest.raises(GeometryImageError, match=r"e\.png: geometry images are \.npz or \.exr"):
         read_geometry_image(tmp_path / "e.png")
+
+
+@pytest.mark.parametrize(
+    ("occluder", "message"),
+    [
+        ((np.zeros((3, 2)), np.array([[0, 1, 2]])), r"vertices \(3, 2\) and faces \(1, 3\)"),
+        ((np.full((3, 3), np.nan), np.array([[0, 1, 2]])), "NaN"),
+        ((np.zeros((3, 3)), np.array([[0, 1, 3]])), r"vertices 0 \.\.\. 3 of 3"),
+        ((np.zeros((3, 3)), np.array([[0, 1, -1]])), r"vertices -1 \.\.\. 1 of 3"),
+    ],
+)
+def test_an_occluder_that_is_no_mesh_is_refused(occluder, message):
+    grid = np.zeros((2, 2, 3))
+    with pytest.raises(GeometryImageError, match=message):
+        GeometryImage(grid, grid, np.ones((2, 2), bool), occluder=occluder)
+
+
+def test_nan_in_the_annotation_is_refused():
+    grid = np.zeros((2, 2, 3))
+    with pytest.raises(GeometryImageError, match="specular_scale holds NaN"):
+        GeometryImage(grid, grid, np.ones((2, 2), bool), specular_scale=np.full((2, 2), np.nan))

@@ -152,6 +152,9 @@ def test_wrong_images_are_refused(tmp_path):
         write_png(tmp_path / "a.png", np.zeros(3))
     with pytest.raises(ValueError, match="NaN"):
         write_png(tmp_path / "a.png", np.full((2, 2), np.nan))
+    for dtype in (np.int64, np.complex64):
+        with pytest.raises(ValueError, match=f"samples of {np.dtype(dtype)}, expected uint8"):
+            write_png(tmp_path / "a.png", np.zeros((2, 2), dtype))
     with pytest.raises(ValueError, match="expected"):
         write_exr(tmp_path / "a.exr", np.zeros((2, 2, 5)))
     with pytest.raises(OutputError, match=r"a\.xyz: images are written as"):

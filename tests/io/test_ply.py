@@ -182,6 +182,10 @@ def test_truncated_files_are_refused_by_name(tmp_path, layout, part):
         ((b"3 0 1 2", b"3 0 1 -2"), "a face refers to vertex -2, but there are 4"),
         ((b"3 0 1 2", b"7 0 1 2"), "a list vertex_indices of face is cut short"),
         ((b"100.0 0.0 0.0", b"100.0 nan 0.0"), "1 vertices used by faces are NaN.*vertex 1"),
+        ((b"3 0 1 2", b"3 0 1 nan"), "vertex_indices of face holds nan, which is no int32"),
+        ((b"3 0 1 2", b"nan 0 1 2"), "a list vertex_indices of face is cut short"),
+        ((b"property float y", b"property float x"), "its vertex has no properties, or one twice"),
+        ((b"100.0 0.0 0.0", b"1e99 0.0 0.0"), "1 vertices used by faces are NaN or infinite.*vertex 1"),
         ((b"100.0 0.0 0.0", b"100.0 zero 0.0"), "vertex 1 is not made of numbers"),
         ((b"element face 2", b"element face 0"), "point cloud of 4 vertices"),
         ((b"element face 2", b"element tristrips 2"), "triangle strips"),
@@ -194,6 +198,24 @@ def test_damaged_files_are_refused_by_name(tmp_path, change, message):
     path.write_bytes(data.replace(*change))
     with pytest.raises(ScanError, match=r"a\.ply: .*" + message):
         load_scan(path)
+
+
+@pytest.mark.parametrize("layout", FORMATS)
+def test_a_count_beyond_the_file_is_refused_without_making_room_for_it(tmp_path, layout):
+    path = ply(tmp_path / "a.ply", layout, {"vertex": (XYZ, positions()), "face": (INDICES, triangles())})
+    path.write_bytes(path.read_bytes().replace(b"element face 2", b"element face 2000000000000"))
+    with pytest.raises(ScanError, match=r"a\.ply: it declares 2000000000000 face rows"):
+        load_scan(path)
+
+
+def test_coordinates_that_are_lists_are_no_coordinates(tmp_path):
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty list uchar float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "1 0 0 0\n2 1 1 0 0\n1 0 1 0\n3 0 1 2\n"
+    )
+    with pytest.raises(ScanError, match=r"a\.ply: its vertices have no x"):
+        load_scan(tmp_path / "a.ply")
 
 
 def test_trimesh_reads_the_same(tmp_path):

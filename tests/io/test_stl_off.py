@@ -86,6 +86,8 @@ def test_coff_vertex_colours(tmp_path, top):
         ({"faces": ["3 0 1"]}, "fewer than 3 corners"),
         ({"faces": ["2 0 1"]}, "fewer than 3 corners"),
         ({"faces": ["3 0 1 8"]}, "a face refers to vertex 8, but there are 4 vertices"),
+        ({"faces": ["3 0 1 1e30"]}, "a face refers to vertex -1"),
+        ({"faces": ["1e30 0 1 2"]}, "fewer than it declares"),
         ({"vertices": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "fewer than 3 coordinates"),
     ],
 )
