@@ -181,6 +181,10 @@ def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
             "template_face": (entry.template_vertices,),
             "template_barycentric": (entry.template_vertices, 3),
         }
+    if "template_offset" in arrays:
+        expected["template_offset"] = (entry.template_vertices, 3)
+    if entry.template_faces:
+        expected["template_faces"] = (entry.template_faces, 3)
     for name, shape in expected.items():
         got = arrays[name].shape if name in arrays else None
         if got != shape:
@@ -192,8 +196,13 @@ def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
     for name, values in arrays.items():
         if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
             raise ModelError(f"face model: {name} in {path} holds NaN or infinite values")
-    for name in ("control_faces", "landmark_face", "template_face"):
-        limit = entry.control_vertices if name == "control_faces" else entry.control_faces
+    limits = {
+        "control_faces": entry.control_vertices,
+        "landmark_face": entry.control_faces,
+        "template_face": entry.control_faces,
+        "template_faces": entry.template_vertices,
+    }
+    for name, limit in limits.items():
         if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
             raise ModelError(f"face model: {name} in {path} points outside 0 ... {limit - 1}")
 

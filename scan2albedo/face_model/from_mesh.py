@@ -58,7 +58,8 @@ def model_from_mesh(
     uv : (T, 2) array of float, optional
         One continuous chart; a new one is drawn when omitted or when it folds over.
     regions : mapping of str to array, optional
-        Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face".
+        Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
+        what closes a hole of the template is region "filled"; these two names are taken.
     landmarks : (68, 3) array of float or (68,) array of int, optional
         Points in the template's frame and unit, or vertex indices, iBUG-68 order.
     control_size : int
@@ -197,6 +198,10 @@ def _regions(
 ) -> tuple[NDArray[np.uint8], dict[str, Region]]:
     """Give each control face the region of the template vertex nearest to its centre."""
     named = dict(regions or {})
+    if taken := sorted({REST_REGION, FILLED_REGION} & set(named)):
+        raise ModelError(
+            f"{name}: the region name {taken[0]!r} is taken for faces in no region, or over holes; rename it"
+        )
     if len(named) > MAX_REGIONS:
         raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
     label = np.zeros(len(template.all_vertices), np.uint8)
@@ -223,11 +228,13 @@ def _member_vertices(
         return np.flatnonzero(members)
     if members.dtype == bool and members.shape == (len(faces),):
         return np.unique(faces[members])
-    if members.dtype.kind in "iu" and members.ndim == 1 and (members.size == 0 or members.max() < count):
-        return members.astype(np.int64)
+    if members.dtype.kind in "iu" and members.ndim == 1:
+        index = members.astype(np.int64)
+        if ((index >= 0) & (index < count)).all():
+            return index
     raise ModelError(
         f"{name}: region {title!r} has shape {members.shape} and type {members.dtype}; expected vertex "
-        f"indices below {count}, or a bool mask of {count} vertices or {len(faces)} faces"
+        f"indices from 0 to {count - 1}, or a bool mask of {count} vertices or {len(faces)} faces"
     )
 
 
@@ -244,7 +251,8 @@ def _landmarks(
     given = np.asarray(landmarks)
     if given.shape == (LANDMARK_COUNT,) and given.dtype.kind in "iu":
         if given.min() < 0 or given.max() >= len(vertices):
-            raise ModelError(f"{name}: landmark vertex {given.max()} out of range 0 ... {len(vertices) - 1}")
+            wrong = given.min() if given.min() < 0 else given.max()
+            raise ModelError(f"{name}: landmark vertex {wrong} out of range 0 ... {len(vertices) - 1}")
         chosen = given.astype(np.int64)
     elif given.shape == (LANDMARK_COUNT, 3):
         chosen = _nearest_vertices(given.astype(float), vertices, template, name)
@@ -259,14 +267,17 @@ def _nearest_vertices(
     points: FloatArray, vertices: FloatArray, template: CleanTemplate, name: str
 ) -> IntArray:
     """Return the nearest cleaned template vertex to points in the template's own unit and frame."""
+    if not np.isfinite(points).all():
+        wrong = int(np.flatnonzero(~np.isfinite(points).all(1))[0])
+        raise ModelError(f"{name}: landmark {wrong} is NaN or infinite; give its point, or no landmarks")
     distance, nearest = cKDTree(vertices[template.source]).query(points)
     size_per_mm = float(
         np.ptp(vertices[template.source], axis=0).max() / np.ptp(template.vertices, axis=0).max()
     )
-    far = distance > LANDMARK_REACH_MM * size_per_mm
-    if not np.isfinite(distance).all() or far.any():
+    farthest = int(np.argmax(distance))
+    if distance[farthest] > LANDMARK_REACH_MM * size_per_mm:
         raise ModelError(
-            f"{name}: landmark {int(np.argmax(far))} lies {distance.max() / size_per_mm:.0f} mm from the "
+            f"{name}: landmark {farthest} lies {distance[farthest] / size_per_mm:.0f} mm from the "
             f"template, at most {LANDMARK_REACH_MM:.0f} expected; give landmarks in the template's own frame"
         )
     return template.source[nearest]

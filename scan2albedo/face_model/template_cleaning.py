@@ -99,7 +99,8 @@ def _checked(vertices: FloatArray, faces: IntArray, name: str) -> tuple[FloatArr
         raise ModelError(f"{name}: {bad} template vertices are NaN or infinite; repair or re-export it")
     index = index.astype(np.int64)
     if index.min() < 0 or index.max() >= len(xyz):
-        raise ModelError(f"{name}: a face refers to vertex {index.max()}, but there are {len(xyz)} vertices")
+        wrong = index.min() if index.min() < 0 else index.max()
+        raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(xyz)} vertices")
     used = len(np.unique(index))
     if used < MIN_VERTICES:
         raise ModelError(f"{name}: the template has {used} vertices in faces, at least {MIN_VERTICES} needed")

@@ -127,6 +127,30 @@ def test_bad_numbers_are_refused(saved: Path):
         load_model(saved)
 
 
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"template_offset": np.zeros((2, 3))}, "template_offset in .* is of shape"),
+        ({"template_faces": np.zeros((2, 3), np.int32)}, "template_faces in .* is of shape"),
+        (
+            {"template_faces": np.array([[0, 1, 3]], np.int32)},
+            r"template_faces in .* points outside 0 \.\.\. 2",
+        ),
+    ],
+)
+def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, arrays: dict[str, np.ndarray], message: str):
+    model = dataclasses.replace(
+        AnnotatedFaceModel.default(),
+        template_points=SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3)),
+        template_offset=np.zeros((3, 3)),
+        template_faces=np.array([[0, 1, 2]]),
+    )
+    save_model(model, tmp_path / "t.json")
+    change_arrays(tmp_path / "t.json", **arrays)
+    with pytest.raises(ModelError, match=message):
+        load_model(tmp_path / "t.json")
+
+
 def test_unknown_region_is_refused(saved: Path):
     region = AnnotatedFaceModel.default().region.copy()
     region[0] = 200

@@ -172,7 +172,8 @@ def test_what_cannot_be_used_is_refused_with_the_reason():
         (vertices[:, :2], faces, "shape"),
         (vertices, faces[:0], "point cloud"),
         (broken, faces, "NaN"),
-        (vertices, faces + 5, "refers to vertex"),
+        (vertices, faces + 5, f"refers to vertex {faces.max() + 5},"),
+        (vertices, faces - 1, "refers to vertex -1,"),
         (vertices[:4], np.array([[0, 1, 2], [1, 3, 2]]), "at least 100"),
         (7000 * vertices, faces, "no head"),
         (vertices, fin, "more than two faces"),
@@ -189,8 +190,13 @@ def test_wrong_annotations_are_refused_with_the_reason():
         ({"uv": np.zeros((3, 2))}, "uv has shape"),
         ({"landmarks": np.zeros((51, 3))}, "68"),
         ({"landmarks": np.full(68, 999)}, "out of range"),
+        ({"landmarks": np.r_[-1, np.arange(67)]}, "landmark vertex -1 out of range"),
         ({"landmarks": vertices[:68] + 500}, "mm from the template"),
+        ({"landmarks": np.r_[vertices[:67], [[0, np.nan, 0]]]}, "landmark 67 is NaN"),
+        ({"landmarks": np.r_[vertices[:67], [[0, 0, 400.0]]]}, "landmark 67 lies"),
         ({"regions": {"nose": np.array([0, 5000])}}, "'nose'"),
+        ({"regions": {"nose": np.array([0, -1])}}, "'nose'"),
+        ({"regions": {"filled": np.array([0])}}, "'filled' is taken"),
     ):
         with pytest.raises(ModelError, match=message):
             AnnotatedFaceModel.from_mesh(vertices, faces, **extra)
