@@ -15,7 +15,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ClosestHits:
-    """Closest surface points: `points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,)."""
+    """Closest points of a surface: `points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,)."""
 
     points: FloatArray
     face: IntArray

@@ -9,18 +9,16 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.geometry.closest_points import ClosestHits
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class NearestHits:
-    """`points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,); `vertex` (N,) to walk on from."""
+class NearestHits(ClosestHits):
+    """Closest points of a surface, and the nearest `vertex` (N,) to walk on from."""
 
-    points: FloatArray
-    face: IntArray
-    barycentric: FloatArray
-    distance: FloatArray
     vertex: IntArray
 
 
