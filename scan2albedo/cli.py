@@ -52,15 +52,28 @@ def process(
     seed: SeedOption = 0,
     skip: Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")] = None,
     force: Annotated[
-        list[str] | None, typer.Option(help="A stage to run in any case; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."
+        ),
     ] = None,
     json_summary: JsonOption = False,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
-    _stop_cleanly_on_interrupt(out)
+    _refuse_shared_folders(scans)
+    light_choice = _light_choice(lights)
+    from scan2albedo.choices import check_choices, check_stage_names
+    from scan2albedo.optimization import Budget
     from scan2albedo.pipeline import process as run
     from scan2albedo.progress import ProgressLines
 
+    try:
+        check_stage_names(skip or (), force or ())
+        check_choices(size, light_choice, brdf, unit)
+        spend = Budget.of(budget)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    _stop_cleanly_on_interrupt(out)
     summaries, failures = [], 0
     for path in scans:
         with ProgressLines(path.stem) as progress:
@@ -70,10 +83,10 @@ def process(
                     out=out,
                     model=_model_choice(model),
                     size=size,
-                    lights=_light_choice(lights),
+                    lights=light_choice,
                     brdf=brdf,
                     unit=unit,
-                    budget=budget,
+                    budget=spend,
                     seed=seed,
                     skip=tuple(skip or ()),
                     force=tuple(force or ()),
@@ -87,7 +100,7 @@ def process(
             progress.say(result.summary())
         summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
     if json_summary:
-        typer.echo(json.dumps(summaries if len(scans) > 1 else summaries[0], indent=2))
+        _echo_json(summaries if len(scans) > 1 else summaries[0])
     if failures:
         raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
 
@@ -107,7 +120,10 @@ def demo(
     with ProgressLines("demo") as progress:
         report = run_demo(out, seed=seed, size=size, on_progress=progress.update)
         progress.say(report.result.summary())
-    typer.echo(json.dumps(report.figures(), indent=2) if json_summary else report.table())
+    if json_summary:
+        _echo_json(report.figures())
+    else:
+        typer.echo(report.table())
 
 
 @app.command()
@@ -136,7 +152,7 @@ def validate(
                 size=size, seed=seed, on_row=lambda row, show=progress.say: show(row.text())
             )
     if json_summary:
-        typer.echo(json.dumps({name: table.figures() for name, table in results.items()}, indent=2))
+        _echo_json({name: table.figures() for name, table in results.items()})
         return
     for table in results.values():
         typer.echo(validation.format_table(table))
@@ -157,12 +173,31 @@ def doctor(json_summary: JsonOption = False) -> None:
             if finding.remedy:
                 typer.echo(f"         mend it with: {finding.remedy}")
     if json_summary:
-        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
+        _echo_json([asdict(finding) for finding in findings])
     if not all(finding.good for finding in findings):
         raise typer.Exit(SOME_FAILED)
 
 
-def _model_choice(name: str) -> Any:
+def _echo_json(value: Any) -> None:
+    """Print strict JSON on stdout: what is infinite or unknown is null."""
+    from scan2albedo.io.result_json import plain_json
+
+    typer.echo(json.dumps(plain_json(value), indent=2, allow_nan=False))
+
+
+def _refuse_shared_folders(scans: list[Path]) -> None:
+    """Refuse scans whose results would overwrite each other: the folder of a result has the scan's name."""
+    first: dict[str, Path] = {}
+    for path in scans:
+        other = first.setdefault(path.stem, path)
+        if other is not path:
+            raise typer.BadParameter(
+                f"{other} and {path} would both be written to the folder {path.stem}; "
+                "rename one, or process them into different folders"
+            )
+
+
+def _model_choice(name: str) -> str | None:
     return None if name == "default" else name
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
-from scan2albedo.albedo.estimate import BRDFS
+from scan2albedo.choices import check_choices, check_stage_names
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace, fit
@@ -21,27 +21,9 @@ from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, T
 from scan2albedo.process_result import ProcessResult
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
-from scan2albedo.sampling.face import SMALLEST_SIZE
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left that each stage may take."""
-
-STAGES = (
-    "register",
-    "register.depth_annealing",
-    "fit",
-    "geometry_image",
-    "albedo",
-    "albedo.shadows",
-    "albedo.specular",
-    "albedo.near_light",
-    "albedo.roughness",
-    "albedo.rectification",
-    "albedo.inpainting",
-)
-"""Names that `skip` and `force` take."""
-
-_NEEDED = {"fit", "geometry_image"}
 
 
 def process(
@@ -82,8 +64,11 @@ def process(
         Seconds for the whole run, or a Budget whose evaluations hold for each stage.
     seed : int
         Same seed, input and budget in evaluations: same result, bit by bit.
-    skip, force : sequence of str
-        Names from `STAGES` to leave out, or to run whatever the evidence says.
+    skip : sequence of str
+        Names from `choices.STAGES` to leave out.
+    force : sequence of str
+        Names from `choices.FORCEABLE`: steps to carry out whatever the evidence says, where there is
+        anything to do (a shadow's outline to rectify, a saturated texel to inpaint).
     on_progress : callable, optional
         Called with every `TraceRow`.
 
@@ -97,48 +82,18 @@ def process(
         With one clear message: the scan cannot be read, holds no face, cannot be fitted, or the
         results cannot be written.
     ValueError
-        For an unknown stage or BRDF name, a stage both skipped and forced, a size or number of lights
-        out of range.
+        For an unknown stage, BRDF or unit name, a stage that cannot be skipped or forced, or is both, a
+        size or number of lights out of range.
     """
-    _check_stage_names(skip, force)
-    _check_choices(size, lights, brdf)
+    check_stage_names(skip, force)
+    check_choices(size, lights, brdf, unit)
     run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), seed, on_progress)
-    options = {
-        "size": size,
-        "lights": lights,
-        "brdf": brdf,
-        "unit": unit,
-        "skip": sorted(skip),
-        "force": sorted(force),
-        "budget_seconds": run.budget.seconds,
-        "budget_evaluations": run.budget.evaluations,
-    }
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         from scan2albedo.result_files import check_writable
 
         check_writable(Path(out))
-    with run.timed("load"):
-        scan = source if isinstance(source, RawScan) else load_scan(source, unit=unit)
-        template = _model(model)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        registration, fitted, image = run.geometry(scan, template, size)
-        estimate = run.albedo(image, scan, lights, brdf)
-    result = ProcessResult(
-        scan,
-        registration,
-        fitted,
-        image,
-        estimate,
-        run.plan,
-        run.trace,
-        run.timings_s,
-        {**options, "model": "none" if template is None else template.name},
-        seed,
-        source=None if isinstance(source, RawScan) else Path(source),
-        messages=tuple(str(warning.message) for warning in caught if warning.category is UserWarning),
-    )
+    result = run.result(source, model, size=size, lights=lights, brdf=brdf, unit=unit)
     if out is None:
         return result
     from scan2albedo.result_files import write_result
@@ -146,26 +101,18 @@ def process(
     return replace(result, out=write_result(result, Path(out)))
 
 
-def _check_stage_names(skip: Sequence[str], force: Sequence[str]) -> None:
-    for name in (*skip, *force):
-        if name not in STAGES:
-            raise ValueError(f"{name!r} is no stage; stages are {', '.join(STAGES)}")
-    if both := sorted(set(skip) & set(force)):
-        raise ValueError(f"stages both skipped and forced: {', '.join(both)}")
-    if needed := sorted(set(skip) & _NEEDED):
-        raise ValueError(
-            f"{needed[0]!r} cannot be skipped: later stages stand on it (model='none' works without)"
-        )
-
-
-def _check_choices(size: int, lights: int | str, brdf: str) -> None:
-    """Refuse what a late stage would refuse, before an early one has worked for nothing."""
-    if size < SMALLEST_SIZE:
-        raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}")
-    if lights != "auto" and (isinstance(lights, str) or lights < 1):
-        raise ValueError(f"lights is {lights!r}, expected 'auto' or a whole number >= 1")
-    if brdf not in BRDFS:
-        raise ValueError(f"brdf is {brdf!r}, expected one of {', '.join(BRDFS)}")
+@contextmanager
+def _kept_messages() -> Iterator[list[str]]:
+    """Give a list that holds the user warnings of the block when it ends; other warnings pass on."""
+    messages: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield messages
+    for warning in caught:
+        if issubclass(warning.category, UserWarning):
+            messages.append(str(warning.message))
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
 def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
@@ -199,6 +146,49 @@ class _Run:
         begin = time.perf_counter()
         yield
         self.timings_s[stage] = time.perf_counter() - begin
+
+    def result(
+        self,
+        source: str | Path | RawScan,
+        model: AnnotatedFaceModel | str | Path | None,
+        *,
+        size: int,
+        lights: int | str,
+        brdf: str,
+        unit: str,
+    ) -> ProcessResult:
+        """Take the scan through the stages; no file is written."""
+        with self.timed("load"):
+            scan = source if isinstance(source, RawScan) else load_scan(source, unit=unit)
+            template = _model(model)
+        with _kept_messages() as messages:
+            registration, fitted, image = self.geometry(scan, template, size)
+            estimate = self.albedo(image, scan, lights, brdf)
+        options = {
+            "size": size,
+            "lights": lights,
+            "brdf": brdf,
+            "unit": unit,
+            "skip": sorted(self.skip),
+            "force": sorted(self.force),
+            "budget_seconds": self.budget.seconds,
+            "budget_evaluations": self.budget.evaluations,
+            "model": "none" if template is None else template.name,
+        }
+        return ProcessResult(
+            scan,
+            registration,
+            fitted,
+            image,
+            estimate,
+            self.plan,
+            self.trace,
+            self.timings_s,
+            options,
+            self.seed,
+            source=None if isinstance(source, RawScan) else Path(source),
+            messages=tuple(messages),
+        )
 
     def share(self, stage: str) -> Budget:
         """Return the stage's part of what is left of the budget."""

@@ -72,8 +72,9 @@ def check_writable(out: Path) -> None:
 def write_result(result: ProcessResult, out: Path) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
-    The files are made in a hidden folder beside it and renamed into place, `result.json` last: a run
-    that is killed, or a disk that is full, leaves older results as they were and no half-file.
+    The files are made in a hidden folder beside it and then renamed into place: a run that is killed
+    while they are made, or a disk that is full, leaves older results as they were and no half-file. An
+    older `result.json` goes first and the new one comes last, so a folder that has one is whole.
 
     Raises
     ------
@@ -85,6 +86,7 @@ def write_result(result: ProcessResult, out: Path) -> Path:
         with staging_folder(make_folder(out), folder.name) as staging:
             _write_all(result, staging)
             make_folder(folder)
+            (folder / "result.json").unlink(missing_ok=True)
             for name in FILES - {path.name for path in staging.iterdir()}:
                 (folder / name).unlink(missing_ok=True)  # of an older run with more stages
             for path in sorted(staging.iterdir(), key=lambda p: p.name == "result.json"):

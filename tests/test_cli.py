@@ -13,7 +13,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from scan2albedo import validation
-from scan2albedo.cli import app
+from scan2albedo.cli import _echo_json, app
 
 COMMAND = [sys.executable, "-m", "scan2albedo.cli"]
 
@@ -105,6 +105,12 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
         ("process", "x.obj"),
         ("process", "x.obj", "-o", "out", "--lights", "many"),
         ("process", "x.obj", "-o", "out", "--skip", "nonsense"),
+        ("process", "x.obj", "-o", "out", "--force", "fit"),
+        ("process", "x.obj", "-o", "out", "--lights", "0"),
+        ("process", "x.obj", "-o", "out", "--brdf", "phong"),
+        ("process", "x.obj", "-o", "out", "--unit", "yard"),
+        ("process", "x.obj", "-o", "out", "--budget", "0"),
+        ("process", "x.obj", "-o", "out", "--size", "7"),
         ("validate", "everything"),
         ("frobnicate",),
     ],
@@ -113,6 +119,21 @@ def test_usage_errors_are_2_without_a_traceback(arguments, tmp_path):
     failed = run(*arguments, cwd=tmp_path)
     assert failed.returncode == 2
     assert "Traceback" not in failed.stderr
+    assert failed.stderr.count("Error") == 1
+    assert failed.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_path):
+    answer = CliRunner().invoke(app, ["process", "a/face.obj", "b/face.ply", "-o", str(tmp_path)])
+    assert answer.exit_code == 2
+    assert "would both be written" in answer.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_infinite_is_null_in_the_summary(capsys):
+    _echo_json({"light_distance_mm": float("inf"), "mean_mm": np.float64("nan"), "lights": np.int64(2)})
+    assert json.loads(capsys.readouterr().out) == {"light_distance_mm": None, "mean_mm": None, "lights": 2}
 
 
 def test_interrupting_leaves_nothing_behind(ball, tmp_path):

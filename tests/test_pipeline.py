@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import warnings
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
+from scan2albedo.choices import FORCEABLE
 from scan2albedo.demo import compare_with_truth, run_demo
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
@@ -134,13 +136,18 @@ def test_a_scan_without_colour_ends_without_albedo_and_says_so(case, tmp_path):
     assert {"overview.png", "geometry_image.npz", "result.json"} <= names
 
 
-def test_an_object_without_a_face_goes_through_xatlas_charts(tmp_path):
+@pytest.fixture(scope="module")
+def ball():
+    """A lit sphere: an object, no face."""
     import trimesh
 
-    ball = trimesh.creation.icosphere(3, 60.0)
-    shade = np.clip(ball.vertex_normals @ [0.5, 0.3, 0.8], 0, None)[:, None] * [0.5, 0.4, 0.3] + 0.1
-    scan = s2a.RawScan(ball.vertices, ball.faces, vertex_color_linear=shade, name="ball")
-    result = s2a.process(scan, tmp_path, model="none", size=96)
+    mesh = trimesh.creation.icosphere(3, 60.0)
+    shade = np.clip(mesh.vertex_normals @ [0.5, 0.3, 0.8], 0, None)[:, None] * [0.5, 0.4, 0.3] + 0.1
+    return s2a.RawScan(mesh.vertices, mesh.faces, vertex_color_linear=shade, name="ball")
+
+
+def test_an_object_without_a_face_goes_through_xatlas_charts(ball, tmp_path):
+    result = s2a.process(ball, tmp_path, model="none", size=96)
     assert result.registration is None
     assert result.fitted is None
     assert result.albedo is not None
@@ -152,13 +159,51 @@ def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(case):
     for wrong, message in (
         ({"skip": ["nonsense"]}, "no stage"),
         ({"skip": ["fit"]}, "cannot be skipped"),
-        ({"skip": ["albedo"], "force": ["albedo"]}, "both skipped and forced"),
+        ({"force": ["nonsense"]}, "no stage"),
+        (
+            {"force": ["fit"]},
+            "'fit' cannot be forced.*can be forced is register.depth_annealing, albedo.shad",
+        ),
+        (
+            {"skip": ["albedo.shadows"], "force": ["albedo.shadows"]},
+            "is forced, but 'albedo.shadows' is skip",
+        ),
+        ({"skip": ["albedo"], "force": ["albedo.shadows"]}, "is forced, but 'albedo' is skipped"),
         ({"brdf": "phong"}, "oren-nayar"),
         ({"lights": 0}, "lights is 0"),
+        ({"lights": 1.5}, "lights is 1.5"),
+        ({"unit": "yard"}, "unit is 'yard', expected one of auto, mm"),
         ({"size": 2}, "at least 8"),
     ):
         with pytest.raises(ValueError, match=message):
             s2a.process(case[0], **wrong)
+
+
+def test_forced_steps_run_whatever_the_evidence(ball):
+    # Nothing is saturated and no outline is cast here, so there is nothing to inpaint or rectify.
+    steps = ["albedo.shadows", "albedo.specular", "albedo.near_light", "albedo.roughness"]
+    plan = s2a.process(ball, model="none", size=48).plan
+    assert not any(plan.ran(step) for step in steps)
+    assert {step.stage for step in plan} > {name for name in FORCEABLE if name.startswith("albedo.")}
+    forced = s2a.process(ball, model="none", size=48, force=steps)
+    assert all(forced.plan.ran(step) for step in steps)
+    assert forced.options["force"] == sorted(steps)
+
+
+def test_warnings_of_the_stages_are_kept_and_others_pass(ball, monkeypatch):
+    from scan2albedo import pipeline
+
+    sample = pipeline.geometry_image_of_scan
+
+    def warn(*arguments):
+        warnings.warn("a hair in the soup", UserWarning, stacklevel=1)
+        warnings.warn("mean of empty slice", RuntimeWarning, stacklevel=1)
+        return sample(*arguments)
+
+    monkeypatch.setattr(pipeline, "geometry_image_of_scan", warn)
+    with pytest.warns(RuntimeWarning, match="empty slice"):
+        result = s2a.process(ball, model="none", size=48, skip=["albedo"])
+    assert result.messages == ("a hair in the soup",)
 
 
 def test_missing_model_and_scan_files_are_named():
@@ -224,6 +269,25 @@ def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
     assert set(json.loads((folder / "result.json").read_text())["files"]) == {
         p.name for p in folder.iterdir()
     }
+
+
+def test_an_interrupted_renaming_leaves_no_folder_that_looks_whole(result, tmp_path, monkeypatch):
+    from scan2albedo import result_files
+
+    folder = result_files.write_result(result, tmp_path)
+    replace_file = os.replace
+
+    def killed(source, target):
+        if Path(target).name == "overview.png" and Path(target).parent == folder:
+            raise KeyboardInterrupt
+        replace_file(source, target)
+
+    monkeypatch.setattr(result_files.os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        result_files.write_result(result, tmp_path)
+    assert not (folder / "result.json").exists()
+    monkeypatch.undo()
+    assert (result_files.write_result(result, tmp_path) / "result.json").is_file()
 
 
 @pytest.mark.slow

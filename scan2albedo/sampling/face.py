@@ -13,12 +13,12 @@ from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.sampling.size import check_size
 from scan2albedo.sampling.texture_lookup import LookupOptions, TextureLookup, texel_steps
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
 
-SMALLEST_SIZE = 8
 SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
 
@@ -88,10 +88,7 @@ def geometry_image(
     ----------
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """
-    if size < SMALLEST_SIZE:
-        raise GeometryImageError(
-            f"size {size} is too small for a geometry image; at least {SMALLEST_SIZE} is needed"
-        )
+    check_size(size)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)
     if not raster.covered.any():
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")

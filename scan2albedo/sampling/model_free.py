@@ -12,6 +12,7 @@ from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.sampling.size import check_size
 from scan2albedo.sampling.texture_lookup import LookupOptions, TextureLookup, texel_steps
 
 
@@ -37,7 +38,7 @@ def geometry_image_of_scan(
     scan : RawScan
         Any object; its own frame, mm.
     size : int
-        Height and width in texels.
+        Height and width in texels, at least 8.
     options : ModelFreeOptions
         Simplification, padding and texture lookup.
 
@@ -49,8 +50,9 @@ def geometry_image_of_scan(
     Raises
     ------
     GeometryImageError
-        When no chart can be made (for example, only zero-area faces).
+        When `size` is below 8, or no chart can be made (for example, only zero-area faces).
     """
+    check_size(size)
     vertices, faces = _chartable(scan, options.max_faces)
     chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size, options.padding)
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]

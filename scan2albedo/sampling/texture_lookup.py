@@ -13,6 +13,9 @@ from scan2albedo.io.raw_scan import RawScan
 
 FloatArray = NDArray[np.float64]
 
+SIDEWAYS_MM = 0.5
+"""A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
+
 
 @dataclass(frozen=True)
 class LookupOptions:
@@ -70,7 +73,7 @@ class TextureLookup:
         on_edge = boundary_vertex_mask(len(self._scan.vertices), faces)[faces[face]]
         at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
         sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-        return at_boundary & (np.linalg.norm(sideways, axis=1) > 0.5)
+        return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)
 
     def _dense_enough(self) -> NDArray[np.bool_]:
         """(F,) whether a face has enough photograph pixels for its area."""
