@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Integral
 
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.io.units import MM_PER_UNIT
@@ -60,7 +61,7 @@ def check_choices(size: int, lights: int | str, brdf: str, unit: str) -> None:
     """
     if size < SMALLEST_SIZE:
         raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}")
-    if lights != "auto" and (not isinstance(lights, int) or lights < 1):
+    if lights != "auto" and (not isinstance(lights, Integral) or lights < 1):
         raise ValueError(f"lights is {lights!r}, expected 'auto' or a whole number >= 1")
     if brdf not in BRDFS:
         raise ValueError(f"brdf is {brdf!r}, expected one of {', '.join(BRDFS)}")

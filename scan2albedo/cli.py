@@ -81,7 +81,7 @@ def process(
                 result = run(
                     path,
                     out=out,
-                    model=_model_choice(model),
+                    model=model,
                     size=size,
                     lights=light_choice,
                     brdf=brdf,
@@ -134,6 +134,7 @@ def validate(
     json_summary: JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
+    _stop_cleanly_on_interrupt(None)
     from scan2albedo import validation
     from scan2albedo.progress import ProgressLines
 
@@ -197,10 +198,6 @@ def _refuse_shared_folders(scans: list[Path]) -> None:
             )
 
 
-def _model_choice(name: str) -> str | None:
-    return None if name == "default" else name
-
-
 def _light_choice(lights: str) -> str | int:
     if lights == "auto":
         return lights
@@ -214,7 +211,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def _stop_cleanly_on_interrupt(out: Path) -> None:
+def _stop_cleanly_on_interrupt(out: Path | None) -> None:
     """Make Ctrl-C remove what is half-written in `out`, say so, and end the process at once.
 
     Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state
@@ -222,7 +219,8 @@ def _stop_cleanly_on_interrupt(out: Path) -> None:
     """
 
     def stop(signum: int, frame: object) -> None:
-        remove_unfinished(out)
+        if out is not None:
+            remove_unfinished(out)
         show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
         complaint = f"{show_cursor}scan2albedo: interrupted; nothing half-written was left behind"
         print(complaint, file=sys.stderr, flush=True)

@@ -49,7 +49,7 @@ def process(
         The scan.
     out : path, optional
         Folder that gets a subfolder named after the scan with the files of the result.
-    model : AnnotatedFaceModel, path or "none", optional
+    model : AnnotatedFaceModel, path, "default" or "none", optional
         The template; the default model when omitted. "none" processes any object without a face:
         xatlas charts, no registration, no fit.
     size : int
@@ -116,15 +116,15 @@ def _kept_messages() -> Iterator[list[str]]:
 
 
 def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
-    if model is None:
-        return AnnotatedFaceModel.default()
     if isinstance(model, AnnotatedFaceModel):
         return model
+    if model is None or str(model) == "default":
+        return AnnotatedFaceModel.default()
     if str(model) == "none":
         return None
     if not Path(model).is_file():
         raise ModelError(f"{model}: no such model file; give a model's JSON file, 'default' or 'none'")
-    return AnnotatedFaceModel.load(str(model))
+    return AnnotatedFaceModel.load(model)
 
 
 @dataclass

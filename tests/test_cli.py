@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from scan2albedo import validation
+from scan2albedo import cli, validation
 from scan2albedo.cli import _echo_json, app
 
 COMMAND = [sys.executable, "-m", "scan2albedo.cli"]
@@ -89,6 +89,7 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
     monkeypatch.setattr(
         validation, "_lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
+    monkeypatch.setattr(cli, "_stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
     done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
     assert done.exit_code == 0, done.output
     tables = json.loads(done.stdout)

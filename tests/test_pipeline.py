@@ -206,6 +206,11 @@ def test_warnings_of_the_stages_are_kept_and_others_pass(ball, monkeypatch):
     assert result.messages == ("a hair in the soup",)
 
 
+def test_the_default_model_has_a_name(ball):
+    with pytest.raises(RegistrationError, match="ball"):
+        s2a.process(ball, model="default")
+
+
 def test_missing_model_and_scan_files_are_named():
     with pytest.raises(ScanError, match=r"nowhere\.obj"):
         s2a.process("nowhere.obj")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,54 +31,29 @@ LANDMARK_REACH_MM = 30.0
 MAX_REGIONS = 253
 
 
-def model_from_mesh(
-    vertices: FloatArray,
-    faces: IntArray,
-    uv: FloatArray | None = None,
-    regions: Mapping[str, IntArray] | None = None,
-    landmarks: FloatArray | IntArray | None = None,
-    *,
-    control_size: int = 1000,
-    name: str = "template",
-) -> AnnotatedFaceModel:
-    """Make an `AnnotatedFaceModel` from a dense face template of 100 to 100,000 vertices.
+@dataclass(frozen=True)
+class DenseTemplate:
+    """What `AnnotatedFaceModel.from_mesh` was given; see there."""
 
-    The template is mended (`clean_template`: unit, seams, loose parts, holes for eyes and mouth), its
-    edges are collapsed to about `control_size` vertices, and these are moved until the Loop limit
-    surface passes near the template. Every template vertex is placed on that surface, so that a fit
-    returns the face in the template's own topology.
+    vertices: FloatArray
+    faces: IntArray
+    uv: FloatArray | None
+    regions: Mapping[str, IntArray] | None
+    landmarks: FloatArray | IntArray | None
+    name: str
 
-    Parameters
-    ----------
-    vertices : (T, 3) array of float
-        Millimetres, centimetres or metres (decided by the size of a head); +x the subject's left,
-        +y up, +z out of the face.
-    faces : (F, 3) array of int
-        Triangles. Vertices without a face, or on loose parts (eyeballs), are carried along by the
-        nearest surface.
-    uv : (T, 2) array of float, optional
-        One continuous chart; a new one is drawn when omitted or when it folds over.
-    regions : mapping of str to array, optional
-        Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
-        what closes a hole of the template is region "filled"; these two names are taken.
-    landmarks : (68, 3) array of float or (68,) array of int, optional
-        Points in the template's frame and unit, or vertex indices, iBUG-68 order.
-    control_size : int
-        Control vertices aimed at; a template not much larger keeps its own vertices.
-    name : str
-        Used in messages and results.
 
-    Returns
-    -------
-    AnnotatedFaceModel
-        In millimetres, the template's axes, origin at the centroid of its vertices in faces.
+def model_from_mesh(given: DenseTemplate, control_size: int) -> AnnotatedFaceModel:
+    """Make a model of about `control_size` control vertices; `AnnotatedFaceModel.from_mesh` tells how.
 
     Raises
     ------
     ModelError
         When the template, the regions or the landmarks cannot be used; the message says why.
     """
-    template = clean_template(vertices, faces, name)
+    name = given.name
+    template = clean_template(given.vertices, given.faces, name)
+    faces = np.array(given.faces, np.int64)
     control = fit_limit_surface(
         decimated(template.vertices, template.faces, control_size), template.vertices, template.faces
     )
@@ -87,7 +63,7 @@ def model_from_mesh(
     placed = _all_placed(template, subdivision, control, inner)
     matrix = subdivision.points_matrix(placed)
     offset = _local_offset(matrix @ control.vertices, template.all_vertices, control, placed)
-    region, table = _regions(regions, np.asarray(faces, np.int64), template, control, name)
+    region, table = _regions(given.regions, faces, template, control, name)
     if template.filled.any():
         index = len(table)
         region[_over_holes(template, subdivision, control)] = index
@@ -95,13 +71,15 @@ def model_from_mesh(
     return AnnotatedFaceModel(
         control_vertices=control.vertices,
         control_faces=control.faces,
-        uv=_chart(uv, template, control, matrix, name),
+        uv=_chart(given.uv, template, control, matrix, name),
         region=region,
         regions=table,
-        landmark_points=_landmarks(landmarks, np.asarray(vertices, float), template, placed, name),
+        landmark_points=_landmarks(
+            given.landmarks, np.asarray(given.vertices, float), template, placed, name
+        ),
         template_points=placed,
         template_offset=offset,
-        template_faces=np.array(faces, np.int64),
+        template_faces=faces,
         name=name,
     )
 

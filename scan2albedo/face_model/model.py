@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +120,7 @@ class AnnotatedFaceModel:
         return _default_model()
 
     @classmethod
-    def load(cls, path: str) -> AnnotatedFaceModel:
+    def load(cls, path: str | Path) -> AnnotatedFaceModel:
         """Read a model from its JSON file."""
         from scan2albedo.face_model.files import load_model
 
@@ -137,12 +138,48 @@ class AnnotatedFaceModel:
         control_size: int = 1000,
         name: str = "template",
     ) -> AnnotatedFaceModel:
-        """Make a model from anyone's dense template; see `face_model.from_mesh.model_from_mesh`."""
-        from scan2albedo.face_model.from_mesh import model_from_mesh
+        """Make an `AnnotatedFaceModel` from a dense face template of 100 to 100,000 vertices.
 
-        return model_from_mesh(vertices, faces, uv, regions, landmarks, control_size=control_size, name=name)
+        The template is mended (unit, seams, loose parts, holes for eyes and mouth), its
+        edges are collapsed to about `control_size` vertices, and these are moved until the Loop limit
+        surface passes near the template. Every template vertex is placed on that surface, so that a fit
+        returns the face in the template's own topology.
 
-    def save(self, path: str) -> None:
+        Parameters
+        ----------
+        vertices : (T, 3) array of float
+            Millimetres, centimetres or metres (decided by the size of a head); +x the subject's left,
+            +y up, +z out of the face.
+        faces : (F, 3) array of int
+            Triangles. Vertices without a face, or on loose parts (eyeballs), are carried along by the
+            nearest surface.
+        uv : (T, 2) array of float, optional
+            One continuous chart; a new one is drawn when omitted or when it folds over.
+        regions : mapping of str to array, optional
+            Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
+            what closes a hole of the template is region "filled"; these two names are taken.
+        landmarks : (68, 3) array of float or (68,) array of int, optional
+            Points in the template's frame and unit, or vertex indices, iBUG-68 order.
+        control_size : int
+            Control vertices aimed at; a template not much larger keeps its own vertices.
+        name : str
+            Used in messages and results.
+
+        Returns
+        -------
+        AnnotatedFaceModel
+            In millimetres, the template's axes, origin at the centroid of its vertices in faces.
+
+        Raises
+        ------
+        ModelError
+            When the template, the regions or the landmarks cannot be used; the message says why.
+        """
+        from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_mesh
+
+        return model_from_mesh(DenseTemplate(vertices, faces, uv, regions, landmarks, name), control_size)
+
+    def save(self, path: str | Path) -> None:
         """Write the model as JSON beside a small binary of its arrays."""
         from scan2albedo.face_model.files import save_model
 
