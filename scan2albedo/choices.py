@@ -44,11 +44,11 @@ def check_stage_names(skip: Sequence[str], force: Sequence[str]) -> None:
     for name in force:
         if name not in FORCEABLE:
             raise ValueError(
-                f"{name!r} cannot be forced: it runs unless it is skipped; "
+                f"{name!r} cannot be forced: no evidence leaves it out; "
                 f"what can be forced is {', '.join(FORCEABLE)}"
             )
         if without := {name, name.partition(".")[0]} & set(skip):
-            raise ValueError(f"{name!r} is forced, but {without.pop()!r} is skipped; choose one")
+            raise ValueError(f"{name!r} is forced, but {min(without)!r} is skipped; choose one")
 
 
 def check_choices(size: int, lights: int | str, brdf: str, unit: str) -> None:

@@ -190,7 +190,7 @@ def _refuse_shared_folders(scans: list[Path]) -> None:
     """Refuse scans whose results would overwrite each other: the folder of a result has the scan's name."""
     first: dict[str, Path] = {}
     for path in scans:
-        other = first.setdefault(path.stem, path)
+        other = first.setdefault(path.stem.casefold(), path)
         if other is not path:
             raise typer.BadParameter(
                 f"{other} and {path} would both be written to the folder {path.stem}; "
