@@ -77,6 +77,7 @@ def process(
     summaries, failures = [], 0
     for path in scans:
         with ProgressLines(path.stem) as progress:
+            progress.say(f"{path.stem}: reading {path}")
             try:
                 result = run(
                     path,
@@ -134,7 +135,6 @@ def validate(
     json_summary: JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
-    _stop_cleanly_on_interrupt(None)
     from scan2albedo import validation
     from scan2albedo.progress import ProgressLines
 
@@ -231,6 +231,7 @@ def _stop_cleanly_on_interrupt(out: Path | None) -> None:
 
 def main() -> None:
     """Run the command line; every expected trouble ends in one line and an exit status."""
+    _stop_cleanly_on_interrupt(None)
     try:
         app()
     except Scan2AlbedoError as error:

@@ -143,7 +143,8 @@ def test_interrupting_leaves_nothing_behind(ball, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(2.0)
+    assert "reading" in process.stderr.readline()
+    time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=120)
     assert process.returncode == 130
