@@ -98,6 +98,8 @@ def process(
                 progress.say(f"scan2albedo: error: {_one_line(error)}")
                 summaries.append({"scan": str(path), "status": "failed", "reason": _one_line(error)})
                 continue
+            for note in result.scan.notes:
+                progress.say(f"{path.stem}: {note}")
             progress.say(result.summary())
         summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
     if json_summary:

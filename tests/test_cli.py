@@ -41,6 +41,7 @@ def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
     assert summary["status"] == "done"
     assert (tmp_path / "ball" / "result.json").is_file()
     assert "ball: done" in done.stderr
+    assert "ball: unit: mm" in done.stderr
 
 
 def test_some_failed_is_1_and_all_failed_is_2(ball, tmp_path):
