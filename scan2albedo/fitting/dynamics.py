@@ -13,6 +13,7 @@ from scipy.sparse.linalg import splu
 from scan2albedo.errors import FitError
 
 FloatArray = NDArray[np.float64]
+Springs = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -29,14 +30,16 @@ class State:
 
 
 class ImplicitSystem:
-    """One stage of the dynamics, factored once, the same scalar matrix for x, y and z.
+    """One stage of the dynamics: linearly implicit (backward) Euler, factored once for all its steps.
 
-    With the forces f(q) written as springs whose stiffness is at most 2 C, one step solves
+    With forces linear in the step, f(q + d) = f - H d (H the springs' own stiffness, positive
+    semi-definite), one step d solves
 
-        (M / dt^2 + D / dt + K + C) q' = M (q + dt v) / dt^2 + (D / dt + C) q + f(q).
+        (M / dt^2 + D / dt + K + H) d = M v / dt - K q + f
 
-    The term C (q' - q) takes the springs' own stiffness implicitly too: it bounds every step, so the
-    step is stable for any dt, K and mass, and it vanishes at the equilibrium K q = f.
+    by conjugate gradients from d = 0, preconditioned by the factored M / dt^2 + D / dt + K + C, the
+    same scalar matrix for x, y and z and for every step of the stage. Each iteration lowers the energy of
+    the linearised system, so that the step is stable for any dt, K and mass wherever it is cut off.
 
     Parameters
     ----------
@@ -45,7 +48,7 @@ class ImplicitSystem:
     stiffness : (C, C) sparse
         K, symmetric positive semi-definite.
     force_stiffness : (C, C) sparse
-        C, symmetric positive semi-definite.
+        C, the usual stiffness of the springs; symmetric positive semi-definite.
     time_step : float
         dt > 0.
     """
@@ -62,21 +65,61 @@ class ImplicitSystem:
             raise ValueError(f"time_step must be > 0, got {time_step}")
         self.time_step = float(time_step)
         self._mass, self._stiffness = np.asarray(mass, float)[:, None], stiffness
-        self._held = (sparse.diags(np.asarray(damping, float) / self.time_step) + force_stiffness).tocsr()
-        matrix = sparse.diags(self._mass[:, 0] / self.time_step**2) + self._held + stiffness
-        self._solve = factorized(matrix)
+        held = self._mass[:, 0] / self.time_step**2 + np.asarray(damping, float) / self.time_step
+        self._still = (sparse.diags(held) + stiffness).tocsr()
+        self._precondition = factorized(self._still + force_stiffness)
 
-    def step(self, state: State, force: FloatArray) -> State:
-        """Return the state one time step later under the force (C, 3) at `state`."""
-        dt = self.time_step
-        inertia = self._mass * (state.q / dt**2 + state.velocity / dt)
-        q = self._solve(inertia + self._held @ state.q + force)
-        return State(q, (q - state.q) / dt)
+    def step(
+        self, state: State, force: FloatArray, springs: Springs, iterations: int = 12, tolerance: float = 0.02
+    ) -> State:
+        """Return the state one time step later.
+
+        Parameters
+        ----------
+        state : State
+        force : (C, 3) float64
+            At `state`.
+        springs : callable
+            x (C, 3) -> H x.
+        iterations : int
+            Most conjugate gradient iterations.
+        tolerance : float
+            They end when the residual (in the preconditioner's norm) has fallen to this part.
+        """
+        right = self._mass * state.velocity / self.time_step - self._stiffness @ state.q + force
+        moved = conjugate_gradients(
+            lambda x: self._still @ x + springs(x), right, self._precondition, iterations, tolerance
+        )
+        return State(state.q + moved, moved / self.time_step)
 
     def energy(self, state: State) -> float:
         """Return (v^T M v + q^T K q) / 2, which no step without force can raise."""
         kinetic = float(np.sum(self._mass * state.velocity**2))
         return 0.5 * (kinetic + float(np.sum(state.q * (self._stiffness @ state.q))))
+
+
+def conjugate_gradients(
+    product: Springs, right: FloatArray, precondition: Springs, iterations: int, tolerance: float
+) -> FloatArray:
+    """Return x (C, 3) with A x = `right` as nearly as `iterations` allow, from x = 0."""
+    x, residual = np.zeros_like(right), right
+    ahead = precondition(residual)
+    direction, size = ahead, float(np.vdot(residual, ahead))
+    enough = tolerance**2 * size
+    for _ in range(iterations):
+        if not size > enough:
+            break
+        along = product(direction)
+        curvature = float(np.vdot(direction, along))
+        if not curvature > 0:
+            break
+        length = size / curvature
+        x = x + length * direction
+        residual = residual - length * along
+        ahead = precondition(residual)
+        before, size = size, float(np.vdot(residual, ahead))
+        direction = ahead + (size / before) * direction
+    return x
 
 
 def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:

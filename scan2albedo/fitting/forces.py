@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.fitting.kernels import pulled
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.nearest_surface import NearestHits
 
 FloatArray = NDArray[np.float64]
 
@@ -33,36 +32,43 @@ class ForceGates:
             options.min_normal_cosine,
             options.tangential,
             options.robust_scale,
-            options.min_robust_mm,
+            between(options.min_robust_mm, progress),
         )
 
 
 @dataclass(frozen=True)
 class ScanForces:
-    """Forces per unit area on N surface samples.
+    """Springs per unit area between N surface samples and the scan.
 
     Parameters
     ----------
-    force : (N, 3) float64
-        Millimetres (a spring of unit stiffness per area); zero where a gate is closed.
     weight : (N,) float64
         Robust weight times gate, 0 ... 1.
+    tangential : float
+        Stiffness along the surface relative to 1 across it.
     offset : (N, 3) float64
         Closest scan point minus sample.
     normal : (N, 3) float64
         Unit scan normal at the closest point.
     near_mm : (N,) float64
         Distance cut off at the gate; NaN where the closest point is on the scan's border.
-    hits : NearestHits
-        To start the next search from.
+    vertex : (N,) int64
+        Scan vertices to start the next search from.
     """
 
-    force: FloatArray
     weight: FloatArray
+    tangential: float
     offset: FloatArray
     normal: FloatArray
     near_mm: FloatArray
-    hits: NearestHits
+    vertex: NDArray[np.int64]
+
+    @property
+    def force(self) -> FloatArray:
+        """(N, 3) forces per unit area in mm; zero where a gate is closed."""
+        across = np.einsum("ij,ij->i", self.normal, self.offset)
+        pull = (1 - self.tangential) * across[:, None] * self.normal + self.tangential * self.offset
+        return self.weight[:, None] * pull
 
     def mean_distance_mm(self, area: FloatArray) -> float:
         """Mean cut-off distance (weighted by area) of samples with scan opposite; NaN without any."""
@@ -76,9 +82,9 @@ def scan_forces(
     samples: FloatArray,
     sample_normals: FloatArray,
     gates: ForceGates,
-    start: NearestHits | None = None,
+    start: ScanForces | None = None,
 ) -> ScanForces:
-    """Return the forces w (n n^T + t (I - n n^T)) (y - x) that pull samples x to their closest points y.
+    """Return the springs w (n n^T + t (I - n n^T)) (y - x) that pull samples x to their closest points y.
 
     n is the scan's normal at y, t the tangential part, w the product of the gates (distance, angle of
     normals, border of the scan) and of Geman and McClure's robust weight.
@@ -89,20 +95,19 @@ def scan_forces(
     samples, sample_normals : (N, 3) float64
         Points of the model's surface and their unit normals.
     gates : ForceGates
-    start : NearestHits, optional
+    start : ScanForces, optional
         Of the last call, when the samples are the same ones moved a little.
     """
-    hits = scan.nearest.query(samples, None if start is None else start.vertex)
-    normal = normalized(scan.normals_at(hits))
-    offset = hits.points - samples
-    border = scan.on_boundary(hits)
+    vertex = scan.nearest.nearest_vertices(samples) if start is None else start.vertex.copy()
+    offset, normal, distance, border = pulled(
+        samples, vertex, *scan.nearest.arrays, scan.normals, scan.boundary
+    )
     agreement = np.einsum("ij,ij->i", normal, sample_normals)
-    open_gate = ~border & (hits.distance < gates.distance_mm) & (agreement > gates.min_normal_cosine)
+    open_gate = ~border & (distance < gates.distance_mm) & (agreement > gates.min_normal_cosine)
     across = np.einsum("ij,ij->i", normal, offset)
     weight = np.where(open_gate, robust_weights(across, open_gate, gates), 0.0)
-    force = (1 - gates.tangential) * across[:, None] * normal + gates.tangential * offset
-    near = np.where(border, np.nan, np.minimum(hits.distance, gates.distance_mm))
-    return ScanForces(weight[:, None] * force, weight, offset, normal, near, hits)
+    near = np.where(border, np.nan, np.minimum(distance, gates.distance_mm))
+    return ScanForces(weight, gates.tangential, offset, normal, near, vertex)
 
 
 def robust_weights(residual: FloatArray, used: NDArray[np.bool_], gates: ForceGates) -> FloatArray:

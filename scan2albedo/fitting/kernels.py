@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from scan2albedo.geometry.nearest_surface import walk_downhill, weights_nearest_origin
+
 
 @njit(cache=True, nogil=True)
 def surface_normals(points, faces):  # type: ignore[no-untyped-def]
@@ -43,3 +45,68 @@ def turned_faces(normals, points, faces, min_cosine):  # type: ignore[no-untyped
         if nx != 0 or ny != 0 or nz != 0:
             turned[f] = along < min_cosine * np.sqrt(x * x + y * y + z * z)
     return np.flatnonzero(turned)
+
+
+@njit(cache=True, nogil=True)
+def pulled(points, vertex, xyz, faces, ring, ring_start, normals, boundary):  # type: ignore[no-untyped-def]
+    """Return for each point (N, 3) what the scan surface nearest to it says.
+
+    `vertex` (N,) is walked downhill in place. Returned are the offset (N, 3) to the closest point, the
+    unit normal (N, 3) there, the distance (N,), and whether the closest point lies on the border (N,).
+    """
+    count = len(points)
+    offset, normal = np.empty((count, 3)), np.empty((count, 3))
+    distance, border = np.empty(count), np.empty(count, np.bool_)
+    for i in range(count):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        v = walk_downhill(x, y, z, vertex[i], xyz, faces, ring, ring_start)
+        vertex[i] = v
+        best, nearest, k0, k1, k2 = np.inf, 0, 1.0, 0.0, 0.0
+        for r in range(ring_start[v], ring_start[v + 1]):
+            f = ring[r]
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
+            bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
+            cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
+            w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
+            px = w0 * ax + w1 * bx + w2 * cx
+            py = w0 * ay + w1 * by + w2 * cy
+            pz = w0 * az + w1 * bz + w2 * cz
+            d = px * px + py * py + pz * pz
+            if d < best:
+                best, nearest, k0, k1, k2 = d, f, w0, w1, w2
+                offset[i, 0], offset[i, 1], offset[i, 2] = px, py, pz
+        distance[i] = np.sqrt(best)
+        a, b, c = faces[nearest, 0], faces[nearest, 1], faces[nearest, 2]
+        nx = k0 * normals[a, 0] + k1 * normals[b, 0] + k2 * normals[c, 0]
+        ny = k0 * normals[a, 1] + k1 * normals[b, 1] + k2 * normals[c, 1]
+        nz = k0 * normals[a, 2] + k1 * normals[b, 2] + k2 * normals[c, 2]
+        size = max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-300)
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx / size, ny / size, nz / size
+        border[i] = k0 * boundary[a] + k1 * boundary[b] + k2 * boundary[c] > 0.999
+    return offset, normal, distance, border
+
+
+@njit(cache=True, nogil=True)
+def spring_product(x, start, column, value, normal, across, along):  # type: ignore[no-untyped-def]
+    """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H = across n n^T + along I of each sample."""
+    result = np.zeros_like(x)
+    for i in range(len(normal)):
+        if across[i] == 0.0 and along[i] == 0.0:
+            continue
+        px, py, pz = 0.0, 0.0, 0.0
+        for r in range(start[i], start[i + 1]):
+            c, s = column[r], value[r]
+            px += s * x[c, 0]
+            py += s * x[c, 1]
+            pz += s * x[c, 2]
+        d = across[i] * (normal[i, 0] * px + normal[i, 1] * py + normal[i, 2] * pz)
+        px = along[i] * px + d * normal[i, 0]
+        py = along[i] * py + d * normal[i, 1]
+        pz = along[i] * pz + d * normal[i, 2]
+        for r in range(start[i], start[i + 1]):
+            c, s = column[r], value[r]
+            result[c, 0] += s * px
+            result[c, 1] += s * py
+            result[c, 2] += s * pz
+    return result

@@ -30,8 +30,8 @@ class FitOptions:
         Least cosine between the normals of model and scan where a force acts.
     robust_scale : float
         Residuals beyond this many robust standard deviations lose their weight.
-    min_robust_mm : float
-        Floor of the robust standard deviation.
+    min_robust_mm : (float, float)
+        Floor of the robust standard deviation in the first and last stage.
     time_step, mass, damping : float
         dt, and M and D as multiples of the surface's area (a unit force is a unit area).
     rigid_iterations : int
@@ -51,14 +51,14 @@ class FitOptions:
     """
 
     levels: tuple[int, ...] = (0, 0, 1, 1, 1, 1)
-    steps: int = 20
+    steps: int = 12
     bending_mm: tuple[float, float] = (60.0, 2.0)
     membrane_mm: tuple[float, float] = (6.0, 0.6)
     tangential: float = 0.1
     gate_mm: tuple[float, float] = (20.0, 3.0)
     min_normal_cosine: float = 0.6
     robust_scale: float = 3.0
-    min_robust_mm: float = 0.5
+    min_robust_mm: tuple[float, float] = (3.0, 1.0)
     time_step: float = 10.0
     mass: float = 1.0
     damping: float = 0.1

@@ -82,10 +82,10 @@ def refine_similarity(
     for iteration in range(iterations):
         if meter.exhausted:
             break
-        start = forces.hits if forces is not None and iteration % SEARCH_EVERY else None
+        start = forces if forces is not None and iteration % SEARCH_EVERY else None
         moved = pose.apply(points)
         gate = ForceGates(
-            reach, wide.min_normal_cosine, wide.tangential, wide.robust_scale, wide.min_robust_mm
+            reach, wide.min_normal_cosine, wide.tangential, wide.robust_scale, narrow.min_robust_mm
         )
         forces = scan_forces(scan, moved, samples.normals(moved), gate, start)
         meter.count()
@@ -104,7 +104,7 @@ def refine_similarity(
 
 def _next_reach(forces: ScanForces, reach: float) -> float:
     """Shrink the gate, but never below what half of the samples need several times over."""
-    needed = REACH_PER_MEDIAN * float(np.median(forces.hits.distance[forces.weight > 0]))
+    needed = REACH_PER_MEDIAN * float(np.median(np.linalg.norm(forces.offset, axis=1)[forces.weight > 0]))
     return min(reach, max(GATE_SHRINK * reach, needed))
 
 

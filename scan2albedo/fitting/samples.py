@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.kernels import surface_normals
+from scan2albedo.fitting.forces import ScanForces
+from scan2albedo.fitting.kernels import spring_product, surface_normals
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
@@ -58,3 +60,12 @@ class SurfaceSamples:
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""
         return np.asarray(surface_normals(points, self.faces)[0])
+
+    def springs(self, forces: ScanForces) -> Callable[[FloatArray], FloatArray]:
+        """Return x -> S^T H S x for displacements x (C, 3), H the stiffness of the scan's springs."""
+        weight = self.area * forces.weight
+        across, along = (1 - forces.tangential) * weight, forces.tangential * weight
+        matrix, normal = self.matrix, forces.normal
+        return lambda x: spring_product(
+            x, matrix.indptr, matrix.indices, matrix.data, normal, across, along
+        )

@@ -115,13 +115,15 @@ def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatAr
         if meter.exhausted:
             break
         points = samples.matrix @ (reference + state.q)
-        start = forces.hits if forces is not None and step % SEARCH_EVERY else None
+        start = forces if forces is not None and step % SEARCH_EVERY else None
         normals, face_normals = surface_normals(points, samples.faces)
         forces = scan_forces(deformation.scan, points, normals, gates, start)
         meter.count()
         errors.append(forces.mean_distance_mm(samples.area))
         meter.record(errors[-1])
-        moved = system.step(state, samples.matrix.T @ (samples.area[:, None] * forces.force))
+        springs = samples.springs(forces)
+        force = samples.matrix.T @ (samples.area[:, None] * forces.force)
+        moved = system.step(state, force, springs)
         safe = guarded(
             reference + state.q,
             reference + moved.q,

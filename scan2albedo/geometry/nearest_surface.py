@@ -49,6 +49,15 @@ class NearestSurface:
         self._ring_start = np.zeros(len(self._vertices) + 1, np.int64)
         np.cumsum(np.bincount(self._faces.ravel(), minlength=len(self._vertices)), out=self._ring_start[1:])
 
+    @property
+    def arrays(self) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
+        """Vertices (V, 3), faces (F, 3), and the faces around each vertex: ring (3F,), ring_start (V + 1,)."""
+        return self._vertices, self._faces, self._ring, self._ring_start
+
+    def nearest_vertices(self, points: FloatArray) -> IntArray:
+        """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
+        return np.asarray(self._used[self._tree.query(points)[1]], np.int64)
+
     def query(self, points: FloatArray, start: IntArray | None = None) -> NearestHits:
         """Return the closest surface points of (N, 3) points.
 
@@ -60,7 +69,7 @@ class NearestSurface:
         """
         targets = np.ascontiguousarray(points, np.float64)
         if start is None:
-            vertex = self._used[self._tree.query(targets)[1]]
+            vertex = self.nearest_vertices(targets)
         else:
             vertex = np.array(start, np.int64)
         count = len(targets)
@@ -86,7 +95,7 @@ def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face,
     """Walk each point's `vertex` downhill, then take the best of the triangles around it."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        v = _walk(x, y, z, vertex[i], xyz, faces, ring, ring_start)
+        v = walk_downhill(x, y, z, vertex[i], xyz, faces, ring, ring_start)
         vertex[i] = v
         best = np.inf
         for r in range(ring_start[v], ring_start[v + 1]):
@@ -95,7 +104,7 @@ def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face,
             ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
             bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
             cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
-            w0, w1, w2 = _origin_weights(ax, ay, az, bx, by, bz, cx, cy, cz)
+            w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
             px = w0 * ax + w1 * bx + w2 * cx
             py = w0 * ay + w1 * by + w2 * cy
             pz = w0 * az + w1 * bz + w2 * cz
@@ -109,7 +118,7 @@ def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face,
 
 
 @njit(cache=True, nogil=True)
-def _walk(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
+def walk_downhill(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
     """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
     here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
     moved = True
@@ -126,7 +135,7 @@ def _walk(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _origin_weights(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
+def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
     """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = cx - ax, cy - ay, cz - az
