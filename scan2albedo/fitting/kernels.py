@@ -88,25 +88,46 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, normals, boundary):  # 
 
 
 @njit(cache=True, nogil=True)
-def spring_product(x, start, column, value, normal, across, along):  # type: ignore[no-untyped-def]
-    """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H = across n n^T + along I of each sample."""
-    result = np.zeros_like(x)
-    for i in range(len(normal)):
-        if across[i] == 0.0 and along[i] == 0.0:
+def add_springs(force, stiffness, index, offset, normal, across, along):  # type: ignore[no-untyped-def]
+    """Add springs H = across n n^T + along I that pull samples `index` (M,) by `offset` (M, 3), in place.
+
+    `force` (N, 3) and `stiffness` (N, 6: xx, yy, zz, xy, xz, yz) are those of all samples.
+    """
+    for m in range(len(index)):
+        if across[m] == 0.0 and along[m] == 0.0:
             continue
+        i, x, y, z = index[m], normal[m, 0], normal[m, 1], normal[m, 2]
+        pull = across[m] * (x * offset[m, 0] + y * offset[m, 1] + z * offset[m, 2])
+        force[i, 0] += pull * x + along[m] * offset[m, 0]
+        force[i, 1] += pull * y + along[m] * offset[m, 1]
+        force[i, 2] += pull * z + along[m] * offset[m, 2]
+        stiffness[i, 0] += across[m] * x * x + along[m]
+        stiffness[i, 1] += across[m] * y * y + along[m]
+        stiffness[i, 2] += across[m] * z * z + along[m]
+        stiffness[i, 3] += across[m] * x * y
+        stiffness[i, 4] += across[m] * x * z
+        stiffness[i, 5] += across[m] * y * z
+
+
+@njit(cache=True, nogil=True)
+def spring_product(x, start, column, value, stiffness):  # type: ignore[no-untyped-def]
+    """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H the stiffness (N, 6) of each sample."""
+    result = np.zeros_like(x)
+    for i in range(len(stiffness)):
+        xx, yy, zz = stiffness[i, 0], stiffness[i, 1], stiffness[i, 2]
+        if xx + yy + zz == 0.0:
+            continue
+        xy, xz, yz = stiffness[i, 3], stiffness[i, 4], stiffness[i, 5]
         px, py, pz = 0.0, 0.0, 0.0
         for r in range(start[i], start[i + 1]):
             c, s = column[r], value[r]
             px += s * x[c, 0]
             py += s * x[c, 1]
             pz += s * x[c, 2]
-        d = across[i] * (normal[i, 0] * px + normal[i, 1] * py + normal[i, 2] * pz)
-        px = along[i] * px + d * normal[i, 0]
-        py = along[i] * py + d * normal[i, 1]
-        pz = along[i] * pz + d * normal[i, 2]
+        qx, qy, qz = xx * px + xy * py + xz * pz, xy * px + yy * py + yz * pz, xz * px + yz * py + zz * pz
         for r in range(start[i], start[i + 1]):
             c, s = column[r], value[r]
-            result[c, 0] += s * px
-            result[c, 1] += s * py
-            result[c, 2] += s * pz
+            result[c, 0] += s * qx
+            result[c, 1] += s * qy
+            result[c, 2] += s * qz
     return result

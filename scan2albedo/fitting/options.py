@@ -69,6 +69,10 @@ class FitOptions:
     residual_gate_mm: float = 5.0
     min_coverage: float = 0.1
     gain_tolerance: float = 0.003
+    reverse: float = 0.0
+    reverse_points: int = 4000
+    mutual_slope: float = 0.5
+    mutual_floor: float = 0.1
 
 
 def between(ends: tuple[float, float], progress: float) -> float:

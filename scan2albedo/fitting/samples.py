@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.forces import ScanForces
 from scan2albedo.fitting.kernels import spring_product, surface_normals
-from scan2albedo.geometry.mesh import vertex_areas
+from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
 FloatArray = NDArray[np.float64]
@@ -57,15 +57,15 @@ class SurfaceSamples:
             vertex_average(len(points), subdivision.faces, stiffness),
         )
 
+    @cached_property
+    def border(self):
+        return boundary_vertex_mask(self.matrix.shape[0], self.faces)
+
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""
         return np.asarray(surface_normals(points, self.faces)[0])
 
-    def springs(self, forces: ScanForces) -> Callable[[FloatArray], FloatArray]:
-        """Return x -> S^T H S x for displacements x (C, 3), H the stiffness of the scan's springs."""
-        weight = self.area * forces.weight
-        across, along = (1 - forces.tangential) * weight, forces.tangential * weight
-        matrix, normal = self.matrix, forces.normal
-        return lambda x: spring_product(
-            x, matrix.indptr, matrix.indices, matrix.data, normal, across, along
-        )
+    def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""
+        matrix = self.matrix
+        return lambda x: spring_product(x, matrix.indptr, matrix.indices, matrix.data, stiffness)

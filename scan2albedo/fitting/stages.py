@@ -12,7 +12,10 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
-from scan2albedo.fitting.kernels import surface_normals
+from scan2albedo.fitting.kernels import surface_normals, add_springs
+from scan2albedo.fitting.reverse import ReversePulls, Pullers, mutual
+from scipy.spatial import cKDTree
+from functools import cached_property
 from scan2albedo.fitting.mouth_opening import MouthSearch
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -25,6 +28,7 @@ FloatArray = NDArray[np.float64]
 
 GAIN_WINDOW = 5
 SEARCH_EVERY = 10
+REFRESH_EVERY = 4
 MOUTH_LEVEL = 1
 MOUTH_STAGES = 2
 HELD_SPRINGS = 0.55
@@ -51,6 +55,10 @@ class Deformation:
     scan: ScanSurface
     options: FitOptions
     meter: Meter
+
+    @cached_property
+    def pullers(self) -> Pullers:
+        return Pullers.of(self.scan, self.options)
 
     def elasticity(self, progress: float) -> sparse.csr_matrix:
         """Return K (C, C) at `progress` 0 ... 1 of the stiffness schedule."""
@@ -121,9 +129,16 @@ def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatAr
         meter.count()
         errors.append(forces.mean_distance_mm(samples.area))
         meter.record(errors[-1])
-        springs = samples.springs(forces)
-        force = samples.matrix.T @ (samples.area[:, None] * forces.force)
-        moved = system.step(state, force, springs)
+        if step % REFRESH_EVERY == 0:
+            tree = cKDTree(points)
+            partner = mutual(forces, points, samples, tree, options)
+            reverse = ReversePulls.of(deformation.pullers, points, normals, samples, tree, gates)
+        force, stiffness = np.zeros((len(points), 3)), np.zeros((len(points), 6))
+        weight = samples.area * forces.weight * partner
+        add_springs(force, stiffness, np.arange(len(points)), forces.offset, forces.normal, (1 - forces.tangential) * weight, forces.tangential * weight)
+        if options.reverse > 0:
+            reverse.add(force, stiffness, points, normals, gates, options.reverse)
+        moved = system.step(state, samples.matrix.T @ force, samples.product(stiffness))
         safe = guarded(
             reference + state.q,
             reference + moved.q,
