@@ -6,12 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from scan2albedo.fitting.kernels import pulled
+from scan2albedo.fitting.kernels import pulled, springs
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 
 FloatArray = NDArray[np.float64]
+
+MUTUAL_SLOPE = 0.5
+MUTUAL_SPACING = 0.1
 
 
 @dataclass(frozen=True)
@@ -63,12 +67,33 @@ class ScanForces:
     near_mm: FloatArray
     vertex: NDArray[np.int64]
 
-    @property
-    def force(self) -> FloatArray:
-        """(N, 3) forces per unit area in mm; zero where a gate is closed."""
-        across = np.einsum("ij,ij->i", self.normal, self.offset)
-        pull = (1 - self.tangential) * across[:, None] * self.normal + self.tangential * self.offset
-        return self.weight[:, None] * pull
+    def springs(self, area: FloatArray, mutual: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+        """Return force (N, 3) and stiffness (N, 6) of samples that stand for `area` (N,), where `mutual`."""
+        weight = np.where(mutual, area * self.weight, 0.0)
+        force, stiffness = springs(
+            self.offset, self.normal, (1 - self.tangential) * weight, self.tangential * weight
+        )
+        return force, stiffness
+
+    def mutual(self, samples: FloatArray, area: FloatArray) -> NDArray[np.bool_]:
+        """Return (N,) which closest points y have a sample near x as their own nearest.
+
+        Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
+        behind a part of the model that y belongs to, about as far as y is: such pairs must not pull. Kept are
+        those whose return ends within MUTUAL_SLOPE |y - x| of x, and a part of the spacing of samples.
+
+        Parameters
+        ----------
+        samples : (N, 3) float64
+        area : (N,) float64
+        """
+        used = np.flatnonzero(self.weight > 0)
+        _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
+        gap = np.linalg.norm(samples[back] - samples[used], axis=1)
+        reach = MUTUAL_SLOPE * np.linalg.norm(self.offset[used], axis=1)
+        kept = np.zeros(len(samples), bool)
+        kept[used] = gap <= reach + MUTUAL_SPACING * np.sqrt(area[used])
+        return kept
 
     def mean_distance_mm(self, area: FloatArray) -> float:
         """Mean cut-off distance (weighted by area) of samples with scan opposite; NaN without any."""

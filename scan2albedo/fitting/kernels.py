@@ -88,25 +88,25 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, normals, boundary):  # 
 
 
 @njit(cache=True, nogil=True)
-def add_springs(force, stiffness, index, offset, normal, across, along):  # type: ignore[no-untyped-def]
-    """Add springs H = across n n^T + along I that pull samples `index` (M,) by `offset` (M, 3), in place.
+def springs(offset, normal, across, along):  # type: ignore[no-untyped-def]
+    """Return the forces (N, 3) H offset and the stiffness H = across n n^T + along I of N springs.
 
-    `force` (N, 3) and `stiffness` (N, 6: xx, yy, zz, xy, xz, yz) are those of all samples.
+    H is given as (N, 6): xx, yy, zz, xy, xz, yz.
     """
-    for m in range(len(index)):
-        if across[m] == 0.0 and along[m] == 0.0:
-            continue
-        i, x, y, z = index[m], normal[m, 0], normal[m, 1], normal[m, 2]
-        pull = across[m] * (x * offset[m, 0] + y * offset[m, 1] + z * offset[m, 2])
-        force[i, 0] += pull * x + along[m] * offset[m, 0]
-        force[i, 1] += pull * y + along[m] * offset[m, 1]
-        force[i, 2] += pull * z + along[m] * offset[m, 2]
-        stiffness[i, 0] += across[m] * x * x + along[m]
-        stiffness[i, 1] += across[m] * y * y + along[m]
-        stiffness[i, 2] += across[m] * z * z + along[m]
-        stiffness[i, 3] += across[m] * x * y
-        stiffness[i, 4] += across[m] * x * z
-        stiffness[i, 5] += across[m] * y * z
+    force, stiffness = np.empty((len(offset), 3)), np.empty((len(offset), 6))
+    for i in range(len(offset)):
+        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+        pull = across[i] * (x * offset[i, 0] + y * offset[i, 1] + z * offset[i, 2])
+        force[i, 0] = pull * x + along[i] * offset[i, 0]
+        force[i, 1] = pull * y + along[i] * offset[i, 1]
+        force[i, 2] = pull * z + along[i] * offset[i, 2]
+        stiffness[i, 0] = across[i] * x * x + along[i]
+        stiffness[i, 1] = across[i] * y * y + along[i]
+        stiffness[i, 2] = across[i] * z * z + along[i]
+        stiffness[i, 3] = across[i] * x * y
+        stiffness[i, 4] = across[i] * x * z
+        stiffness[i, 5] = across[i] * y * z
+    return force, stiffness
 
 
 @njit(cache=True, nogil=True)

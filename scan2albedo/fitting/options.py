@@ -50,11 +50,11 @@ class FitOptions:
         A stage ends when five steps gained less than this fraction of the error.
     """
 
-    levels: tuple[int, ...] = (0, 0, 1, 1, 1, 1)
-    steps: int = 12
-    bending_mm: tuple[float, float] = (60.0, 2.0)
+    levels: tuple[int, ...] = (0, 0, 0, 1, 1, 1, 1, 1)
+    steps: int = 10
+    bending_mm: tuple[float, float] = (40.0, 1.2)
     membrane_mm: tuple[float, float] = (6.0, 0.6)
-    tangential: float = 0.1
+    tangential: float = 0.01
     gate_mm: tuple[float, float] = (20.0, 3.0)
     min_normal_cosine: float = 0.6
     robust_scale: float = 3.0
@@ -69,10 +69,6 @@ class FitOptions:
     residual_gate_mm: float = 5.0
     min_coverage: float = 0.1
     gain_tolerance: float = 0.003
-    reverse: float = 0.0
-    reverse_points: int = 4000
-    mutual_slope: float = 0.5
-    mutual_floor: float = 0.1
 
 
 def between(ends: tuple[float, float], progress: float) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.kernels import spring_product, surface_normals
-from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
+from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
 FloatArray = NDArray[np.float64]
@@ -56,10 +55,6 @@ class SurfaceSamples:
             vertex_areas(points, subdivision.faces),
             vertex_average(len(points), subdivision.faces, stiffness),
         )
-
-    @cached_property
-    def border(self):
-        return boundary_vertex_mask(self.matrix.shape[0], self.faces)
 
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
-from scan2albedo.fitting.kernels import surface_normals, add_springs
-from scan2albedo.fitting.reverse import ReversePulls, Pullers, mutual
-from scipy.spatial import cKDTree
-from functools import cached_property
+from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.mouth_opening import MouthSearch
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -28,11 +26,11 @@ FloatArray = NDArray[np.float64]
 
 GAIN_WINDOW = 5
 SEARCH_EVERY = 10
-REFRESH_EVERY = 4
+MUTUAL_EVERY = 4
 MOUTH_LEVEL = 1
 MOUTH_STAGES = 2
-HELD_SPRINGS = 0.55
-"""Part of the springs' greatest stiffness taken implicitly: from 1/2 on every step is stable."""
+USUAL_SPRINGS = 0.5
+"""Stiffness of the springs, relative to an open gate's, that the preconditioner reckons with."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +55,22 @@ class Deformation:
     meter: Meter
 
     @cached_property
-    def pullers(self) -> Pullers:
-        return Pullers.of(self.scan, self.options)
+    def _membrane(self) -> sparse.csr_matrix:
+        return laplacian(self.reference, self.model.control_faces, self._stiffness)
+
+    @cached_property
+    def _thin_plate(self) -> sparse.csr_matrix:
+        return bending(self.reference, self.model.control_faces, self._stiffness)
+
+    @property
+    def _stiffness(self) -> FloatArray:
+        return np.asarray(self.model.region_values("stiffness")[self.model.region])
 
     def elasticity(self, progress: float) -> sparse.csr_matrix:
         """Return K (C, C) at `progress` 0 ... 1 of the stiffness schedule."""
-        faces, options = self.model.control_faces, self.options
-        weight = self.model.region_values("stiffness")[self.model.region]
-        membrane = between(options.membrane_mm, progress) ** 2
-        thin_plate = between(options.bending_mm, progress) ** 4
-        return membrane * laplacian(self.reference, faces, weight) + thin_plate * bending(
-            self.reference, faces, weight
-        )
+        membrane = between(self.options.membrane_mm, progress) ** 2
+        thin_plate = between(self.options.bending_mm, progress) ** 4
+        return membrane * self._membrane + thin_plate * self._thin_plate
 
 
 @dataclass(frozen=True)
@@ -129,15 +131,9 @@ def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatAr
         meter.count()
         errors.append(forces.mean_distance_mm(samples.area))
         meter.record(errors[-1])
-        if step % REFRESH_EVERY == 0:
-            tree = cKDTree(points)
-            partner = mutual(forces, points, samples, tree, options)
-            reverse = ReversePulls.of(deformation.pullers, points, normals, samples, tree, gates)
-        force, stiffness = np.zeros((len(points), 3)), np.zeros((len(points), 6))
-        weight = samples.area * forces.weight * partner
-        add_springs(force, stiffness, np.arange(len(points)), forces.offset, forces.normal, (1 - forces.tangential) * weight, forces.tangential * weight)
-        if options.reverse > 0:
-            reverse.add(force, stiffness, points, normals, gates, options.reverse)
+        if step % MUTUAL_EVERY == 0:
+            mutual = forces.mutual(points, samples.area)
+        force, stiffness = forces.springs(samples.area, mutual)
         moved = system.step(state, samples.matrix.T @ force, samples.product(stiffness))
         safe = guarded(
             reference + state.q,
@@ -156,7 +152,7 @@ def _system(deformation: Deformation, samples: SurfaceSamples, progress: float) 
     options = deformation.options
     control_area = vertex_areas(deformation.reference, deformation.model.control_faces)
     lumped = np.maximum(control_area, 1e-6 * control_area.mean())
-    springs = samples.matrix.T @ sparse.diags(HELD_SPRINGS * samples.area) @ samples.matrix
+    springs = samples.matrix.T @ sparse.diags(USUAL_SPRINGS * samples.area) @ samples.matrix
     return ImplicitSystem(
         options.mass * lumped,
         options.damping * lumped,

@@ -51,7 +51,7 @@ class NearestSurface:
 
     @property
     def arrays(self) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-        """Vertices (V, 3), faces (F, 3), and the faces around each vertex: ring (3F,), ring_start (V + 1,)."""
+        """Vertices (V, 3), faces (F, 3), and the faces around vertices: ring (3F,), ring_start (V + 1,)."""
         return self._vertices, self._faces, self._ring, self._ring_start
 
     def nearest_vertices(self, points: FloatArray) -> IntArray:

@@ -145,12 +145,12 @@ def pose_of(ict, shape: np.ndarray) -> np.ndarray:
 
 
 CEILINGS = {
-    "generic_neutral": (0.40, 0.15, 0.8),
-    "person1": (0.45, 0.22, 2.4),
-    "person2": (0.50, 0.24, 3.4),
-    "person4": (0.50, 0.24, 3.4),
-    "generic_mouthSmile_L_mouthSmile_R": (0.62, 0.18, 2.7),
-    "generic_jawOpen0.7": (0.55, 0.17, 1.6),
+    "generic_neutral": (0.35, 0.16, 1.1),
+    "person1": (0.37, 0.18, 1.6),
+    "person2": (0.38, 0.20, 1.9),
+    "person4": (0.44, 0.22, 2.7),
+    "generic_mouthSmile_L_mouthSmile_R": (0.56, 0.19, 2.7),
+    "generic_jawOpen0.7": (0.50, 0.17, 1.9),
 }
 """Surface mean, surface median, dense correspondence mean [mm], about a fifth above what was measured."""
 

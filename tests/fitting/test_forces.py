@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 
 from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces
+from scan2albedo.fitting.kernels import springs
+from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from tests.fitting.conftest import mask_surface
 
@@ -19,8 +21,44 @@ UP = np.array([[0.0, 0.0, 1.0]])
 
 def test_pull_is_one_across_and_a_tenth_along_the_surface():
     forces = scan_forces(plane_scan(), np.array([[5.0, 5.0, 2.0]]), UP, GATES)
-    assert forces.force[0] == pytest.approx(forces.weight[0] * np.array([0, 0, -2.0]), abs=1e-9)
+    force, stiffness = forces.springs(np.array([3.0]), np.array([True]))
+    weight = 3.0 * forces.weight[0]
+    assert force[0] == pytest.approx(weight * np.array([0, 0, -2.0]), abs=1e-9)
+    assert stiffness[0] == pytest.approx(weight * np.array([0.1, 0.1, 1, 0, 0, 0]), abs=1e-9)
     assert 0 < forces.weight[0] <= 1
+
+
+def test_springs_are_the_plain_matrices():
+    rng = np.random.default_rng(0)
+    offset, normal, (across, along) = rng.normal(size=(7, 3)), rng.normal(size=(7, 3)), rng.random((2, 7))
+    force, stiffness = springs(offset, normal, across, along)
+    for i in range(7):
+        matrix = across[i] * np.outer(normal[i], normal[i]) + along[i] * np.eye(3)
+        np.testing.assert_allclose(force[i], matrix @ offset[i])
+        np.testing.assert_allclose(stiffness[i], matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+
+
+def test_spring_product_is_the_plain_product(mask_model):
+    samples = SurfaceSamples.of(mask_model, mask_model.control_vertices, 1)
+    rng = np.random.default_rng(1)
+    count = samples.matrix.shape[0]
+    root = rng.normal(size=(count, 3, 3))
+    full = root @ root.transpose(0, 2, 1)
+    x = rng.normal(size=(samples.matrix.shape[1], 3))
+    expected = samples.matrix.T @ np.einsum("nij,nj->ni", full, samples.matrix @ x)
+    packed = full[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    np.testing.assert_allclose(samples.product(packed)(x), expected, atol=1e-9)
+
+
+def test_a_sheet_hidden_behind_another_is_not_pulled_through_it():
+    scan = plane_scan(41)
+    grid = np.stack(np.meshgrid(np.linspace(-30, 30, 13), np.linspace(-30, 30, 13)), -1).reshape(-1, 2)
+    front, behind = np.insert(grid, 2, 0.5, axis=1), np.insert(grid, 2, -4.0, axis=1)
+    samples = np.concatenate([front, behind])
+    forces = scan_forces(scan, samples, np.tile(UP, (len(samples), 1)), GATES)
+    mutual = forces.mutual(samples, np.full(len(samples), 25.0))
+    assert mutual[: len(front)].all()
+    assert not mutual[len(front) :].any()
 
 
 @pytest.mark.parametrize(
@@ -33,7 +71,7 @@ def test_pull_is_one_across_and_a_tenth_along_the_surface():
 )
 def test_closed_gates_pull_at_nothing(point, normal):
     forces = scan_forces(plane_scan(), np.array([point]), normal, GATES)
-    assert not forces.force.any()
+    assert not forces.springs(np.ones(1), np.array([True]))[0].any()
     assert not forces.weight.any()
 
 
