@@ -15,6 +15,7 @@ IntArray = NDArray[np.int64]
 MAX_HALVINGS = 8
 FOLD_COSINE = -0.866
 """Neighbours more than 150 degrees apart: lips and nostrils crease by less, a fold-over by 180."""
+FOLD_CHANGE_RAD = np.pi / 4
 MIN_STEP_COSINE = 0.2
 """A triangle whose normal turns further than this in one step counts as turning over."""
 
@@ -52,16 +53,22 @@ def guarded(
     return before
 
 
-def flipped_faces(vertices: FloatArray, rest: FloatArray, faces: IntArray) -> int:
-    """Count triangles at edges folded by more than 150 degrees that were not folded so at rest."""
+def folded_faces(vertices: FloatArray, rest: FloatArray, faces: IntArray) -> IntArray:
+    """Return the triangles at edges that folded over.
+
+    That is, by more than 150 degrees, and more than 45 degrees further than at rest: the rims of
+    lips and lids are creases of 130 degrees that may close.
+    """
     pairs = _neighbours(faces)
-    folded = _folded(vertices, faces, pairs) & ~_folded(rest, faces, pairs)
-    return len(np.unique(pairs[folded]))
+    now, before = _fold_cosine(vertices, faces, pairs), _fold_cosine(rest, faces, pairs)
+    folded = np.flatnonzero(now < FOLD_COSINE)
+    change = np.arccos(np.clip(now[folded], -1, 1)) - np.arccos(np.clip(before[folded], -1, 1))
+    return np.unique(pairs[folded[change > FOLD_CHANGE_RAD]])
 
 
-def _folded(vertices: FloatArray, faces: IntArray, pairs: IntArray) -> NDArray[np.bool_]:
+def _fold_cosine(vertices: FloatArray, faces: IntArray, pairs: IntArray) -> FloatArray:
     normals = face_normals(vertices, faces)
-    return np.asarray(np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < FOLD_COSINE)
+    return np.asarray(np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]))
 
 
 def _neighbours(faces: IntArray) -> IntArray:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import FitError
 from scan2albedo.face_model.from_mesh import carried_template
-from scan2albedo.fitting.flip_guard import flipped_faces
+from scan2albedo.fitting.flip_guard import folded_faces
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesOutcome
@@ -90,5 +90,5 @@ def _metrics(
         "residual_median_mm": float(np.median(known)),
         "residual_p95_mm": float(np.percentile(known, 95)),
         "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
-        "flipped_faces": float(flipped_faces(vertices, rest, subdivision.faces)),
+        "flipped_faces": float(len(folded_faces(vertices, rest, subdivision.faces))),
     }

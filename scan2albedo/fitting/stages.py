@@ -11,7 +11,7 @@ from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
-from scan2albedo.fitting.flip_guard import guarded
+from scan2albedo.fitting.flip_guard import folded_faces, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.mouth_opening import MouthSearch
@@ -27,6 +27,9 @@ FloatArray = NDArray[np.float64]
 GAIN_WINDOW = 5
 SEARCH_EVERY = 10
 MUTUAL_EVERY = 4
+STIFFENING = 4.0
+MENDING_ROUNDS = 8
+MENDING_STEPS = 3
 MOUTH_LEVEL = 1
 MOUTH_STAGES = 2
 USUAL_SPRINGS = 0.5
@@ -55,22 +58,32 @@ class Deformation:
     meter: Meter
 
     @cached_property
-    def _membrane(self) -> sparse.csr_matrix:
-        return laplacian(self.reference, self.model.control_faces, self._stiffness)
+    def _plain(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+        return self._energies(np.ones(len(self.model.control_faces)))
 
-    @cached_property
-    def _thin_plate(self) -> sparse.csr_matrix:
-        return bending(self.reference, self.model.control_faces, self._stiffness)
+    def _energies(self, stiffening: FloatArray) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+        faces = self.model.control_faces
+        weight = self.model.region_values("stiffness")[self.model.region] * stiffening
+        return laplacian(self.reference, faces, weight), bending(self.reference, faces, weight)
 
-    @property
-    def _stiffness(self) -> FloatArray:
-        return np.asarray(self.model.region_values("stiffness")[self.model.region])
+    def elasticity(self, progress: float, stiffening: FloatArray) -> sparse.csr_matrix:
+        """Return K (C, C) at `progress` 0 ... 1, each control face stiffer by its `stiffening` (F,)."""
+        plain = not (stiffening != 1).any()
+        membrane, thin_plate = self._plain if plain else self._energies(stiffening)
+        return (
+            between(self.options.membrane_mm, progress) ** 2 * membrane
+            + between(self.options.bending_mm, progress) ** 4 * thin_plate
+        )
 
-    def elasticity(self, progress: float) -> sparse.csr_matrix:
-        """Return K (C, C) at `progress` 0 ... 1 of the stiffness schedule."""
-        membrane = between(self.options.membrane_mm, progress) ** 2
-        thin_plate = between(self.options.bending_mm, progress) ** 4
-        return membrane * self._membrane + thin_plate * self._thin_plate
+
+@dataclass(frozen=True)
+class Stage:
+    """Samples at refinement `level`, `progress` 0 ... 1, at most `steps`, `stiffening` (F_C,) of faces."""
+
+    level: int
+    progress: float
+    steps: int
+    stiffening: FloatArray
 
 
 @dataclass(frozen=True)
@@ -103,25 +116,53 @@ def mouth_opened(deformation: Deformation) -> Deformation:
 
 
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
-    """Run all stages, or the first `count`, or as many as the budget allows."""
-    levels = deformation.options.levels
+    """Run all stages, or the first `count`, or as many as the budget allows.
+
+    Where the sheet folds over, it is made stiffer for the stages that follow, and for short further
+    rounds of the last one until no fold is left.
+    """
+    levels, meter = deformation.options.levels, deformation.meter
     q = np.zeros_like(deformation.reference)
+    stiffening = np.ones(len(deformation.model.control_faces))
     for index, level in enumerate(levels[:count]):
-        if deformation.meter.exhausted:
+        if meter.exhausted:
             return StagesOutcome(q, False)
-        q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), q)
-    return StagesOutcome(q, not deformation.meter.exhausted)
+        progress = index / max(len(levels) - 1, 1)
+        q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, stiffening), q)
+        if level > 0:
+            stiffening = stiffening * _stiffer(deformation, q)
+    if count is not None:
+        return StagesOutcome(q, not meter.exhausted)
+    for _ in range(MENDING_ROUNDS):
+        more = _stiffer(deformation, q)
+        if not (more > 1).any() or meter.exhausted:
+            break
+        stiffening = stiffening * more
+        q = _run_stage(deformation, Stage(levels[-1], 1.0, MENDING_STEPS, stiffening), q)
+    return StagesOutcome(q, not meter.exhausted)
 
 
-def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatArray) -> FloatArray:
+def _stiffer(deformation: Deformation, q: FloatArray) -> FloatArray:
+    """Return (F_C,) STIFFENING for the control faces around folds of the surface, 1 elsewhere."""
+    model, faces = deformation.model, deformation.model.control_faces
+    subdivision = model.subdivision(deformation.options.result_levels)
+    rest = subdivision.matrix @ deformation.reference
+    folds = folded_faces(subdivision.matrix @ (deformation.reference + q), rest, subdivision.faces)
+    around = np.zeros(len(deformation.reference), bool)
+    around[faces[subdivision.parent[folds]]] = True
+    around[faces[around[faces].any(1)]] = True
+    return np.where(around[faces].any(1), STIFFENING, 1.0)
+
+
+def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatArray:
     options, meter, reference = deformation.options, deformation.meter, deformation.reference
-    samples = SurfaceSamples.of(deformation.model, reference, level)
-    system = _system(deformation, samples, progress)
-    gates = ForceGates.at(options, progress)
+    samples = SurfaceSamples.of(deformation.model, reference, stage.level)
+    system = _system(deformation, samples, stage)
+    gates = ForceGates.at(options, stage.progress)
     state = State(q, np.zeros_like(q))
     errors: list[float] = []
     forces: ScanForces | None = None
-    for step in range(options.steps):
+    for step in range(stage.steps):
         if meter.exhausted:
             break
         points = samples.matrix @ (reference + state.q)
@@ -148,7 +189,7 @@ def _run_stage(deformation: Deformation, level: int, progress: float, q: FloatAr
     return state.q
 
 
-def _system(deformation: Deformation, samples: SurfaceSamples, progress: float) -> ImplicitSystem:
+def _system(deformation: Deformation, samples: SurfaceSamples, stage: Stage) -> ImplicitSystem:
     options = deformation.options
     control_area = vertex_areas(deformation.reference, deformation.model.control_faces)
     lumped = np.maximum(control_area, 1e-6 * control_area.mean())
@@ -156,7 +197,7 @@ def _system(deformation: Deformation, samples: SurfaceSamples, progress: float) 
     return ImplicitSystem(
         options.mass * lumped,
         options.damping * lumped,
-        deformation.elasticity(progress),
+        deformation.elasticity(stage.progress, stage.stiffening),
         springs,
         options.time_step,
     )
