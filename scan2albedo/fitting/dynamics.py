@@ -70,7 +70,7 @@ class ImplicitSystem:
         self._precondition = factorized(self._still + force_stiffness)
 
     def step(
-        self, state: State, force: FloatArray, springs: Springs, iterations: int = 12, tolerance: float = 0.02
+        self, state: State, force: FloatArray, springs: Springs, iterations: int = 6, tolerance: float = 0.1
     ) -> State:
         """Return the state one time step later.
 

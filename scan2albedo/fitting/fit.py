@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
-RIGID_LEVEL = 1
+RIGID_LEVEL = 0
 MIN_FIRST_CONTACT = 0.03
 
 

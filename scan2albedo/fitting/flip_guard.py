@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.fitting.kernels import turned_faces
+from scan2albedo.fitting.kernels import surface_normals, turned_faces
 from scan2albedo.fitting.samples import SurfaceSamples
-from scan2albedo.geometry.mesh import face_normals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -53,22 +52,30 @@ def guarded(
     return before
 
 
-def folded_faces(vertices: FloatArray, rest: FloatArray, faces: IntArray) -> IntArray:
-    """Return the triangles at edges that folded over.
+class FoldFinder:
+    """Finds triangles at edges that folded over.
 
     That is, by more than 150 degrees, and more than 45 degrees further than at rest: the rims of
     lips and lids are creases of 130 degrees that may close.
+
+    Parameters
+    ----------
+    rest : (V, 3) float64
+    faces : (F, 3) int64
     """
-    pairs = _neighbours(faces)
-    now, before = _fold_cosine(vertices, faces, pairs), _fold_cosine(rest, faces, pairs)
-    folded = np.flatnonzero(now < FOLD_COSINE)
-    change = np.arccos(np.clip(now[folded], -1, 1)) - np.arccos(np.clip(before[folded], -1, 1))
-    return np.unique(pairs[folded[change > FOLD_CHANGE_RAD]])
 
+    def __init__(self, rest: FloatArray, faces: IntArray) -> None:
+        self._faces, self._pairs = faces, _neighbours(faces)
+        angle = np.arccos(np.clip(self._cosine(rest), -1, 1))
+        self._least = np.minimum(FOLD_COSINE, np.cos(np.minimum(angle + FOLD_CHANGE_RAD, np.pi)))
 
-def _fold_cosine(vertices: FloatArray, faces: IntArray, pairs: IntArray) -> FloatArray:
-    normals = face_normals(vertices, faces)
-    return np.asarray(np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]))
+    def find(self, vertices: FloatArray) -> IntArray:
+        """Return the indices of the folded triangles at positions (V, 3)."""
+        return np.unique(self._pairs[self._cosine(vertices) < self._least])
+
+    def _cosine(self, vertices: FloatArray) -> FloatArray:
+        normals = surface_normals(vertices, self._faces)[1]
+        return np.asarray(np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]]))
 
 
 def _neighbours(faces: IntArray) -> IntArray:

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import FitError
 from scan2albedo.face_model.from_mesh import carried_template
-from scan2albedo.fitting.flip_guard import folded_faces
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesOutcome
@@ -41,7 +40,8 @@ def fitted_face(
     control = deformation.reference + outcome.q
     vertices = subdivision.matrix @ control
     residual = residuals_mm(deformation.scan, vertices, subdivision.faces, options.residual_gate_mm)
-    metrics = _metrics(vertices, residual, subdivision, subdivision.matrix @ deformation.reference)
+    metrics = _metrics(vertices, residual, subdivision)
+    metrics["flipped_faces"] = float(len(deformation.folds.find(vertices)))
     if metrics["coverage"] < options.min_coverage:
         raise FitError(
             f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
@@ -79,9 +79,7 @@ def residuals_mm(
     return np.where(seen, hits.distance, np.nan)
 
 
-def _metrics(
-    vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdivision, rest: FloatArray
-) -> dict[str, float]:
+def _metrics(vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdivision) -> dict[str, float]:
     area = vertex_areas(vertices, subdivision.faces)
     seen = ~np.isnan(residual)
     known = residual[seen] if seen.any() else np.array([np.nan])
@@ -90,5 +88,4 @@ def _metrics(
         "residual_median_mm": float(np.median(known)),
         "residual_p95_mm": float(np.percentile(known, 95)),
         "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
-        "flipped_faces": float(len(folded_faces(vertices, rest, subdivision.faces))),
     }

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
-from scan2albedo.fitting.flip_guard import folded_faces, guarded
+from scan2albedo.fitting.flip_guard import FoldFinder, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.mouth_opening import MouthSearch
@@ -27,8 +27,8 @@ FloatArray = NDArray[np.float64]
 GAIN_WINDOW = 5
 SEARCH_EVERY = 10
 MUTUAL_EVERY = 4
-STIFFENING = 4.0
-MENDING_ROUNDS = 8
+STIFFENING = 3.0
+MENDING_ROUNDS = 14
 MENDING_STEPS = 3
 MOUTH_LEVEL = 1
 MOUTH_STAGES = 2
@@ -56,6 +56,12 @@ class Deformation:
     scan: ScanSurface
     options: FitOptions
     meter: Meter
+
+    @cached_property
+    def folds(self) -> FoldFinder:
+        """Finds folds of the surface returned."""
+        subdivision = self.model.subdivision(self.options.result_levels)
+        return FoldFinder(subdivision.matrix @ self.reference, subdivision.faces)
 
     @cached_property
     def _plain(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
@@ -118,39 +124,39 @@ def mouth_opened(deformation: Deformation) -> Deformation:
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
     """Run all stages, or the first `count`, or as many as the budget allows.
 
-    Where the sheet folds over, it is made stiffer for the stages that follow, and for short further
-    rounds of the last one until no fold is left.
+    Where the sheet has folded over it is made stiffer, in short rounds of the last stage, until no fold
+    is left.
     """
     levels, meter = deformation.options.levels, deformation.meter
     q = np.zeros_like(deformation.reference)
-    stiffening = np.ones(len(deformation.model.control_faces))
+    even = np.ones(len(deformation.model.control_faces))
     for index, level in enumerate(levels[:count]):
         if meter.exhausted:
             return StagesOutcome(q, False)
         progress = index / max(len(levels) - 1, 1)
-        q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, stiffening), q)
-        if level > 0:
-            stiffening = stiffening * _stiffer(deformation, q)
-    if count is not None:
-        return StagesOutcome(q, not meter.exhausted)
+        q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, even), q)
+    if count is None:
+        q = _mended(deformation, q, even)
+    return StagesOutcome(q, not meter.exhausted)
+
+
+def _mended(deformation: Deformation, q: FloatArray, stiffening: FloatArray) -> FloatArray:
     for _ in range(MENDING_ROUNDS):
         more = _stiffer(deformation, q)
-        if not (more > 1).any() or meter.exhausted:
+        if not (more > 1).any() or deformation.meter.exhausted:
             break
         stiffening = stiffening * more
-        q = _run_stage(deformation, Stage(levels[-1], 1.0, MENDING_STEPS, stiffening), q)
-    return StagesOutcome(q, not meter.exhausted)
+        q = _run_stage(deformation, Stage(deformation.options.levels[-1], 1.0, MENDING_STEPS, stiffening), q)
+    return q
 
 
 def _stiffer(deformation: Deformation, q: FloatArray) -> FloatArray:
     """Return (F_C,) STIFFENING for the control faces around folds of the surface, 1 elsewhere."""
     model, faces = deformation.model, deformation.model.control_faces
     subdivision = model.subdivision(deformation.options.result_levels)
-    rest = subdivision.matrix @ deformation.reference
-    folds = folded_faces(subdivision.matrix @ (deformation.reference + q), rest, subdivision.faces)
+    folds = deformation.folds.find(subdivision.matrix @ (deformation.reference + q))
     around = np.zeros(len(deformation.reference), bool)
     around[faces[subdivision.parent[folds]]] = True
-    around[faces[around[faces].any(1)]] = True
     return np.where(around[faces].any(1), STIFFENING, 1.0)
 
 

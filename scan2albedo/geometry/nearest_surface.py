@@ -46,13 +46,18 @@ class NearestSurface:
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
         order = np.argsort(self._faces.ravel(), kind="stable")
         self._ring = order // 3
+        self._next = self._faces[:, [1, 2, 0]].ravel()[order]
         self._ring_start = np.zeros(len(self._vertices) + 1, np.int64)
         np.cumsum(np.bincount(self._faces.ravel(), minlength=len(self._vertices)), out=self._ring_start[1:])
 
     @property
-    def arrays(self) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-        """Vertices (V, 3), faces (F, 3), and the faces around vertices: ring (3F,), ring_start (V + 1,)."""
-        return self._vertices, self._faces, self._ring, self._ring_start
+    def arrays(self) -> tuple[FloatArray, IntArray, IntArray, IntArray, IntArray]:
+        """What the kernels take: vertices (V, 3), faces (F, 3), ring, ring_next (3F,), ring_start (V + 1,).
+
+        The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], and ring_next the vertex that
+        follows v in each.
+        """
+        return self._vertices, self._faces, self._ring, self._next, self._ring_start
 
     def nearest_vertices(self, points: FloatArray) -> IntArray:
         """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
@@ -78,10 +83,7 @@ class NearestSurface:
         _closest_around(
             targets,
             vertex,
-            self._vertices,
-            self._faces,
-            self._ring,
-            self._ring_start,
+            *self.arrays,
             closest,
             face,
             weights,
@@ -91,11 +93,11 @@ class NearestSurface:
 
 
 @njit(cache=True, nogil=True)
-def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face, weights, distance):  # type: ignore[no-untyped-def]
+def _closest_around(points, vertex, xyz, faces, ring, follow, ring_start, closest, face, weights, distance):  # type: ignore[no-untyped-def]
     """Walk each point's `vertex` downhill, then take the best of the triangles around it."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        v = walk_downhill(x, y, z, vertex[i], xyz, faces, ring, ring_start)
+        v = walk_downhill(x, y, z, vertex[i], xyz, follow, ring_start)
         vertex[i] = v
         best = np.inf
         for r in range(ring_start[v], ring_start[v + 1]):
@@ -118,19 +120,17 @@ def _closest_around(points, vertex, xyz, faces, ring, ring_start, closest, face,
 
 
 @njit(cache=True, nogil=True)
-def walk_downhill(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
+def walk_downhill(x, y, z, v, xyz, ring_next, ring_start):  # type: ignore[no-untyped-def]
     """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
     here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
     moved = True
     while moved:
-        moved = False
-        centre = v
+        moved, centre = False, v
         for r in range(ring_start[centre], ring_start[centre + 1]):
-            for k in range(3):
-                u = faces[ring[r], k]
-                there = (xyz[u, 0] - x) ** 2 + (xyz[u, 1] - y) ** 2 + (xyz[u, 2] - z) ** 2
-                if there < here:
-                    here, v, moved = there, u, True
+            u = ring_next[r]
+            there = (xyz[u, 0] - x) ** 2 + (xyz[u, 1] - y) ** 2 + (xyz[u, 2] - z) ** 2
+            if there < here:
+                here, v, moved = there, u, True
     return v
 
 

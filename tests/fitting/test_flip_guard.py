@@ -1,6 +1,6 @@
 import numpy as np
 
-from scan2albedo.fitting.flip_guard import folded_faces, guarded
+from scan2albedo.fitting.flip_guard import FoldFinder, guarded
 from scan2albedo.fitting.kernels import surface_normals, turned_faces
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.geometry.mesh import face_normals, vertex_normals
@@ -35,9 +35,9 @@ def test_a_step_that_would_turn_a_triangle_is_shortened_there_only(mask_model):
     assert not whole[centre]
 
 
-def test_folded_faces_finds_a_vertex_pulled_through_its_neighbours(mask_model):
+def test_the_fold_finder_finds_a_vertex_pulled_through_its_neighbours(mask_model):
     rest, faces = mask_model.surface(1)
-    assert len(folded_faces(rest, rest, faces)) == 0
+    assert len(FoldFinder(rest, faces).find(rest)) == 0
     pulled = rest.copy()
     pulled[np.argmin(np.linalg.norm(rest[:, :2] - [30, 30], axis=1)), 0] += 25
-    assert len(folded_faces(pulled, rest, faces)) > 0
+    assert len(FoldFinder(rest, faces).find(pulled)) > 0
