@@ -52,6 +52,19 @@ def test_energy_never_grows_without_force(stiffness, time_step, mass):
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
 
 
+@pytest.mark.parametrize("time_step", [1e-6, 1.0, 1e3])
+def test_masses_a_million_times_apart_leave_it_stable(time_step):
+    mass = np.where(np.arange(20) % 2, 1e-3, 1e3)
+    none = sparse.csr_matrix((20, 20))
+    system = ImplicitSystem(mass, np.zeros(20), chain(20, 1.0), none, time_step)
+    state = State(np.random.default_rng(5).normal(size=(20, 3)), np.zeros((20, 3)))
+    energies = [system.energy(state)]
+    for _ in range(50):
+        state = system.step(state, np.zeros((20, 3)), no_springs)
+        energies.append(system.energy(state))
+    assert (np.diff(energies) <= 1e-9 * energies[0]).all()
+
+
 def test_explicit_euler_blows_up_where_the_implicit_step_does_not():
     stiffness = chain(20, 1e4)
     start = np.random.default_rng(1).normal(size=(20, 3))

@@ -5,6 +5,7 @@ import pytest
 
 from scan2albedo.errors import FitError
 from scan2albedo.fitting import FitOptions, fit
+from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.raw_scan import RawScan
 
 QUICK = {"levels": (0, 1), "steps": 8, "rigid_iterations": 10, "result_levels": 1}
@@ -69,6 +70,33 @@ def test_noise(mask_model, mask_scan, noise_mm):
     scan = mask_scan.scan
     noise = noise_mm * np.random.default_rng(2).normal(size=scan.vertices.shape)
     run(mask_model, mask_scan, RawScan(scan.vertices + noise, scan.faces))
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e-3, 1e-6], ids=["micrometres", "metres", "kilometres"])
+def test_a_scan_in_another_unit_is_refused_with_the_reason(mask_model, mask_scan, unit):
+    scan = mask_scan.scan
+    with pytest.raises(FitError, match=r"unit|wrong|face"):
+        run(mask_model, mask_scan, RawScan(unit * scan.vertices, scan.faces))
+
+
+def test_a_scan_a_thousand_kilometres_from_its_origin(mask_model, mask_scan):
+    scan, away = mask_scan.scan, np.array([1e6, -1e6, 1e6])
+    plain = run(mask_model, mask_scan)
+    far = fit(
+        RawScan(scan.vertices + away, scan.faces),
+        mask_model,
+        compose(np.eye(3), -away),
+        options=FitOptions(**QUICK),
+    )
+    np.testing.assert_allclose(far.vertices, plain.vertices, atol=0.02)
+
+
+def test_a_scan_of_slivers(mask_model, mask_scan):
+    scan = mask_scan.scan
+    a, b, _ = scan.vertices[scan.faces].transpose(1, 0, 2)
+    thin = np.concatenate([scan.vertices, a + 1e-6 * (b - a)])
+    extra = np.column_stack([scan.faces[:, 0], len(scan.vertices) + np.arange(len(a)), scan.faces[:, 2]])
+    run(mask_model, mask_scan, RawScan(thin, np.concatenate([scan.faces, extra])))
 
 
 def test_a_budget_of_a_twentieth_of_a_second(mask_model, mask_scan):
