@@ -115,6 +115,14 @@ def _kept_messages() -> Iterator[list[str]]:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
+def _evenness(image: GeometryImage) -> str:
+    figures = image.figures()
+    return (
+        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
+        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
+    )
+
+
 def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
     if isinstance(model, AnnotatedFaceModel):
         return model
@@ -208,9 +216,7 @@ class _Run:
                 self.note(stage, False, "no model was asked for")
             with self.timed("geometry_image"):
                 image = geometry_image_of_scan(scan, size)
-            self.note(
-                "geometry_image", True, "charts cut by xatlas", f"{image.mask.mean():.1%} of the texels used"
-            )
+            self.note("geometry_image", True, "charts cut by xatlas", _evenness(image))
             return None, None, image
         registration = self.registration(scan, model)
         pose = np.eye(4) if registration is None else registration.model_from_scan
@@ -225,11 +231,10 @@ class _Run:
         )
         with self.timed("geometry_image"):
             image = geometry_image(fitted, scan, size)
-        seen = image.seen.sum() / max(int(image.mask.sum()), 1)
-        evidence = f"{image.mask.mean():.1%} of the texels used, texture seen in {seen:.1%} of them"
-        self.note(
-            "geometry_image", True, "the model's own chart", evidence if scan.has_color else "no colour"
-        )
+        evidence = _evenness(image)
+        if scan.has_color:
+            evidence += f", texture seen in {image.figures()['seen']:.1%} of them"
+        self.note("geometry_image", True, "the model's own chart", evidence)
         return registration, fitted, image
 
     def registration(self, scan: RawScan, model: AnnotatedFaceModel) -> Registration | None:

@@ -73,6 +73,7 @@ class ProcessResult:
             }
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
+        figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:
             figures["albedo"] = {
                 "lights": len(self.albedo.lights),

@@ -13,12 +13,10 @@ from scan2albedo.fitting.stages import Deformation, StagesOutcome
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
+from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
 from scan2albedo.geometry.operators import linear_refinement
 
 FloatArray = NDArray[np.float64]
-
-MAX_EXACT_FACES = 100_000
-"""Denser scans have triangles so small that the faces around the nearest vertex are as good."""
 
 
 def fitted_face(

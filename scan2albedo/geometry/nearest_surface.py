@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scan2albedo.geometry.closest_points import ClosestHits
+from scan2albedo.geometry.closest_points import ClosestHits, ClosestPointQuery
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -20,6 +20,16 @@ class NearestHits(ClosestHits):
     """Closest points of a surface, and the nearest `vertex` (N,) to walk on from."""
 
     vertex: IntArray
+
+
+MAX_EXACT_FACES = 100_000
+"""Denser surfaces have triangles so small that the faces around the nearest vertex are as good."""
+
+
+def surface_query(vertices: FloatArray, faces: IntArray) -> ClosestPointQuery | NearestSurface:
+    """Return the exact query of a surface of few faces, the quick one of a surface of many."""
+    exact = len(faces) <= MAX_EXACT_FACES
+    return ClosestPointQuery(vertices, faces) if exact else NearestSurface(vertices, faces)
 
 
 class NearestSurface:

@@ -110,6 +110,31 @@ class GeometryImage:
         """(H, W) texels of the surface whose texture can be trusted."""
         return self.mask if self.texture_valid is None else self.mask & self.texture_valid
 
+    @property
+    def border(self) -> NDArray[np.bool_]:
+        """(H, W) texels of the surface with a side neighbour that is none: the chart's rim, or its seams."""
+        padded = np.pad(self.mask, 1)
+        surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+        return self.mask & ~surrounded
+
+    def texel_areas_mm2(self) -> NDArray[np.float64]:
+        """Return (N,) surface per texel at all 2 x 2 blocks inside the mask: how evenly the chart samples."""
+        whole = self.mask[:-1, :-1] & self.mask[:-1, 1:] & self.mask[1:, :-1] & self.mask[1:, 1:]
+        down = (self.position[1:, 1:] - self.position[:-1, :-1])[whole]
+        up = (self.position[:-1, 1:] - self.position[1:, :-1])[whole]
+        return 0.5 * np.linalg.norm(np.cross(down, up), axis=1)
+
+    def figures(self) -> dict[str, float]:
+        """Return what part of the square is surface, what part of that was seen, and the texels' areas."""
+        areas = self.texel_areas_mm2()
+        low, median, high = np.percentile(areas, (5, 50, 95)) if len(areas) else (np.nan,) * 3
+        return {
+            "coverage": float(self.mask.mean()),
+            "seen": float(self.seen.sum() / max(int(self.mask.sum()), 1)),
+            "texel_area_mm2": float(median),
+            "texel_area_p95_to_p5": float(high / low) if low > 0 else float("nan"),
+        }
+
     def occluder_mesh(self) -> Occluder:
         """Return the mesh that casts shadows: `occluder`, or the texel grid triangulated."""
         return self.occluder if self.occluder is not None else self.triangulated()

@@ -7,12 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
+from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.io.raw_scan import RawScan
 
 FloatArray = NDArray[np.float64]
 
+CROP_MARGIN = 0.1
+"""Part of the queried points' size by which faces may lie outside their box and still be looked at."""
+FEWEST_TAPS, MOST_TAPS = 3, 64
+TAPS_PERCENTILE = 95
+"""This part of the texels gets a sample for every pixel of its footprint."""
 SIDEWAYS_MM = 0.5
 """A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
 
@@ -27,8 +33,8 @@ class LookupOptions:
     """The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
     min_density: float = 0.1
     """Photograph pixels per mm^2 relative to the scan's median: below, the surface was seen at grazing."""
-    taps: int = 3
-    """Bilinear samples along each side of a texel's footprint in the photograph."""
+    taps: int | None = None
+    """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
 
 
 class TextureLookup:
@@ -36,8 +42,14 @@ class TextureLookup:
 
     def __init__(self, scan: RawScan, options: LookupOptions = LookupOptions()) -> None:
         self._scan, self._options = scan, options
-        self._query = ClosestPointQuery(scan.vertices, scan.faces)
-        self._normals = face_normals(scan.vertices, scan.faces)
+
+    def _near(self, points: FloatArray) -> NDArray[np.int64]:
+        """Return the faces near `points`, all when none is: an index of the whole scan would cost most."""
+        vertices, faces = self._scan.vertices, self._scan.faces
+        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + self._options.max_distance_mm
+        inside = np.all((vertices >= points.min(0) - margin) & (vertices <= points.max(0) + margin), axis=1)
+        near = np.flatnonzero(inside[faces].any(1))
+        return near if len(near) else np.arange(len(faces))
 
     def sample(
         self, points: FloatArray, normals: FloatArray, steps: FloatArray
@@ -52,28 +64,22 @@ class TextureLookup:
             Displacement (mm) on the surface of one texel to the right and one down: the footprint that
             the photograph is averaged over.
         """
-        hits = self._query.query(points)
+        scan, near = self._scan, self._near(points)
+        hits = surface_query(scan.vertices, scan.faces[near]).query(points)
+        face = near[hits.face]
         valid = hits.distance <= self._options.max_distance_mm
-        valid &= np.einsum("ij,ij->i", normals, self._normals[hits.face]) >= self._options.min_normal_cosine
-        valid &= ~self._past_boundary(hits.face, hits.barycentric, points - hits.points, normals)
-        if self._scan.uv is not None and self._scan.texture_linear is not None:
-            color = self._photograph(hits.face, hits.barycentric, steps)
-            valid &= self._dense_enough()[hits.face]
+        facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
+        valid &= np.einsum("ij,ij->i", normals, facing) >= self._options.min_normal_cosine
+        on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
+        valid &= ~_past_boundary(on_edge, hits.barycentric, points - hits.points, normals)
+        if scan.uv is not None and scan.texture_linear is not None:
+            color = self._photograph(near, hits, steps)
+            valid &= self._dense_enough()[face]
         else:
-            assert self._scan.vertex_color_linear is not None
-            corners = self._scan.vertex_color_linear[self._scan.faces[hits.face]]
+            assert scan.vertex_color_linear is not None
+            corners = scan.vertex_color_linear[scan.faces[face]]
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
         return color, valid
-
-    def _past_boundary(
-        self, face: NDArray[np.int64], barycentric: FloatArray, offset: FloatArray, normals: FloatArray
-    ) -> NDArray[np.bool_]:
-        """Points whose closest point lies on the scan's edge while they lie sideways of it: in a hole."""
-        faces = self._scan.faces
-        on_edge = boundary_vertex_mask(len(self._scan.vertices), faces)[faces[face]]
-        at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
-        sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-        return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)
 
     def _dense_enough(self) -> NDArray[np.bool_]:
         """(F,) whether a face has enough photograph pixels for its area."""
@@ -87,18 +93,19 @@ class TextureLookup:
         return density > (self._options.min_density * np.median(used) if len(used) else np.inf)
 
     def _photograph(
-        self, face: NDArray[np.int64], barycentric: FloatArray, steps: FloatArray
+        self, near: NDArray[np.int64], hits: ClosestHits, steps: FloatArray
     ) -> NDArray[np.float32]:
-        """Average bilinear samples over each texel's footprint in the photograph."""
+        """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`."""
         import cv2
 
-        scan, taps = self._scan, self._options.taps
+        scan, face = self._scan, near[hits.face]
         assert scan.uv is not None
         assert scan.texture_linear is not None
         height, width = scan.texture_linear.shape[:2]
         to_pixels = np.array([width, -height])
-        center = np.einsum("nk,nkc->nc", barycentric, scan.uv[face]) * to_pixels + [-0.5, height - 0.5]
-        footprint = np.einsum("nck,nkd->ncd", self._uv_gradients()[face], steps) * to_pixels[:, None]
+        center = np.einsum("nk,nkc->nc", hits.barycentric, scan.uv[face]) * to_pixels + [-0.5, height - 0.5]
+        footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
+        taps = self._options.taps or _needed_taps(footprint)
         offsets = (np.arange(taps) + 0.5) / taps - 0.5
         total = np.zeros((len(face), 3), np.float32)
         for right in offsets:
@@ -118,19 +125,37 @@ class TextureLookup:
                 total += sampled.reshape(-1, 3)[: len(face)]
         return total / np.float32(taps * taps)
 
-    def _uv_gradients(self) -> FloatArray:
-        """(F, 2, 3) gradient of u and v over each face, per mm; zero on degenerate faces."""
+    def _uv_gradients(self, near: NDArray[np.int64]) -> FloatArray:
+        """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
         scan = self._scan
         assert scan.uv is not None
-        corners = scan.vertices[scan.faces]
-        cross = face_cross_products(scan.vertices, scan.faces)
+        faces, uv = scan.faces[near], scan.uv[near]
+        corners = scan.vertices[faces]
+        cross = face_cross_products(scan.vertices, faces)
         squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
-        gradient = np.zeros((len(scan.faces), 2, 3))
+        gradient = np.zeros((len(faces), 2, 3))
         for k in range(3):
             opposite = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
             hat = np.cross(cross, opposite) / squared[:, None]
-            gradient += scan.uv[:, k, :, None] * hat[:, None, :]
+            gradient += uv[:, k, :, None] * hat[:, None, :]
         return gradient
+
+
+def _past_boundary(
+    on_edge: NDArray[np.bool_], barycentric: FloatArray, offset: FloatArray, normals: FloatArray
+) -> NDArray[np.bool_]:
+    """Points whose closest point lies on the scan's edge while they lie sideways of it: in a hole."""
+    at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
+    sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
+    return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)
+
+
+def _needed_taps(footprint: FloatArray) -> int:
+    """Return the samples a side that leave no pixel between them out, for footprints (N, 2, 2) in pixels."""
+    if len(footprint) == 0:
+        return FEWEST_TAPS
+    longest = float(np.percentile(np.linalg.norm(footprint, axis=1).max(1), TAPS_PERCENTILE))
+    return int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
 
 
 def texel_steps(

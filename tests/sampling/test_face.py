@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import GeometryImageError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
+from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.sampling import LookupOptions, geometry_image
@@ -81,14 +85,74 @@ def test_a_linear_texture_is_reproduced_in_any_pose(seed):
     np.testing.assert_allclose(image.texture_linear[..., 2], 0.25, atol=1e-6)
 
 
-def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased():
+@pytest.mark.parametrize("size", [16, 64])
+def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size):
     fitted = patch()
-    checker = (np.indices((512, 512)).sum(0) % 2).astype(np.float32)
+    checker = (np.indices((509, 509)).sum(0) % 2).astype(np.float32)
     scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
-    aliased = geometry_image(fitted, scan, 64, options=LookupOptions(taps=1)).texture_linear
-    filtered = geometry_image(fitted, scan, 64, options=LookupOptions(taps=8)).texture_linear
-    assert np.abs(filtered - 0.5).max() < 0.13
-    assert np.abs(aliased - 0.5).max() >= np.abs(filtered - 0.5).max()
+    aliased = geometry_image(fitted, scan, size, options=LookupOptions(taps=1)).texture_linear
+    filtered = geometry_image(fitted, scan, size).texture_linear
+    assert np.abs(filtered - 0.5).max() < 0.02
+    assert np.abs(aliased - 0.5).max() > 0.2
+
+
+def test_the_footprint_average_agrees_with_supersampling():
+    fitted = patch(lambda x, y: 12 * np.sin(x / 25) * np.cos(y / 30))
+    noise = np.random.default_rng(0).random((700, 700, 3)).astype(np.float32)
+    scan = textured_scan(fitted, noise)
+    fine = geometry_image(fitted, scan, 1024).texture_linear.reshape(64, 16, 64, 16, 3).mean((1, 3))
+    coarse = geometry_image(fitted, scan, 64).texture_linear
+    plain = geometry_image(fitted, scan, 64, options=LookupOptions(taps=1)).texture_linear
+    error = np.abs(coarse - fine).mean()
+    assert error < 0.01
+    assert error < 0.1 * np.abs(plain - fine).mean()
+
+
+@pytest.mark.parametrize("size", [32, 128, pytest.param(2048, marks=pytest.mark.slow)])
+def test_every_size_samples_the_same_surface(size):
+    image = geometry_image(patch(lambda x, y: 8 * np.cos(x / 20), n=161), None, size)
+    x, _, z = image.position[image.mask].T
+    assert np.abs(z - 8 * np.cos(x / 20)).max() < 0.01
+    assert image.mask.all()
+    assert image.figures()["texel_area_mm2"] == pytest.approx((100 / size) ** 2, rel=0.1)
+
+
+def test_the_texel_areas_tell_a_stretched_chart():
+    fitted = patch()
+    even = geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"]
+    fitted.uv = np.column_stack([fitted.uv[:, 0] ** 2, fitted.uv[:, 1]])
+    stretched = geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"]
+    assert even == pytest.approx(1)
+    assert stretched > 3
+
+
+def test_a_geometry_image_goes_back_to_the_mesh_it_came_from():
+    model = AnnotatedFaceModel.default()
+    vertices, faces = model.surface(2)
+    uv = linear_refinement(len(model.control_vertices), model.control_faces, 2) @ model.uv
+    back, back_faces = geometry_image(Patch(vertices, faces, uv, np.eye(4)), None, 512).triangulated()
+    assert ClosestPointQuery(vertices, faces).query(back).distance.mean() < 0.001
+    assert ClosestPointQuery(back, back_faces).query(vertices).distance.mean() < 0.02
+
+
+def test_the_border_is_the_rim_of_the_mask():
+    fitted = patch()
+    fitted.uv = 0.25 + 0.5 * fitted.uv
+    image = geometry_image(fitted, None, 64)
+    rows, columns = np.nonzero(image.border)
+    assert image.mask.sum() == 32 * 32
+    assert image.border.sum() == 4 * 31
+    assert {*rows, *columns} <= set(range(16, 48))
+
+
+def test_a_dense_scan_is_looked_up_as_an_ordinary_one_is():
+    texture = np.random.default_rng(1).random((64, 64, 3)).astype(np.float32)
+    fitted = patch(lambda x, y: 5 * np.sin(x / 30))
+    few, many = (textured_scan(patch(lambda x, y: 5 * np.sin(x / 30), n), texture) for n in (160, 300))
+    assert len(few.faces) < MAX_EXACT_FACES < len(many.faces)
+    first, second = (geometry_image(fitted, scan, 64) for scan in (few, many))
+    assert np.abs(first.texture_linear - second.texture_linear).mean() < 0.01
+    assert (first.seen == second.seen).mean() > 0.99
 
 
 def test_a_hole_in_the_scan_is_known_as_unseen():
