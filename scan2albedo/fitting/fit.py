@@ -126,7 +126,9 @@ def _scan_surface(
 ) -> ScanSurface:
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
-    surface = scan_near_model(scan.vertices, scan.faces, pose, low - margin, high + margin)
+    surface = scan_near_model(
+        scan.vertices, scan.faces, pose, low - margin, high + margin, options.smoothing_mm
+    )
     if surface is None:
         raise FitError(
             f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "

@@ -48,12 +48,14 @@ class FitOptions:
         Least fraction of the model's area that must have scan near it.
     gain_tolerance : float
         A stage ends when five steps gained less than this fraction of the error.
+    smoothing_mm : float
+        Scans finer than this are averaged over it, so that their noise does not steer the fit.
     """
 
     levels: tuple[int, ...] = (0, 0, 0, 1, 1, 1, 1, 1)
     steps: int = 10
-    bending_mm: tuple[float, float] = (40.0, 1.2)
-    membrane_mm: tuple[float, float] = (6.0, 0.6)
+    bending_mm: tuple[float, float] = (40.0, 0.9)
+    membrane_mm: tuple[float, float] = (6.0, 0.5)
     tangential: float = 0.01
     gate_mm: tuple[float, float] = (20.0, 3.0)
     min_normal_cosine: float = 0.6
@@ -69,6 +71,7 @@ class FitOptions:
     residual_gate_mm: float = 5.0
     min_coverage: float = 0.1
     gain_tolerance: float = 0.003
+    smoothing_mm: float = 0.8
 
 
 def between(ends: tuple[float, float], progress: float) -> float:

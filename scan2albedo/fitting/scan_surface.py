@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.fitting.scan_smoothing import smoothed
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
     boundary_vertex_mask,
@@ -23,6 +24,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 WELD_STEP_MM = 1e-3
+NORMAL_SMOOTHING = 2.0
+"""Normals are taken over this much wider a surface than positions: noise turns them more."""
 MIN_COMPONENT = 0.005
 """Loose parts with a smaller share of the faces are floaters and pull at nothing."""
 
@@ -84,6 +87,7 @@ def scan_near_model(
     model_from_scan: FloatArray,
     low: FloatArray,
     high: FloatArray,
+    smoothing_mm: float = 0.0,
 ) -> ScanSurface | None:
     """Return the scan's surface inside the box `low` ... `high` (3,) of the model's frame; None when empty.
 
@@ -102,8 +106,10 @@ def scan_near_model(
     index = index[share[label] >= min(MIN_COMPONENT, share.max())]
     kept, index = without_unreferenced(welded, index)
     welded = welded[kept]
-    normals = vertex_normals(welded, index)
-    return ScanSurface(welded, index, normals, boundary_vertex_mask(len(welded), index))
+    boundary = boundary_vertex_mask(len(welded), index)
+    fair = smoothed(welded, index, boundary, NORMAL_SMOOTHING * smoothing_mm)
+    welded = smoothed(welded, index, boundary, smoothing_mm)
+    return ScanSurface(welded, index, vertex_normals(fair, index), boundary)
 
 
 def _welded(xyz: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:

@@ -1,0 +1,42 @@
+import numpy as np
+import pytest
+
+from scan2albedo.fitting.scan_smoothing import smoothed
+from scan2albedo.geometry.mesh import boundary_vertex_mask
+from tests.fitting.conftest import mask_surface
+
+
+def noisy_plane(size: int, noise_mm: float):
+    vertices, faces = mask_surface(size)
+    flat = vertices * [1, 1, 0]
+    noise = np.random.default_rng(0).normal(scale=noise_mm, size=len(flat))
+    return flat + noise[:, None] * [0, 0, 1], faces, boundary_vertex_mask(len(flat), faces)
+
+
+def test_a_coarse_scan_stays_as_it_is():
+    vertices, faces, border = noisy_plane(41, 0.3)
+    np.testing.assert_array_equal(smoothed(vertices, faces, border, 0.8), vertices)
+
+
+def test_noise_of_a_fine_scan_averages_out():
+    vertices, faces, border = noisy_plane(161, 0.3)
+    fair = smoothed(vertices, faces, border, 2.0)
+    assert fair[~border, 2].std() < 0.13
+    np.testing.assert_array_equal(fair[border], vertices[border])
+
+
+def test_a_spike_has_no_say_and_is_drawn_in():
+    vertices, faces, border = noisy_plane(161, 0.1)
+    spike = int(np.argmin(np.linalg.norm(vertices[:, :2], axis=1)))
+    vertices[spike, 2] = 20.0
+    fair = smoothed(vertices, faces, border, 2.0)
+    assert np.abs(fair[~border, 2]).max() < 0.4
+
+
+@pytest.mark.parametrize("radius", [80.0, 200.0])
+def test_curvature_loses_no_more_than_theory_says(radius):
+    vertices, faces, border = noisy_plane(161, 0.0)
+    middle = np.linalg.norm(vertices[:, :2], axis=1) < 30
+    vertices[:, 2] = -(vertices[:, :2] ** 2).sum(1) / (2 * radius)
+    fair = smoothed(vertices, faces, border, 1.0)
+    assert np.abs(fair - vertices)[middle, 2].max() < 1.5 * 1.0**2 / radius
