@@ -48,7 +48,7 @@ def turned_faces(normals, points, faces, min_cosine):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def pulled(points, vertex, xyz, faces, ring, ring_next, ring_start, normals, boundary):  # type: ignore[no-untyped-def]
+def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
     """Return for each point (N, 3) what the scan surface nearest to it says.
 
     `vertex` (N,) is walked downhill in place. Returned are the offset (N, 3) to the closest point, the
@@ -59,7 +59,7 @@ def pulled(points, vertex, xyz, faces, ring, ring_next, ring_start, normals, bou
     distance, border = np.empty(count), np.empty(count, np.bool_)
     for i in range(count):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        v = walk_downhill(x, y, z, vertex[i], xyz, ring_next, ring_start)
+        v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
         vertex[i] = v
         best, nearest, k0, k1, k2 = np.inf, 0, 1.0, 0.0, 0.0
         for r in range(ring_start[v], ring_start[v + 1]):

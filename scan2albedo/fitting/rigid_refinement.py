@@ -38,7 +38,7 @@ SETTLED_MM = 0.01
 SEARCH_EVERY = 6
 GATE_SHRINK = 0.85
 REACH_PER_MEDIAN = 5.0
-SCALE_PRIOR = 0.01
+SCALE_PRIOR = 0.02
 """Weight that pulls the scale to 1, as a part of what all samples together say."""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.closest_points import ClosestHits, ClosestPointQuery
@@ -56,18 +57,19 @@ class NearestSurface:
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
         order = np.argsort(self._faces.ravel(), kind="stable")
         self._ring = order // 3
-        self._next = self._faces[:, [1, 2, 0]].ravel()[order]
+        self._edges = _neighbours(len(self._vertices), self._faces)
         self._ring_start = np.zeros(len(self._vertices) + 1, np.int64)
         np.cumsum(np.bincount(self._faces.ravel(), minlength=len(self._vertices)), out=self._ring_start[1:])
 
     @property
-    def arrays(self) -> tuple[FloatArray, IntArray, IntArray, IntArray, IntArray]:
-        """What the kernels take: vertices (V, 3), faces (F, 3), ring, ring_next (3F,), ring_start (V + 1,).
+    def arrays(self) -> tuple[NDArray[np.generic], ...]:
+        """What the kernels take: vertices (V, 3), faces (F, 3), ring, ring_start, near, near_start.
 
-        The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], and ring_next the vertex that
-        follows v in each.
+        The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], its neighbours
+        near[near_start[v] : near_start[v + 1]].
         """
-        return self._vertices, self._faces, self._ring, self._next, self._ring_start
+        near, near_start = self._edges.indices, self._edges.indptr
+        return self._vertices, self._faces, self._ring, self._ring_start, near, near_start
 
     def nearest_vertices(self, points: FloatArray) -> IntArray:
         """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
@@ -102,12 +104,18 @@ class NearestSurface:
         return NearestHits(closest, face, weights, distance, vertex)
 
 
+def _neighbours(count: int, faces: IntArray) -> sparse.csr_matrix:
+    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    directed = sparse.csr_matrix((np.ones(len(start), np.int8), (start, end)), shape=(count, count))
+    return (directed + directed.T).tocsr()
+
+
 @njit(cache=True, nogil=True)
-def _closest_around(points, vertex, xyz, faces, ring, follow, ring_start, closest, face, weights, distance):  # type: ignore[no-untyped-def]
-    """Walk each point's `vertex` downhill, then take the best of the triangles around it."""
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        v = walk_downhill(x, y, z, vertex[i], xyz, follow, ring_start)
+def _closest_around(p, vertex, xyz, faces, ring, ring_start, near, near_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
+    """Walk each point p's `vertex` downhill, then take the best of the triangles around it."""
+    for i in range(len(p)):
+        x, y, z = p[i, 0], p[i, 1], p[i, 2]
+        v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
         vertex[i] = v
         best = np.inf
         for r in range(ring_start[v], ring_start[v + 1]):
@@ -126,18 +134,18 @@ def _closest_around(points, vertex, xyz, faces, ring, follow, ring_start, closes
                 face[i] = f
                 weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
                 closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz
-        distance[i] = np.sqrt(best)
+        gap[i] = np.sqrt(best)
 
 
 @njit(cache=True, nogil=True)
-def walk_downhill(x, y, z, v, xyz, ring_next, ring_start):  # type: ignore[no-untyped-def]
+def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped-def]
     """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
     here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
     moved = True
     while moved:
         moved, centre = False, v
-        for r in range(ring_start[centre], ring_start[centre + 1]):
-            u = ring_next[r]
+        for r in range(near_start[centre], near_start[centre + 1]):
+            u = near[r]
             there = (xyz[u, 0] - x) ** 2 + (xyz[u, 1] - y) ** 2 + (xyz[u, 2] - z) ** 2
             if there < here:
                 here, v, moved = there, u, True
