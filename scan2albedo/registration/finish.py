@@ -72,7 +72,7 @@ def annealed(
     )
     polished = _polished(view, template, found.pose, (2.0, 1.0), 10)
     before, after = (rigid_distance_mm(view, template, p, _CHECK_SIGMA_MM) for p in (start, polished))
-    taken = after <= before
+    taken = options.force_annealing or after <= before
     note = _annealing_note(found, start, polished, before, after, meter.evaluations)
     if taken:
         return Annealed(polished, found.error, note)

@@ -34,3 +34,5 @@ class RegistrationOptions:
     """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
     annealing_size: int = 64
     """Side of the annealing's depth images in pixels."""
+    force_annealing: bool = False
+    """Anneal even where nothing is to be gained, and take its pose whatever the distance check says."""
