@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.geometry.rigid import rotation_angle_rad
 from scan2albedo.optimization import Meter
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
 from scan2albedo.registration.normal_relief import normal_relief
@@ -106,15 +105,17 @@ def _selected(grid: NearestGrid, template: Template, starts: Starts, options: Re
 
 def _distinct(starts: Starts, count: int) -> Starts:
     """Keep the first of every group of like poses, at most `count`."""
+    same_trace = 1 + 2 * np.cos(_SAME_ROTATION_RAD)
     kept: list[int] = []
+    alike = np.zeros(len(starts), bool)
     for i in range(len(starts)):
+        if alike[i]:
+            continue
+        kept.append(i)
         if len(kept) == count:
             break
-        alike = (
-            np.linalg.norm(starts.translations[i] - starts.translations[k]) < _SAME_POSITION_MM
-            and rotation_angle_rad(starts.rotations[i] @ starts.rotations[k].T) < _SAME_ROTATION_RAD
-            for k in kept
-        )
-        if not any(alike):
-            kept.append(i)
+        offset = starts.translations[i + 1 :] - starts.translations[i]
+        trace = np.einsum("nij,ij->n", starts.rotations[i + 1 :], starts.rotations[i])
+        near = np.einsum("ni,ni->n", offset, offset) < _SAME_POSITION_MM**2
+        alike[i + 1 :] |= near & (trace > same_trace)
     return _taken(starts, np.array(kept, np.int64))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
-from scan2albedo.geometry.rigid import compose, invert_rigid
+from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
 from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates, runner_up_score
@@ -16,6 +16,7 @@ from scan2albedo.registration.finish import annealed, rms_mm, tightened
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.registration.own_frame import in_own_frame
 from scan2albedo.registration.result import Registration
 from scan2albedo.registration.robust_icp import ScanTree
 from scan2albedo.registration.starts import Starts
@@ -73,8 +74,7 @@ def register(
        application to face recognition", section 3.1.1.
     """
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
-    center = np.median(scan.vertices, axis=0)
-    vertices = scan.vertices - center
+    vertices, own_from_scan = in_own_frame(scan.vertices, scan.faces)
     cloud = _samples_of(scan, vertices, options)
     template = Template.of(model, options.model_spacing_mm, seed)
     starts = coarse_candidates(cloud, template, options, meter, seed)
@@ -84,7 +84,7 @@ def register(
     annealing = meter.child("depth_annealing", "truncated slope difference")
     final = annealed(view, template, pose, options, annealing, seed)
     return Registration(
-        model_from_scan=invert_rigid(final.pose.rigid()) @ compose(np.eye(3), -center),
+        model_from_scan=invert_rigid(final.pose.rigid()) @ own_from_scan,
         rmse_mm=rms_mm(view, template, final.pose),
         depth_error=final.depth_error,
         converged=not (meter.exhausted or annealing.exhausted),

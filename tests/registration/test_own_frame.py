@@ -1,0 +1,41 @@
+"""The scan's own frame goes with the scan."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
+from scan2albedo.registration.own_frame import in_own_frame
+
+
+@pytest.fixture(scope="module")
+def lump():
+    mesh = trimesh.creation.icosphere(3, 1.0)
+    unit = np.asarray(mesh.vertices)
+    stretched = unit * [50.0, 70.0, 90.0] * (1 + 0.3 * np.clip(unit @ [0.6, 0.5, 0.62], 0, 1))[:, None] ** 2
+    return stretched, np.asarray(mesh.faces)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("reach_mm", [300.0, 1e6])
+def test_any_pose_arrives_at_the_same_coordinates(lump, seed, reach_mm):
+    vertices, faces = lump
+    rng = np.random.default_rng(seed)
+    pose = compose(random_rotation(rng), rng.uniform(-reach_mm, reach_mm, 3))
+    rest, _ = in_own_frame(vertices, faces)
+    moved, own_from_scan = in_own_frame(transform_points(pose, vertices), faces)
+    np.testing.assert_allclose(moved, rest, atol=1e-14 * reach_mm + 1e-9)
+    np.testing.assert_allclose(own_from_scan[:3, :3] @ own_from_scan[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(own_from_scan[:3, :3]) == pytest.approx(1)
+
+
+def test_the_matrix_and_the_points_agree(lump):
+    vertices, faces = lump
+    moved, own_from_scan = in_own_frame(vertices, faces)
+    np.testing.assert_allclose(transform_points(own_from_scan, vertices), moved, atol=1e-10)
+
+
+def test_a_surface_without_area_is_only_moved():
+    moved, own_from_scan = in_own_frame(np.full((3, 3), 7.0), np.array([[0, 1, 2]]))
+    assert not moved.any()
+    assert own_from_scan[:3, :3].tolist() == np.eye(3).tolist()
