@@ -43,15 +43,21 @@ class ScanView:
 
 
 def judged_candidates(
-    scan: ScanView, target: ScanTarget, template: Template, starts: Starts, meter: Meter
+    scan: ScanView,
+    target: ScanTarget,
+    template: Template,
+    starts: Starts,
+    meter: Meter,
+    before: tuple[Candidate, ...] = (),
 ) -> tuple[Candidate, ...]:
     """Refine every start by Open3D's ICP, then with scale, and rank by face evidence, best first.
 
+    Candidates judged `before` are ranked with the new ones; a start that ends at one of them is left.
     At least one is refined however small the budget is.
     """
     samples = template.first(_SAMPLES)
-    poses: list[SimilarPose] = []
-    candidates: list[Candidate] = []
+    poses = [candidate.pose for candidate in before]
+    candidates = list(before)
     for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
         if candidates and meter.exhausted:
             break

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +19,10 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _BLOCK = 128
-_SECOND_ROUND = 480
+_SECOND_ROUND = 240
 _JUDGED = 160
+_QUICK_LOOK = 40
+_RELIEF_SAMPLES = 400
 _CELL_MM = 5.0
 _MARGIN_MM = 40.0
 _NORMAL_SMOOTHING_MM = 45.0
@@ -25,13 +30,49 @@ _SAME_ROTATION_RAD = np.deg2rad(8)
 _SAME_POSITION_MM = 10.0
 
 
-def coarse_candidates(
-    scan: OrientedPoints, template: Template, options: RegistrationOptions, meter: Meter, seed: int
-) -> Starts:
-    """Return distinct candidate poses: `options.candidates` likely ones, then those for a second look.
+@dataclass(frozen=True)
+class CoarsePoses:
+    """Distinct poses of the coarse search, nearest surface first, and what tells those with relief."""
 
-    Round 1 runs 5 iterations on 60 model samples from every start; the best 480 go on to 8
-    iterations on 300 samples with a tighter scale. The meter counts one evaluation a start and round;
+    starts: Starts
+    grid: NearestGrid
+    model: OrientedPoints
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def looks(self, candidates: int, more_candidates: int) -> Iterator[Starts]:
+        """Yield `candidates` poses in two looks, then `more_candidates` in a third.
+
+        First those whose surface is nearest, then those that show most relief among the nearer ones, at
+        last among all: distance alone prefers the whole back of a head to half a face, and relief
+        alone is dear.
+        """
+        first = np.arange(min((candidates + 1) // 2, len(self)))
+        yield _taken(self.starts, first)
+        nearer = self._by_relief(min(_QUICK_LOOK, len(self)))
+        second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
+        yield _taken(self.starts, second)
+        every = self._by_relief(len(self))
+        rest = every[~np.isin(every, np.concatenate([first, second]))]
+        yield _taken(self.starts, rest[:more_candidates])
+
+    def _by_relief(self, count: int) -> NDArray[np.int64]:
+        """Return the first `count` poses in the order of the relief that the scan's normals show there."""
+        relief = [
+            normal_relief(self.grid, self.model, self.starts.rotations[i], self.starts.translations[i])
+            for i in range(count)
+        ]
+        return np.argsort(-np.array(relief), kind="stable")
+
+
+def coarse_poses(
+    scan: OrientedPoints, template: Template, options: RegistrationOptions, meter: Meter, seed: int
+) -> CoarsePoses:
+    """Return distinct poses that lay the model near the scan's surface.
+
+    Round 1 runs 4 iterations on 60 model samples from every start; the best 240 go on to 8
+    iterations on 200 samples with a tighter scale. The meter counts one evaluation a start and round;
     when its budget ends, what has been tried so far is ranked.
     """
     grid = NearestGrid.of(scan, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
@@ -46,10 +87,10 @@ def coarse_candidates(
     )
     # In random order a budget that ends early has still seen starts from all over the scan.
     starts = _taken(starts, np.random.default_rng(seed).permutation(len(starts)))
-    starts, _ = _round(grid, template.first(60), starts, 5, (20.0, 10.0), meter)
+    starts, _ = _round(grid, template.first(60), starts, 4, (20.0, 10.0), meter)
     starts = _taken(starts, np.arange(min(_SECOND_ROUND, len(starts))))
-    starts, _ = _round(grid, template.first(300), starts, 8, (12.0, 5.0), meter)
-    return _selected(grid, template, _distinct(starts, _JUDGED), options)
+    starts, _ = _round(grid, template.first(200), starts, 8, (12.0, 5.0), meter)
+    return CoarsePoses(_distinct(starts, _JUDGED), grid, template.first(_RELIEF_SAMPLES))
 
 
 def _taken(starts: Starts, index: NDArray[np.int64]) -> Starts:
@@ -86,21 +127,6 @@ def _round(
     score = np.concatenate(scores)
     order = np.argsort(-score, kind="stable")
     return Starts(rotations[order], translations[order]), score[order]
-
-
-def _selected(grid: NearestGrid, template: Template, starts: Starts, options: RegistrationOptions) -> Starts:
-    """Keep half of the first candidates by surface distance, all others by the relief that normals show.
-
-    Distance alone prefers the whole back of a head to half a face.
-    """
-    relief = [
-        normal_relief(grid, template.samples, rotation, translation)
-        for rotation, translation in zip(starts.rotations, starts.translations, strict=True)
-    ]
-    by_relief = np.argsort(-np.array(relief), kind="stable")
-    first = np.arange(min((options.candidates + 1) // 2, len(starts)))
-    rest = by_relief[~np.isin(by_relief, first)]
-    return _taken(starts, np.concatenate([first, rest])[: options.candidates + options.more_candidates])
 
 
 def _distinct(starts: Starts, count: int) -> Starts:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image, render_depth
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.optimization import AnnealingOptions, Meter, simulated_annealing
+from scan2albedo.optimization import AnnealingOptions, AnnealingResult, Meter, simulated_annealing
 from scan2albedo.registration.robust_icp import SimilarPose
 from scan2albedo.registration.template import Template
 
@@ -99,7 +99,9 @@ def anneal_depth_derivatives(
     seed: int,
     meter: Meter,
 ) -> AnnealedPose:
-    """Anneal the pose within 8 degrees and 8 mm of the start.
+    """Anneal the pose within 8 degrees and 8 mm of the start, then more finely near what was found.
+
+    Half of the evaluations see images of half the size.
 
     Parameters
     ----------
@@ -120,25 +122,44 @@ def anneal_depth_derivatives(
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.1.1.
     """
-    objective = DepthDerivativeObjective(scan_vertices, scan_faces, template, start, size)
     bounds = np.array([_LARGEST_ANGLE_RAD] * 3 + [_LARGEST_SHIFT_MM] * 2)
-    start_error = objective(np.zeros(5))
+    coarse, fine = (
+        DepthDerivativeObjective(scan_vertices, scan_faces, template, start, pixels)
+        for pixels in (max(size // 2, 1), size)
+    )
+    start_error = fine(np.zeros(5))
     meter.count()
     meter.record(start_error)
-    result = simulated_annealing(
+    # The coarse stage has another yardstick, so its rows stay out of the trace.
+    unseen = Meter(meter.stage, meter.unit, meter.child(meter.stage, meter.unit).budget)
+    rough = _annealed(coarse, np.zeros(5), bounds, seed, evaluations // 2, unseen)
+    meter.count(rough.evaluations + 1)
+    begin = rough.x if fine(rough.x) < start_error else np.zeros(5)
+    result = _annealed(fine, begin, bounds / 4, seed, evaluations - evaluations // 2, meter)
+    delta = _moved(result.x, fine.depth_shift_mm(result.x))
+    rotation = start.rotation @ delta[:3, :3]
+    translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
+    pose = SimilarPose(rotation, translation, start.scale)
+    return AnnealedPose(pose, start_error, result.cost, rough.converged and result.converged)
+
+
+def _annealed(
+    objective: DepthDerivativeObjective,
+    start: FloatArray,
+    reach: FloatArray,
+    seed: int,
+    evaluations: int,
+    meter: Meter,
+) -> AnnealingResult:
+    return simulated_annealing(
         objective,
-        np.zeros(5),
-        -bounds,
-        bounds,
+        start,
+        start - reach,
+        start + reach,
         seed=seed,
         options=AnnealingOptions(evaluations=evaluations, initial_temperature=0.1),
         meter=meter,
     )
-    delta = _moved(result.x, objective.depth_shift_mm(result.x))
-    rotation = start.rotation @ delta[:3, :3]
-    translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
-    pose = SimilarPose(rotation, translation, start.scale)
-    return AnnealedPose(pose, start_error, result.cost, result.converged)
 
 
 def _moved(parameters: FloatArray, z_mm: float) -> FloatArray:

@@ -11,10 +11,15 @@ from scan2albedo.optimization import Meter
 from scan2albedo.registration.candidates import ScanView, rigid_distance_mm
 from scan2albedo.registration.depth_annealing import AnnealedPose, anneal_depth_derivatives
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.robust_icp import SimilarPose, residuals, robust_icp
+from scan2albedo.registration.robust_icp import SimilarPose, residuals, robust_icp, settled_icp
 from scan2albedo.registration.template import Template
 
-_CHECK_SIGMA_MM = 2.0
+_CHECK_SIGMAS_MM = (0.5, 2.0)
+_FIRST_ROUND_MM = (3.0, 2.0)
+_FIRST_STEPS, _NARROWING_STEPS, _SETTLING_STEPS = 8, 4, 30
+_RIGID_PART = 0.3
+_NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
+_TIGHTEST_MM, _WIDEST_MM = 0.35, 3.0
 
 Note = tuple[str, bool, str, str]
 
@@ -28,14 +33,49 @@ class Annealed:
     note: Note
 
 
-def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> SimilarPose:
-    """Finish on all samples, weighted to the rigid regions; records their robust distance."""
-    pose = start
-    if not meter.exhausted:
-        pose = _polished(view, template, start, (3.0, 1.0), 20)
-        meter.count(20)
-    meter.record(rigid_distance_mm(view, template, pose))
-    return pose
+@dataclass(frozen=True)
+class Tightened:
+    """The pose of the tight ICP, the scale of its weights, and whether it settled on a fixed point."""
+
+    pose: SimilarPose
+    sigma_mm: float
+    settled: bool
+
+
+def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> Tightened:
+    """Finish on all samples, weighted to the rigid regions; records their robust distance.
+
+    The last scale follows the surface: where nearly a third of the face lies within the noise (the
+    model is the same person's), the rest is expression and must not pull; between people nothing
+    fits that closely, and a wide scale has one optimum where a narrow one has many.
+    """
+    if meter.exhausted:
+        meter.record(rigid_distance_mm(view, template, start))
+        return Tightened(start, _WIDEST_MM, False)
+    found, steps = _settled(view, template, start)
+    meter.count(steps)
+    meter.record(rigid_distance_mm(view, template, found.pose))
+    return found
+
+
+def _settled(view: ScanView, template: Template, start: SimilarPose) -> tuple[Tightened, int]:
+    samples, weights = template.samples, template.rigidity
+    pose = robust_icp(view.tree, samples, weights, start, iterations=_FIRST_STEPS, sigma_mm=_FIRST_ROUND_MM)
+    near_mm = residuals(view.tree, samples, pose).quantile_mm(weights, _RIGID_PART)
+    sigma_mm = float(np.clip(_SIGMAS_ABOVE_NOISE * (near_mm - _NOISE_MM), _TIGHTEST_MM, _WIDEST_MM))
+    pose = robust_icp(
+        view.tree,
+        samples,
+        weights,
+        pose,
+        iterations=_NARROWING_STEPS,
+        sigma_mm=(_FIRST_ROUND_MM[1], sigma_mm),
+    )
+    pose, steps = settled_icp(
+        view.tree, samples, weights, pose, sigma_mm=sigma_mm, iterations=_SETTLING_STEPS
+    )
+    found = Tightened(pose, sigma_mm, steps < _SETTLING_STEPS)
+    return found, _FIRST_STEPS + _NARROWING_STEPS + steps
 
 
 def rms_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
@@ -46,68 +86,70 @@ def rms_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
 def annealed(
     view: ScanView,
     template: Template,
-    start: SimilarPose,
+    start: Tightened,
     options: RegistrationOptions,
     meter: Meter,
     seed: int,
 ) -> Annealed:
-    """Anneal on depth derivatives, polish, and keep the answer only if the surface distance says so.
+    """Anneal on depth derivatives where ICP left doubt, finish, and keep the answer if the surface says so.
 
-    The derivatives' optimum is biased where a face's relief differs from the model's, so its answer
-    counts only when the robust distance of the rigid regions is no worse for it.
+    Left out where ICP settled on a fixed point: from poses 4 degrees away, where annealing ends, the tight
+    ICP then came back to that point in all scans measured. Where it runs, its optimum is biased by the
+    ways in which a face's relief differs from the model's, so its answer counts only when the robust
+    distance of the rigid regions falls at two scales; `force_annealing` overrules both.
     """
     if options.annealing_evaluations == 0:
-        return Annealed(start, None, ("depth_annealing", False, "switched off", "0 evaluations"))
+        return Annealed(start.pose, None, ("depth_annealing", False, "switched off", "0 evaluations"))
     if meter.exhausted:
-        return Annealed(start, None, ("depth_annealing", False, "the budget had ended", ""))
+        return Annealed(start.pose, None, ("depth_annealing", False, "the budget had ended", ""))
+    if start.settled and not options.force_annealing:
+        evidence = f"last step below 0.001 degrees and mm at a scale of {start.sigma_mm:.2f} mm"
+        reason = "nothing to gain: ICP settled on a fixed point"
+        return Annealed(start.pose, None, ("depth_annealing", False, reason, evidence))
     found = anneal_depth_derivatives(
         view.vertices,
         view.faces,
         template,
-        start,
+        start.pose,
         size=options.annealing_size,
         evaluations=options.annealing_evaluations,
         seed=seed,
         meter=meter,
     )
-    polished = _polished(view, template, found.pose, (2.0, 1.0), 10)
-    before, after = (rigid_distance_mm(view, template, p, _CHECK_SIGMA_MM) for p in (start, polished))
-    taken = options.force_annealing or after <= before
-    note = _annealing_note(found, start, polished, before, after, meter.evaluations)
-    if taken:
-        return Annealed(polished, found.error, note)
-    return Annealed(start, found.start_error, note)
-
-
-def _polished(
-    view: ScanView,
-    template: Template,
-    start: SimilarPose,
-    sigma_mm: tuple[float, float],
-    iterations: int,
-) -> SimilarPose:
-    return robust_icp(
-        view.tree, template.samples, template.rigidity, start, iterations=iterations, sigma_mm=sigma_mm
+    polished, steps = _settled(view, template, found.pose)
+    before, after = (
+        [rigid_distance_mm(view, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]
+        for p in (start.pose, polished.pose)
     )
+    better = all(a < b for a, b in zip(after, before, strict=True))
+    verdict = _verdict(better, options.force_annealing)
+    note = _annealing_note(verdict, found, start.pose, polished.pose, before, after, meter.evaluations)
+    meter.count(steps)
+    if better or options.force_annealing:
+        return Annealed(polished.pose, found.error, note)
+    return Annealed(start.pose, found.start_error, note)
+
+
+def _verdict(better: bool, forced: bool) -> str:
+    if better:
+        return "its pose is taken: the surface distance is less"
+    return "its pose is taken, as forced" if forced else "its pose is dropped: the surface is no nearer"
 
 
 def _annealing_note(
+    verdict: str,
     found: AnnealedPose,
     start: SimilarPose,
     polished: SimilarPose,
-    before_mm: float,
-    after_mm: float,
+    before_mm: list[float],
+    after_mm: list[float],
     evaluations: int,
 ) -> Note:
     angle_deg = np.rad2deg(rotation_angle_rad(polished.rotation @ start.rotation.T))
     shift_mm = float(np.linalg.norm(polished.translation - start.translation))
-    reason = (
-        "its pose is taken: the surface distance is no worse"
-        if after_mm <= before_mm
-        else "its pose is dropped: the surface distance is worse"
-    )
+    distances = " and ".join(f"{b:.3f} -> {a:.3f}" for b, a in zip(before_mm, after_mm, strict=True))
     evidence = (
-        f"robust distance {before_mm:.3f} -> {after_mm:.3f} mm, objective {found.start_error:.4f} -> "
+        f"robust distance {distances} mm, objective {found.start_error:.4f} -> "
         f"{found.error:.4f} in {evaluations} evaluations, {angle_deg:.2f} degrees and {shift_mm:.2f} mm away"
     )
-    return ("depth_annealing", True, reason, evidence)
+    return ("depth_annealing", True, verdict, evidence)

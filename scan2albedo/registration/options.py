@@ -30,7 +30,7 @@ class RegistrationOptions:
     certainty_needed: float = 0.49
     """Least certainty (see `face_evidence.FaceEvidence`) of a face: whole faces reach 0.55 and more, balls,
     boxes, backs of heads and random bumpy bodies at most 0.48."""
-    annealing_evaluations: int = 1500
+    annealing_evaluations: int = 400
     """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
     annealing_size: int = 64
     """Side of the annealing's depth images in pixels."""

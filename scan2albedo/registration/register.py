@@ -11,7 +11,7 @@ from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
 from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates, runner_up_score
-from scan2albedo.registration.coarse_search import coarse_candidates
+from scan2albedo.registration.coarse_search import CoarsePoses, coarse_poses
 from scan2albedo.registration.finish import annealed, rms_mm, tightened
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
@@ -19,13 +19,13 @@ from scan2albedo.registration.oriented_points import OrientedPoints, oriented_po
 from scan2albedo.registration.own_frame import in_own_frame
 from scan2albedo.registration.result import Registration
 from scan2albedo.registration.robust_icp import ScanTree
-from scan2albedo.registration.starts import Starts
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
 
 _FEWEST_VERTICES = 50
 _FEWEST_SAMPLES = 150
+_CONVINCING = 0.1
 
 
 def register(
@@ -77,12 +77,12 @@ def register(
     vertices, own_from_scan = in_own_frame(scan.vertices, scan.faces)
     cloud = _samples_of(scan, vertices, options)
     template = Template.of(model, options.model_spacing_mm, seed)
-    starts = coarse_candidates(cloud, template, options, meter, seed)
+    poses = coarse_poses(cloud, template, options, meter, seed)
     view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
-    candidates = _judged(scan, view, template, starts, options, meter)
-    pose = tightened(view, template, candidates[0].pose, meter)
+    candidates = _judged(scan, view, template, poses, options, meter)
+    tight = tightened(view, template, candidates[0].pose, meter)
     annealing = meter.child("depth_annealing", "truncated slope difference")
-    final = annealed(view, template, pose, options, annealing, seed)
+    final = annealed(view, template, tight, options, annealing, seed)
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid()) @ own_from_scan,
         rmse_mm=rms_mm(view, template, final.pose),
@@ -91,7 +91,7 @@ def register(
         confidence=_confidence(candidates, options),
         iterations=meter.evaluations + annealing.evaluations,
         trace=meter.trace + annealing.trace,
-        notes=(_search_note(candidates, len(starts), options), final.note),
+        notes=(_search_note(candidates, len(poses), options), final.note),
         face_scale=final.pose.scale,
     )
 
@@ -119,29 +119,29 @@ def _judged(
     scan: RawScan,
     view: ScanView,
     template: Template,
-    starts: Starts,
+    poses: CoarsePoses,
     options: RegistrationOptions,
     meter: Meter,
 ) -> tuple[Candidate, ...]:
-    """Refine and rank the likely candidates and, where none is a face, the others before refusing."""
+    """Refine and rank candidates, look by look, until one is a face; refuse the scan if none is."""
     target = ScanTarget(view.tree.samples)
-    likely, others = starts.split(options.candidates)
-    candidates = judged_candidates(view, target, template, likely, meter)
-    if not _is_face(candidates[0], options) and not meter.exhausted and len(others):
-        second_look = judged_candidates(view, target, template, others, meter)
-        candidates = tuple(sorted(candidates + second_look, key=lambda c: -c.evidence.score))
-    if not meter.exhausted:
-        _refuse_no_face(scan, candidates, options)
+    candidates: tuple[Candidate, ...] = ()
+    needed = options.certainty_needed + _CONVINCING
+    for starts in poses.looks(options.candidates, options.more_candidates):
+        candidates = judged_candidates(view, target, template, starts, meter, candidates)
+        if meter.exhausted or _is_face(candidates[0], options, needed):
+            return candidates
+        needed = options.certainty_needed
+    _refuse_no_face(scan, candidates, options)
     return candidates
 
 
-def _is_face(candidate: Candidate, options: RegistrationOptions) -> bool:
-    evidence = candidate.evidence
-    return evidence.coverage >= options.coverage_needed and evidence.certainty >= options.certainty_needed
+def _is_face(candidate: Candidate, options: RegistrationOptions, needed: float) -> bool:
+    return candidate.evidence.coverage >= options.coverage_needed and candidate.evidence.certainty >= needed
 
 
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:
-    if _is_face(candidates[0], options):
+    if _is_face(candidates[0], options, options.certainty_needed):
         return
     evidence = candidates[0].evidence
     raise RegistrationError(

@@ -17,6 +17,7 @@ _SCALE_PRIOR = 0.1
 _PRIOR_SHARE = 0.02
 _FARTHEST_MM = 30.0
 _INLIER_MM = 10.0
+_SETTLED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,16 @@ class Residuals:
         total = inlier.sum()
         return float(np.sqrt(inlier @ self.plane_mm**2 / total)) if total > 0 else float("inf")
 
+    def quantile_mm(self, weights: FloatArray, part: float) -> float:
+        """Return the distance to the plane that `part` of the inliers' weight keeps; inf without inliers."""
+        inlier = (self.distance_mm < _INLIER_MM) & (self.agreement > 0.5)
+        if not inlier.any():
+            return float("inf")
+        distance = np.abs(self.plane_mm[inlier])
+        order = np.argsort(distance, kind="stable")
+        cumulated = np.cumsum(weights[inlier][order])
+        return float(distance[order][np.searchsorted(cumulated, part * cumulated[-1])])
+
     def robust_cost(self, weights: FloatArray, sigma_mm: float) -> float:
         """Return the weighted mean of min(distance, 3 sigma) with disagreeing normals at the limit."""
         capped = np.where(self.agreement > 0.5, np.minimum(np.abs(self.plane_mm), 3 * sigma_mm), 3 * sigma_mm)
@@ -135,23 +146,53 @@ def robust_icp(
     """
     pose = start
     for sigma in np.geomspace(*sigma_mm, iterations):
-        measured, (turned, target) = _correspond(scan, model, pose)
-        r = measured.plane_mm
-        near = np.isfinite(measured.distance_mm)
-        rho = np.where(near, (sigma**2 / (sigma**2 + r**2)) ** 2 * np.maximum(measured.agreement, 0) ** 2, 0)
-        rho *= weights / weights.sum()
-        rows = np.concatenate(
-            [np.cross(turned, target), target, np.einsum("ij,ij->i", turned, target)[:, None]], 1
-        )
-        gram = (rows * rho[:, None]).T @ rows + 1e-9 * np.eye(7)
-        gradient = -(rows * rho[:, None]).T @ r
-        prior = _PRIOR_SHARE * rho.sum() * (sigma / _SCALE_PRIOR) ** 2
-        gram[6, 6] += prior
-        gradient[6] -= prior * np.log(pose.scale)
-        step = np.linalg.solve(gram, gradient)
-        pose = SimilarPose(
-            rotation_from_vector(step[:3]) @ pose.rotation,
-            pose.translation + step[3:6],
-            pose.scale * float(np.exp(np.clip(step[6], -0.05, 0.05))),
-        )
+        pose, _ = _stepped(scan, model, weights, pose, float(sigma))
     return pose
+
+
+def settled_icp(
+    scan: ScanTree,
+    model: OrientedPoints,
+    weights: FloatArray,
+    start: SimilarPose,
+    *,
+    sigma_mm: float,
+    iterations: int,
+) -> tuple[SimilarPose, int]:
+    """Repeat the step of `robust_icp` at one scale until it moves nothing; also return the steps taken.
+
+    It ends where a step turns by less than 1e-3 degrees and moves by less than 1e-3 mm, so that the answer
+    is the scan's and not the start's.
+    """
+    pose = start
+    for taken in range(1, iterations + 1):
+        pose, moved = _stepped(scan, model, weights, pose, sigma_mm)
+        if moved < _SETTLED:
+            return pose, taken
+    return pose, iterations
+
+
+def _stepped(
+    scan: ScanTree, model: OrientedPoints, weights: FloatArray, pose: SimilarPose, sigma_mm: float
+) -> tuple[SimilarPose, float]:
+    """Take one reweighted Gauss-Newton step; also return its length (the larger of degrees and mm)."""
+    measured, (turned, target) = _correspond(scan, model, pose)
+    r = measured.plane_mm
+    near = np.isfinite(measured.distance_mm)
+    robust = (sigma_mm**2 / (sigma_mm**2 + r**2)) ** 2 * np.maximum(measured.agreement, 0) ** 2
+    rho = np.where(near, robust, 0) * weights / weights.sum()
+    rows = np.concatenate(
+        [np.cross(turned, target), target, np.einsum("ij,ij->i", turned, target)[:, None]], 1
+    )
+    gram = (rows * rho[:, None]).T @ rows + 1e-9 * np.eye(7)
+    gradient = -(rows * rho[:, None]).T @ r
+    prior = _PRIOR_SHARE * rho.sum() * (sigma_mm / _SCALE_PRIOR) ** 2
+    gram[6, 6] += prior
+    gradient[6] -= prior * np.log(pose.scale)
+    step = np.linalg.solve(gram, gradient)
+    moved = SimilarPose(
+        rotation_from_vector(step[:3]) @ pose.rotation,
+        pose.translation + step[3:6],
+        pose.scale * float(np.exp(np.clip(step[6], -0.05, 0.05))),
+    )
+    return moved, max(float(np.rad2deg(np.linalg.norm(step[:3]))), float(np.linalg.norm(step[3:6])))

@@ -25,13 +25,6 @@ class Starts:
     def __len__(self) -> int:
         return len(self.rotations)
 
-    def split(self, count: int) -> tuple[Starts, Starts]:
-        """Return the first `count` and the rest."""
-        return (
-            Starts(self.rotations[:count], self.translations[:count]),
-            Starts(self.rotations[count:], self.translations[count:]),
-        )
-
 
 def anchored_starts(
     scan: OrientedPoints,

@@ -49,8 +49,9 @@ def test_the_pose_is_rigid_and_the_size_is_told_apart(registered):
     assert 0.85 < registration.face_scale < 1.15
 
 
-def test_the_trace_and_the_notes_tell_what_happened(registered):
-    _, registration = registered
+def test_the_trace_and_the_notes_tell_what_happened(registered, model):
+    example, _ = registered
+    registration = register(example.scan, model, options=RegistrationOptions(force_annealing=True))
     assert registration.trace.stages == ("icp", "depth_annealing")
     assert {row.unit for row in registration.trace.of_stage("icp")} == {"mm"}
     annealing = [row.error for row in registration.trace.of_stage("depth_annealing")]
@@ -61,7 +62,20 @@ def test_the_trace_and_the_notes_tell_what_happened(registered):
         ("depth_annealing", True),
     ]
     assert "evaluations" in registration.notes[1][3]
-    assert registration.iterations >= 1500
+    assert registration.iterations >= 400
+    assert "taken" in registration.notes[1][2]
+
+
+def test_annealing_is_left_out_with_the_reason_where_icp_settled(ict_scan, model):
+    notes = [
+        register(ict_scan(shape, seed).scan, model).notes[1]
+        for seed, shape in enumerate(("generic_neutral", "person2", "person4"))
+    ]
+    left_out = [note for note in notes if not note[1]]
+    assert left_out
+    for _, _, reason, evidence in left_out:
+        assert "settled on a fixed point" in reason
+        assert "0.001 degrees" in evidence
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_the_same_pose(registered, model):
