@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.geometry.mesh import boundary_vertex_mask
 from scan2albedo.geometry.rigid import compose, rotation_angle_rad
 from scan2albedo.optimization import Meter
 from scan2albedo.registration.face_evidence import FaceEvidence
@@ -41,6 +43,11 @@ class ScanView:
     faces: NDArray[np.int64]
     tree: ScanTree
 
+    def without_border(self, reach_mm: float) -> ScanView:
+        """Return the view whose samples within `reach_mm` of an open edge have no say."""
+        edge_points = self.vertices[boundary_vertex_mask(len(self.vertices), self.faces)]
+        return ScanView(self.vertices, self.faces, ScanTree.of(self.tree.samples, edge_points, reach_mm))
+
 
 def judged_candidates(
     scan: ScanView,
@@ -73,6 +80,11 @@ def judged_candidates(
         meter.count()
         best = max(candidates, key=lambda c: c.evidence.score)
         meter.record(rigid_distance_mm(scan, template, best.pose))
+    return ranked(candidates)
+
+
+def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Return the candidates in the order of their scores, best first."""
     return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
 
 

@@ -10,7 +10,13 @@ from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
-from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates, runner_up_score
+from scan2albedo.registration.candidates import (
+    Candidate,
+    ScanView,
+    judged_candidates,
+    ranked,
+    runner_up_score,
+)
 from scan2albedo.registration.coarse_search import CoarsePoses, coarse_poses
 from scan2albedo.registration.finish import annealed, rms_mm, tightened
 from scan2albedo.registration.open3d_icp import ScanTarget
@@ -132,6 +138,12 @@ def _judged(
         if meter.exhausted or _is_face(candidates[0], options, needed):
             return candidates
         needed = options.certainty_needed
+    # Half a face may have been missed because its other half drew the model round the head.
+    inner = view.without_border(2 * options.scan_spacing_mm)
+    for starts in poses.looks(options.candidates, 0):
+        candidates = ranked(candidates + judged_candidates(inner, target, template, starts, meter))
+        if meter.exhausted or _is_face(candidates[0], options, needed):
+            return candidates
     _refuse_no_face(scan, candidates, options)
     return candidates
 
