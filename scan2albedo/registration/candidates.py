@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.geometry.mesh import boundary_vertex_mask
-from scan2albedo.geometry.rigid import compose, rotation_angle_rad
+from scan2albedo.geometry.rigid import rotation_angle_rad
 from scan2albedo.optimization import Meter
 from scan2albedo.registration.face_evidence import FaceEvidence
 from scan2albedo.registration.open3d_icp import ScanTarget
+from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
 from scan2albedo.registration.starts import Starts
 from scan2albedo.registration.template import Template
@@ -43,15 +42,10 @@ class ScanView:
     faces: NDArray[np.int64]
     tree: ScanTree
 
-    def without_border(self, reach_mm: float) -> ScanView:
-        """Return the view whose samples within `reach_mm` of an open edge have no say."""
-        edge_points = self.vertices[boundary_vertex_mask(len(self.vertices), self.faces)]
-        return ScanView(self.vertices, self.faces, ScanTree.of(self.tree.samples, edge_points, reach_mm))
-
 
 def judged_candidates(
     scan: ScanView,
-    target: ScanTarget,
+    target: ScanTarget | None,
     template: Template,
     starts: Starts,
     meter: Meter,
@@ -59,7 +53,7 @@ def judged_candidates(
 ) -> tuple[Candidate, ...]:
     """Refine every start by Open3D's ICP, then with scale, and rank by face evidence, best first.
 
-    Candidates judged `before` are ranked with the new ones; a start that ends at one of them is left.
+    Without a `target` Open3D's part is left out. Candidates judged `before` are ranked with the new ones; a start that ends at one of them is left.
     At least one is refined however small the budget is.
     """
     samples = template.first(_SAMPLES)
@@ -68,11 +62,10 @@ def judged_candidates(
     for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
         if candidates and meter.exhausted:
             break
-        refined = target.refine(
-            samples, compose(rotation, translation), max_distance_mm=20.0, scale_mm=8.0, iterations=20
-        )
-        meter.count()
-        pose = SimilarPose(refined[:3, :3], refined[:3, 3])
+        pose = SimilarPose(rotation, translation)
+        if target is not None:
+            pose = _widely_refined(target, samples, pose)
+            meter.count()
         if any(_near(pose, other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
             continue
         poses.append(pose)
@@ -80,12 +73,12 @@ def judged_candidates(
         meter.count()
         best = max(candidates, key=lambda c: c.evidence.score)
         meter.record(rigid_distance_mm(scan, template, best.pose))
-    return ranked(candidates)
-
-
-def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
-    """Return the candidates in the order of their scores, best first."""
     return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
+
+
+def _widely_refined(target: ScanTarget, samples: OrientedPoints, start: SimilarPose) -> SimilarPose:
+    refined = target.refine(samples, start.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=20)
+    return SimilarPose(refined[:3, :3], refined[:3, 3])
 
 
 def _judged(scan: ScanView, template: Template, start: SimilarPose) -> Candidate:

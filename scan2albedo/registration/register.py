@@ -14,7 +14,6 @@ from scan2albedo.registration.candidates import (
     Candidate,
     ScanView,
     judged_candidates,
-    ranked,
     runner_up_score,
 )
 from scan2albedo.registration.coarse_search import CoarsePoses, coarse_poses
@@ -138,18 +137,36 @@ def _judged(
         if meter.exhausted or _is_face(candidates[0], options, needed):
             return candidates
         needed = options.certainty_needed
-    # Half a face may have been missed because its other half drew the model round the head.
-    inner = view.without_border(2 * options.scan_spacing_mm)
-    for starts in poses.looks(options.candidates, 0):
-        candidates = ranked(candidates + judged_candidates(inner, target, template, starts, meter))
+    # Open3D's wide pairs draw half a face round the head, towards its missing half: look without it.
+    for starts in poses.looks(2 * options.candidates, 0):
+        candidates = judged_candidates(view, None, template, starts, meter, candidates)
         if meter.exhausted or _is_face(candidates[0], options, needed):
             return candidates
+    _refuse_inside_out(scan, view, template, options, meter)
     _refuse_no_face(scan, candidates, options)
     return candidates
 
 
 def _is_face(candidate: Candidate, options: RegistrationOptions, needed: float) -> bool:
     return candidate.evidence.coverage >= options.coverage_needed and candidate.evidence.certainty >= needed
+
+
+def _refuse_inside_out(
+    scan: RawScan, view: ScanView, template: Template, options: RegistrationOptions, meter: Meter
+) -> None:
+    """Tell a face whose triangles all face inward: fitting and shading would go wrong with it."""
+    samples = view.tree.samples
+    reversed_samples = OrientedPoints(samples.points, -samples.normals, samples.areas)
+    reversed_view = ScanView(view.vertices, view.faces, ScanTree(reversed_samples, view.tree.tree))
+    poses = coarse_poses(reversed_samples, template, options, meter, 0)
+    starts = next(poses.looks(options.candidates, 0))
+    best = judged_candidates(reversed_view, ScanTarget(reversed_samples), template, starts, meter)[0]
+    if _is_face(best, options, options.certainty_needed + _CONVINCING):
+        raise RegistrationError(
+            f"{scan.name}: the scan is inside out: with its {len(scan.faces)} triangles reversed there is a "
+            f"face (certainty {best.evidence.certainty:.2f}). Reverse the order of every triangle's "
+            "vertices (scan.faces[:, ::-1]) and try again"
+        )
 
 
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:

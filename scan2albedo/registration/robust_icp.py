@@ -18,7 +18,6 @@ _PRIOR_SHARE = 0.02
 _FARTHEST_MM = 30.0
 _INLIER_MM = 10.0
 _SETTLED = 1e-3
-_GREATEST_BORDER_PART = 0.4
 
 
 @dataclass(frozen=True)
@@ -55,34 +54,15 @@ class SimilarPose:
 
 @dataclass(frozen=True)
 class ScanTree:
-    """Scan samples with a k-d tree over them.
-
-    `border` (N,) bool marks samples at the scan's open edges. What lies nearest to one may have its true
-    counterpart beyond the edge, so such pairs have no say; without this the missing half of a half
-    face pulls the model round the head. [1]_
-
-    References
-    ----------
-    .. [1] G. Turk, M. Levoy, "Zippered polygon meshes from range images", SIGGRAPH 1994, section 3.
-    """
+    """Scan samples with a k-d tree over them."""
 
     samples: OrientedPoints
     tree: cKDTree
-    border: NDArray[np.bool_]
 
     @classmethod
-    def of(
-        cls, samples: OrientedPoints, edge_points: FloatArray | None = None, reach_mm: float = 0.0
-    ) -> ScanTree:
-        """Build the tree; samples within `reach_mm` of one of the (E, 3) `edge_points` are border."""
-        tree = cKDTree(samples.points)
-        border = np.zeros(len(samples), bool)
-        if edge_points is not None and len(edge_points):
-            distance, _ = cKDTree(edge_points).query(samples.points, distance_upper_bound=reach_mm)
-            border = np.isfinite(distance)
-            # Loose triangles have nothing but edges, which tell nothing.
-            border &= border.mean() < _GREATEST_BORDER_PART
-        return cls(samples, tree, border)
+    def of(cls, samples: OrientedPoints) -> ScanTree:
+        """Build the tree."""
+        return cls(samples, cKDTree(samples.points))
 
 
 @dataclass(frozen=True)
@@ -129,7 +109,6 @@ def _correspond(
     distance, index = scan.tree.query(turned + pose.translation, distance_upper_bound=_FARTHEST_MM)
     found = index < len(scan.samples)
     index = np.where(found, index, 0)
-    found &= ~scan.border[index]
     offset = turned + pose.translation - scan.samples.points[index]
     target = scan.samples.normals[index]
     agreement = np.where(found, np.einsum("ij,ij->i", normals, target), -1.0)
