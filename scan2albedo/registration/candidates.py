@@ -53,7 +53,8 @@ def judged_candidates(
 ) -> tuple[Candidate, ...]:
     """Refine every start by Open3D's ICP, then with scale, and rank by face evidence, best first.
 
-    Without a `target` Open3D's part is left out. Candidates judged `before` are ranked with the new ones; a start that ends at one of them is left.
+    Without a `target` Open3D's part is left out. Candidates judged `before` are ranked with the new ones;
+    a start that ends at one of them is left.
     At least one is refined however small the budget is.
     """
     samples = template.first(_SAMPLES)

@@ -66,12 +66,19 @@ class DepthDerivativeObjective:
         limit = float(self._vertices[:, 2].max()) + _LOOK_THROUGH_MM
         self._scan = depth_image(scan_vertices, scan_faces, frame, start.model_from_scan(), z_limit=limit)
         self._weights = _weight_image(self._vertices, self._faces, template.coarse_stiffness, frame)
+        self._pixels, self._slopes = _scan_slopes(self._scan, self._weights)
+        self._pixel_weights = self._weights.ravel()[self._pixels]
+        self._total = float(self._pixel_weights.sum())
         self._projected, self._image = np.empty_like(self._vertices), np.empty((size, size))
 
     def __call__(self, parameters: FloatArray) -> float:
         """Return the cost at (rx, ry, rz, tx, ty)."""
         self._draw(_moved(parameters, 0.0))
-        return float(_derivative_cost(self._image, self._scan, self._weights, self._view[2], _TRUNCATION))
+        if self._total == 0:
+            return 1.0
+        limit = _TRUNCATION * self._view[2]
+        cost = _slope_cost(self._image, self._pixels, self._slopes, self._pixel_weights, limit)
+        return float(cost) / (2 * limit * self._total)
 
     def depth_shift_mm(self, parameters: FloatArray) -> float:
         """Return the weighted median of scan depth minus model depth: the z that derivatives cannot see."""
@@ -177,21 +184,27 @@ def _weight_image(
     return interpolate(raster, faces, vertex_weights)
 
 
+def _scan_slopes(depth: FloatArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return flat indices (P,) of weighted pixels with derivatives, and these (P, 2): to the right, down."""
+    seen = np.isfinite(depth)
+    used = np.zeros_like(seen)
+    used[:-1, :-1] = seen[:-1, :-1] & seen[:-1, 1:] & seen[1:, :-1] & (weights[:-1, :-1] > 0)
+    row, column = np.nonzero(used)
+    here = depth[row, column]
+    slopes = np.stack([depth[row, column + 1] - here, depth[row + 1, column] - here], 1)
+    return row * depth.shape[1] + column, slopes
+
+
 @njit(cache=True, nogil=True)
-def _derivative_cost(model, scan, weights, pixel, truncation):  # type: ignore[no-untyped-def]
-    cost, total = 0.0, 0.0
-    for row in range(model.shape[0] - 1):
-        for column in range(model.shape[1] - 1):
-            weight = weights[row, column]
-            here, right, below = scan[row, column], scan[row, column + 1], scan[row + 1, column]
-            if weight == 0.0 or here == -np.inf or right == -np.inf or below == -np.inf:
-                continue
-            total += weight
-            here_m, right_m, below_m = model[row, column], model[row, column + 1], model[row + 1, column]
-            if here_m == -np.inf or right_m == -np.inf or below_m == -np.inf:
-                cost += 2 * weight * truncation
-                continue
-            across = abs((right_m - here_m) - (right - here)) / pixel
-            down = abs((below_m - here_m) - (below - here)) / pixel
-            cost += weight * (min(across, truncation) + min(down, truncation))
-    return cost / (2 * truncation * total) if total > 0 else 1.0
+def _slope_cost(model, pixels, slopes, weights, limit):  # type: ignore[no-untyped-def]
+    """Sum the truncated differences; a slope next to nothing is infinite or NaN and costs the limit."""
+    width, flat, cost = model.shape[1], model.ravel(), 0.0
+    for i in range(len(pixels)):
+        here = flat[pixels[i]]
+        across = abs(flat[pixels[i] + 1] - here - slopes[i, 0])
+        down = abs(flat[pixels[i] + width] - here - slopes[i, 1])
+        if across < np.inf and down < np.inf:
+            cost += weights[i] * (min(across, limit) + min(down, limit))
+        else:
+            cost += 2 * weights[i] * limit
+    return cost
