@@ -244,11 +244,13 @@ class _Run:
             )
             return None
         with self.timed("register"):
-            options = RegistrationOptions()
-            if "register.depth_annealing" in self.skip:
-                options = replace(options, annealing_evaluations=0)
             registration = register(
-                scan, model, self.share("register"), self.seed, options=options, on_progress=self.on_progress
+                scan,
+                model,
+                self.share("register"),
+                self.seed,
+                options=self.registration_options(),
+                on_progress=self.on_progress,
             )
         self.trace += registration.trace
         self.note("register", True, "pose of the face in the scan", f"rmse {registration.rmse_mm:.2f} mm")
@@ -278,6 +280,11 @@ class _Run:
         self.trace += estimate.trace
         self.plan += estimate.plan
         return estimate
+
+    def registration_options(self) -> RegistrationOptions:
+        if "register.depth_annealing" in self.skip:
+            return RegistrationOptions(annealing_evaluations=0)
+        return RegistrationOptions(force_annealing="register.depth_annealing" in self.force)
 
     def estimate_options(self) -> EstimateOptions:
         return EstimateOptions(

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
+from scan2albedo import pipeline
 from scan2albedo.choices import FORCEABLE
 from scan2albedo.demo import compare_with_truth, run_demo
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
@@ -20,6 +21,7 @@ from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128
 SCHEMAS = Path(__file__).resolve().parents[1] / "data_schemas"
+STEP = "register.depth_annealing"
 FILES = {
     "result.json",
     "geometry_image.npz",
@@ -177,6 +179,23 @@ def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(case):
     ):
         with pytest.raises(ValueError, match=message):
             s2a.process(case[0], **wrong)
+
+
+@pytest.mark.parametrize(
+    ("choice", "evaluations", "forced"),
+    [({}, 400, False), ({"skip": [STEP]}, 0, False), ({"force": [STEP]}, 400, True)],
+)
+def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, evaluations, forced):
+    given = []
+
+    def register(*arguments, options, **keywords):
+        given.append(options)
+        raise RegistrationError("far enough")
+
+    monkeypatch.setattr(pipeline, "register", register)
+    with pytest.raises(RegistrationError, match="far enough"):
+        s2a.process(ball, **choice)
+    assert [(o.annealing_evaluations, o.force_annealing) for o in given] == [(evaluations, forced)]
 
 
 def test_forced_steps_run_whatever_the_evidence(ball):
