@@ -64,7 +64,7 @@ class FitOptions:
     time_step: float = 10.0
     mass: float = 1.0
     damping: float = 0.1
-    rigid_iterations: int = 30
+    rigid_iterations: int = 5
     scale_range: tuple[float, float] = (0.75, 1.35)
     open_mouth: bool = True
     result_levels: int = 2
