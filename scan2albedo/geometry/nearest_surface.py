@@ -168,15 +168,15 @@ def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[
         return 0.0, 0.0, 1.0
     vc = d1 * d4 - d3 * d2
     if vc <= 0 and d1 >= 0 and d3 <= 0:
-        t = d1 / (d1 - d3)
+        t = d1 / max(d1 - d3, 1e-300)
         return 1 - t, t, 0.0
     vb = d5 * d2 - d1 * d6
     if vb <= 0 and d2 >= 0 and d6 <= 0:
-        t = d2 / (d2 - d6)
+        t = d2 / max(d2 - d6, 1e-300)
         return 1 - t, 0.0, t
     va = d3 * d6 - d5 * d4
     if va <= 0 and d4 >= d3 and d5 >= d6:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        t = (d4 - d3) / max((d4 - d3) + (d5 - d6), 1e-300)
         return 0.0, 1 - t, t
     total = va + vb + vc
     if total <= 0:

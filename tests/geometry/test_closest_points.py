@@ -4,7 +4,7 @@ import pytest
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.nearest_surface import NearestSurface
+from scan2albedo.geometry.nearest_surface import NearestSurface, weights_nearest_origin
 
 
 def bumpy_grid(size: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -93,3 +93,18 @@ def test_query_facing_chooses_the_sheet_that_looks_the_right_way():
     hit = query.query_facing(point, up[None])
     assert hit.distance[0] == pytest.approx(0.09)
     assert hit.points[0] == pytest.approx([5, 5, 0])
+
+
+def test_triangles_without_area_or_with_coincident_corners_have_closest_points_too():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0], [2, 0, 0]])
+    faces = np.array([[0, 1, 2], [0, 3, 4], [3, 1, 5]])
+    points = np.array([[0.0, 0, 0], [0.5, 1, 0], [1, 0, 0], [0, 0, 2], [3, 0, 1], [0, 0, 0]])
+    hits = NearestSurface(vertices, faces).query(points)
+    assert np.isfinite(hits.points).all()
+    np.testing.assert_allclose(hits.barycentric.sum(1), 1)
+    for corners in vertices[faces]:
+        for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1]):
+            weights = weights_nearest_origin(*(corners[order] - points[1]).ravel())
+            assert sum(weights) == pytest.approx(1)
+            weights = weights_nearest_origin(*(corners[order] - corners[0]).ravel())
+            assert sum(weights) == pytest.approx(1)
