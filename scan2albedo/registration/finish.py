@@ -19,6 +19,7 @@ _FIRST_ROUND_MM = (3.0, 2.0)
 _FIRST_STEPS, _NARROWING_STEPS, _SETTLING_STEPS = 8, 4, 30
 _RIGID_PART = 0.3
 _NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
+_HARDLY_MOVING = 0.02
 _TIGHTEST_MM, _WIDEST_MM = 0.35, 3.0
 
 Note = tuple[str, bool, str, str]
@@ -71,10 +72,10 @@ def _settled(view: ScanView, template: Template, start: SimilarPose) -> tuple[Ti
         iterations=_NARROWING_STEPS,
         sigma_mm=(_FIRST_ROUND_MM[1], sigma_mm),
     )
-    pose, steps = settled_icp(
+    pose, steps, last = settled_icp(
         view.tree, samples, weights, pose, sigma_mm=sigma_mm, iterations=_SETTLING_STEPS
     )
-    found = Tightened(pose, sigma_mm, steps < _SETTLING_STEPS)
+    found = Tightened(pose, sigma_mm, last < _HARDLY_MOVING)
     return found, _FIRST_STEPS + _NARROWING_STEPS + steps
 
 
@@ -103,7 +104,7 @@ def annealed(
     if meter.exhausted:
         return Annealed(start.pose, None, ("depth_annealing", False, "the budget had ended", ""))
     if start.settled and not options.force_annealing:
-        evidence = f"last step below 0.001 degrees and mm at a scale of {start.sigma_mm:.2f} mm"
+        evidence = f"last step below {_HARDLY_MOVING:g} degrees and mm at a scale of {start.sigma_mm:.2f} mm"
         reason = "nothing to gain: ICP settled on a fixed point"
         return Annealed(start.pose, None, ("depth_annealing", False, reason, evidence))
     found = anneal_depth_derivatives(

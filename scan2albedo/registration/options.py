@@ -13,7 +13,7 @@ class RegistrationOptions:
     """Spacing of the scan samples that the search looks at."""
     model_spacing_mm: float = 6.0
     """Spacing of the model samples."""
-    rotation_count: int = 300
+    rotation_count: int = 200
     """Super-Fibonacci rotations; each anchor takes those that face outward there."""
     anchor_spacing_mm: float = 30.0
     """Distance between the scan points on which the front of the model is put."""

@@ -23,7 +23,7 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.own_frame import in_own_frame
 from scan2albedo.registration.result import Registration
-from scan2albedo.registration.robust_icp import ScanTree
+from scan2albedo.registration.robust_icp import ScanTree, residuals
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 _FEWEST_VERTICES = 50
 _FEWEST_SAMPLES = 150
 _CONVINCING = 0.1
+_NEAR_MM = 10.0
 
 
 def register(
@@ -85,6 +86,7 @@ def register(
     poses = coarse_poses(cloud, template, options, meter, seed)
     view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
     candidates = _judged(scan, view, template, poses, options, meter)
+    _refuse_facing_away(scan, view, template, candidates[0])
     tight = tightened(view, template, candidates[0].pose, meter)
     annealing = meter.child("depth_annealing", "truncated slope difference")
     final = annealed(view, template, tight, options, annealing, seed)
@@ -159,14 +161,29 @@ def _refuse_inside_out(
     reversed_samples = OrientedPoints(samples.points, -samples.normals, samples.areas)
     reversed_view = ScanView(view.vertices, view.faces, ScanTree(reversed_samples, view.tree.tree))
     poses = coarse_poses(reversed_samples, template, options, meter, 0)
-    starts = next(poses.looks(options.candidates, 0))
-    best = judged_candidates(reversed_view, ScanTarget(reversed_samples), template, starts, meter)[0]
-    if _is_face(best, options, options.certainty_needed + _CONVINCING):
-        raise RegistrationError(
-            f"{scan.name}: the scan is inside out: with its {len(scan.faces)} triangles reversed there is a "
-            f"face (certainty {best.evidence.certainty:.2f}). Reverse the order of every triangle's "
-            "vertices (scan.faces[:, ::-1]) and try again"
-        )
+    target = ScanTarget(reversed_samples)
+    candidates: tuple[Candidate, ...] = ()
+    for starts in poses.looks(options.candidates, 0):
+        candidates = judged_candidates(reversed_view, target, template, starts, meter, candidates)
+    best = candidates[0]
+    if _is_face(best, options, options.certainty_needed):
+        raise RegistrationError(_inside_out_text(scan, best))
+
+
+def _refuse_facing_away(scan: RawScan, view: ScanView, template: Template, best: Candidate) -> None:
+    """Depth images show both sides of a surface: see that the normals agree as well."""
+    measured = residuals(view.tree, template.samples, best.pose)
+    near = measured.distance_mm < _NEAR_MM
+    if near.any() and np.mean(measured.agreement[near] < 0) > 0.5:
+        raise RegistrationError(_inside_out_text(scan, best))
+
+
+def _inside_out_text(scan: RawScan, best: Candidate) -> str:
+    return (
+        f"{scan.name}: the scan is inside out: with its {len(scan.faces)} triangles reversed there is a "
+        f"face (certainty {best.evidence.certainty:.2f}). Reverse the order of every triangle's "
+        "vertices (scan.faces[:, ::-1]) and try again"
+    )
 
 
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: RegistrationOptions) -> None:

@@ -158,18 +158,19 @@ def settled_icp(
     *,
     sigma_mm: float,
     iterations: int,
-) -> tuple[SimilarPose, int]:
-    """Repeat the step of `robust_icp` at one scale until it moves nothing; also return the steps taken.
+) -> tuple[SimilarPose, int, float]:
+    """Repeat the step of `robust_icp` at one scale until it moves nothing.
+
+    Also return the steps taken and the length of the last (the larger of degrees and mm).
 
     It ends where a step turns by less than 1e-3 degrees and moves by less than 1e-3 mm, so that the answer
     is the scan's and not the start's.
     """
-    pose = start
-    for taken in range(1, iterations + 1):
+    pose, taken, moved = start, 0, np.inf
+    while taken < iterations and moved >= _SETTLED:
+        taken += 1
         pose, moved = _stepped(scan, model, weights, pose, sigma_mm)
-        if moved < _SETTLED:
-            return pose, taken
-    return pose, iterations
+    return pose, taken, moved
 
 
 def _stepped(

@@ -88,8 +88,8 @@ def test_a_budget_of_a_twentieth_of_a_second(plain, model):
     )
 
 
-def test_an_inside_out_scan_is_refused_with_that_reason(plain, model):
-    scan = plain[0].scan
+def test_an_inside_out_scan_is_refused_with_that_reason(ict_scan, model):
+    scan = ict_scan("person1", 4).scan
     with pytest.raises(RegistrationError, match=r"inside out.*Reverse the order"):
         register(RawScan(scan.vertices, scan.faces[:, ::-1], name="turned"), model)
 

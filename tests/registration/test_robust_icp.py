@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.geometry.rigid import random_rotation, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
-from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
+from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp, settled_icp
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +56,25 @@ def test_nothing_near_is_an_infinite_rms_and_the_worst_cost(samples):
     far = residuals(scan, samples, SimilarPose(np.eye(3), np.zeros(3)))
     assert far.trimmed_rms_mm(samples.areas) == np.inf
     assert far.robust_cost(samples.areas, 2.0) == pytest.approx(6.0)
+
+
+def test_a_settled_pose_does_not_depend_on_where_it_began(samples):
+    truth = SimilarPose(random_rotation(np.random.default_rng(4)), np.array([1.0, 5.0, -2.0]))
+    scan = ScanTree.of(scan_of(samples, truth))
+    ends = []
+    for turn, shift in ([0.02, -0.01, 0.0], [1.0, 0, 0]), ([-0.01, 0.02, 0.01], [0, -1.0, 0.5]):
+        start = SimilarPose(rotation_from_vector(turn) @ truth.rotation, truth.translation + shift)
+        pose, steps, last = settled_icp(scan, samples, samples.areas, start, sigma_mm=3.0, iterations=60)
+        assert steps < 60
+        assert last < 1e-3
+        ends.append(pose)
+    assert np.degrees(rotation_angle_rad(ends[0].rotation @ ends[1].rotation.T)) < 0.01
+    assert np.linalg.norm(ends[0].translation - ends[1].translation) < 0.01
+
+
+def test_the_quantile_of_the_distances(samples):
+    scan = ScanTree.of(scan_of(samples, SimilarPose(np.eye(3), np.zeros(3))))
+    lifted = residuals(scan, samples, SimilarPose(np.eye(3), np.array([0.0, 0.0, 0.4])))
+    assert lifted.quantile_mm(samples.areas, 0.3) <= lifted.quantile_mm(samples.areas, 0.9) <= 0.41
+    far = residuals(scan, samples, SimilarPose(np.eye(3), np.array([1e5, 0, 0])))
+    assert far.quantile_mm(samples.areas, 0.3) == np.inf
