@@ -109,6 +109,10 @@ class Meter:
         )
         return Meter(stage, unit, left, self.on_progress)
 
+    def unseen_child(self) -> Meter:
+        """Return a meter for a part with another yardstick, whose rows are neither kept nor shown."""
+        return Meter(self.stage, self.unit, self.child(self.stage, self.unit).budget)
+
     def adopt(self, child: Meter) -> None:
         """Take over the evaluations and rows of a finished `child`."""
         self.evaluations += child.evaluations

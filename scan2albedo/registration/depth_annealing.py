@@ -138,7 +138,7 @@ def anneal_depth_derivatives(
     meter.count()
     meter.record(start_error)
     # The coarse stage has another yardstick, so its rows stay out of the trace.
-    unseen = Meter(meter.stage, meter.unit, meter.child(meter.stage, meter.unit).budget)
+    unseen = meter.unseen_child()
     rough = _annealed(coarse, np.zeros(5), bounds, seed, evaluations // 2, unseen)
     meter.count(rough.evaluations + 1)
     begin = rough.x if fine(rough.x) < start_error else np.zeros(5)

@@ -44,26 +44,24 @@ class Tightened:
 
 
 def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> Tightened:
-    """Finish on all samples, weighted to the rigid regions; records their robust distance.
+    """Finish on all samples, weighted to the rigid regions; records the loss at the last scale.
 
     The last scale follows the surface: where nearly a third of the face lies within the noise (the
     model is the same person's), the rest is expression and must not pull; between people nothing
     fits that closely, and a wide scale has one optimum where a narrow one has many.
     """
     if meter.exhausted:
-        meter.record(rigid_distance_mm(view, template, start))
         return Tightened(start, _WIDEST_MM, False)
-    found, steps = _settled(view, template, start)
-    meter.count(steps)
-    meter.record(rigid_distance_mm(view, template, found.pose))
-    return found
+    return _settled(view, template, start, meter)
 
 
-def _settled(view: ScanView, template: Template, start: SimilarPose) -> tuple[Tightened, int]:
+def _settled(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> Tightened:
     samples, weights = template.samples, template.rigidity
     pose = robust_icp(view.tree, samples, weights, start, iterations=_FIRST_STEPS, sigma_mm=_FIRST_ROUND_MM)
     near_mm = residuals(view.tree, samples, pose).quantile_mm(weights, _RIGID_PART)
     sigma_mm = float(np.clip(_SIGMAS_ABOVE_NOISE * (near_mm - _NOISE_MM), _TIGHTEST_MM, _WIDEST_MM))
+    meter.count(_FIRST_STEPS)
+    meter.record(residuals(view.tree, samples, pose).icp_loss_mm(weights, sigma_mm))
     pose = robust_icp(
         view.tree,
         samples,
@@ -75,8 +73,9 @@ def _settled(view: ScanView, template: Template, start: SimilarPose) -> tuple[Ti
     pose, steps, last = settled_icp(
         view.tree, samples, weights, pose, sigma_mm=sigma_mm, iterations=_SETTLING_STEPS
     )
-    found = Tightened(pose, sigma_mm, last < _HARDLY_MOVING)
-    return found, _FIRST_STEPS + _NARROWING_STEPS + steps
+    meter.count(_NARROWING_STEPS + steps)
+    meter.record(residuals(view.tree, samples, pose).icp_loss_mm(weights, sigma_mm))
+    return Tightened(pose, sigma_mm, last < _HARDLY_MOVING)
 
 
 def rms_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
@@ -117,7 +116,10 @@ def annealed(
         seed=seed,
         meter=meter,
     )
-    polished, steps = _settled(view, template, found.pose)
+    # The polish has another yardstick than the annealing, so its rows stay out of the trace.
+    unseen = meter.unseen_child()
+    polished = _settled(view, template, found.pose, unseen)
+    meter.count(unseen.evaluations)
     before, after = (
         [rigid_distance_mm(view, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]
         for p in (start.pose, polished.pose)
@@ -125,7 +127,6 @@ def annealed(
     better = all(a < b for a, b in zip(after, before, strict=True))
     verdict = _verdict(better, options.force_annealing)
     note = _annealing_note(verdict, found, start.pose, polished.pose, before, after, meter.evaluations)
-    meter.count(steps)
     if better or options.force_annealing:
         return Annealed(polished.pose, found.error, note)
     return Annealed(start.pose, found.start_error, note)

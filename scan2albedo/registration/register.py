@@ -87,17 +87,18 @@ def register(
     view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
     candidates = _judged(scan, view, template, poses, options, meter)
     _refuse_facing_away(scan, view, template, candidates[0])
-    tight = tightened(view, template, candidates[0].pose, meter)
-    annealing = meter.child("depth_annealing", "truncated slope difference")
+    closing = meter.child("tight_icp", "mm")
+    tight = tightened(view, template, candidates[0].pose, closing)
+    annealing = closing.child("depth_annealing", "truncated slope difference")
     final = annealed(view, template, tight, options, annealing, seed)
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid()) @ own_from_scan,
         rmse_mm=rms_mm(view, template, final.pose),
         depth_error=final.depth_error,
-        converged=not (meter.exhausted or annealing.exhausted),
+        converged=not any(m.exhausted for m in (meter, closing, annealing)),
         confidence=_confidence(candidates, options),
-        iterations=meter.evaluations + annealing.evaluations,
-        trace=meter.trace + annealing.trace,
+        iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
+        trace=meter.trace + closing.trace + annealing.trace,
         notes=(_search_note(candidates, len(poses), options), final.note),
         face_scale=final.pose.scale,
     )

@@ -95,6 +95,15 @@ class Residuals:
         capped = np.where(self.distance_mm < _INLIER_MM, capped, 3 * sigma_mm)
         return float(weights @ capped / weights.sum())
 
+    def icp_loss_mm(self, weights: FloatArray, sigma_mm: float) -> float:
+        """Return the root of the mean loss that a step of `robust_icp` lessens (Geman-McClure).
+
+        A sample whose normal disagrees counts as far as one that found nothing, sigma.
+        """
+        trust = np.where(np.isfinite(self.distance_mm), np.maximum(self.agreement, 0) ** 2, 0)
+        near = self.plane_mm**2 / (sigma_mm**2 + self.plane_mm**2)
+        return float(sigma_mm * np.sqrt(weights @ (1 - trust * (1 - near)) / weights.sum()))
+
 
 def residuals(scan: ScanTree, model: OrientedPoints, pose: SimilarPose) -> Residuals:
     """Measure the model samples at a pose against the scan."""

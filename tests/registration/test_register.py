@@ -53,7 +53,7 @@ def test_the_pose_is_rigid_and_the_size_is_told_apart(registered):
 def test_the_trace_and_the_notes_tell_what_happened(registered, model):
     example, _ = registered
     registration = register(example.scan, model, options=RegistrationOptions(force_annealing=True))
-    assert registration.trace.stages == ("icp", "depth_annealing")
+    assert registration.trace.stages == ("icp", "tight_icp", "depth_annealing")
     assert {row.unit for row in registration.trace.of_stage("icp")} == {"mm"}
     annealing = [row.error for row in registration.trace.of_stage("depth_annealing")]
     assert (np.diff(annealing) <= 0).all()
@@ -112,7 +112,7 @@ def test_annealing_can_be_left_out_and_progress_is_reported_as_it_is_recorded(re
     assert tuple(rows) == registration.trace.rows
     assert registration.depth_error is None
     assert registration.notes[1][:2] == ("depth_annealing", False)
-    assert registration.trace.stages == ("icp",)
+    assert registration.trace.stages == ("icp", "tight_icp")
     assert example.error(registration.model_from_scan)[0] < 4
 
 
