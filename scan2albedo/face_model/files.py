@@ -36,7 +36,7 @@ class FaceModelFile(BaseModel):
 
     The .npz holds control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where
     the counts below say so landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
-    template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3).
+    template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3), template_from_model (4, 4).
     """
 
     model_config = ConfigDict(extra="forbid", title="scan2albedo annotated face model")
@@ -53,6 +53,7 @@ class FaceModelFile(BaseModel):
     landmarks: Literal[0, 68] = Field(description="0, or 68 in iBUG order")
     template_vertices: int = Field(ge=0, description="T, 0 when the model carries no dense template")
     template_faces: int = Field(ge=0, description="T_F")
+    notes: list[str] = Field(default=[], description="what was decided and mended when the model was made")
     regions: dict[str, RegionEntry] = Field(description="by name, for example left_cheek")
 
 
@@ -75,6 +76,7 @@ def save_model(model: AnnotatedFaceModel, path: str | Path) -> None:
         landmarks=68 if model.landmark_points is not None else 0,
         template_vertices=len(arrays.get("template_face", ())),
         template_faces=len(arrays.get("template_faces", ())),
+        notes=list(model.notes),
         regions={name: _entry_of(region) for name, region in model.regions.items()},
     )
     stream = io.BytesIO()
@@ -105,6 +107,8 @@ def _arrays_of(model: AnnotatedFaceModel) -> Arrays:
             arrays[f"{prefix}_barycentric"] = points.barycentric.astype(np.float64)
     if model.template_offset is not None:
         arrays["template_offset"] = model.template_offset.astype(np.float64)
+    if model.template_from_model is not None:
+        arrays["template_from_model"] = model.template_from_model.astype(np.float64)
     if model.template_faces is not None:
         arrays["template_faces"] = model.template_faces.astype(np.int32)
     return arrays
@@ -122,7 +126,7 @@ def load_model(path: str | Path) -> AnnotatedFaceModel:
     arrays_path = Path(path).with_name(entry.arrays)
     arrays = _read_arrays(arrays_path)
     _check_shapes(entry, arrays, arrays_path)
-    template_offset, template_faces = arrays.get("template_offset"), arrays.get("template_faces")
+    template_faces = arrays.get("template_faces")
     return AnnotatedFaceModel(
         arrays["control_vertices"].astype(np.float64),
         arrays["control_faces"].astype(np.int64),
@@ -131,8 +135,10 @@ def load_model(path: str | Path) -> AnnotatedFaceModel:
         {name: Region(name, **region.model_dump()) for name, region in entry.regions.items()},
         landmark_points=_points(arrays, "landmark"),
         template_points=_points(arrays, "template"),
-        template_offset=None if template_offset is None else template_offset.astype(np.float64),
+        template_offset=arrays.get("template_offset"),
         template_faces=None if template_faces is None else template_faces.astype(np.int64),
+        template_from_model=arrays.get("template_from_model"),
+        notes=tuple(entry.notes),
         name=entry.name,
     )
 
@@ -183,6 +189,8 @@ def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
         }
     if "template_offset" in arrays:
         expected["template_offset"] = (entry.template_vertices, 3)
+    if "template_from_model" in arrays:
+        expected["template_from_model"] = (4, 4)
     if entry.template_faces:
         expected["template_faces"] = (entry.template_faces, 3)
     for name, shape in expected.items():

@@ -16,6 +16,7 @@ from scan2albedo.face_model.annotation import Region
 from scan2albedo.face_model.limit_fit import ControlMesh, decimated, fit_limit_surface, project
 from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
 from scan2albedo.face_model.template_cleaning import CleanTemplate, clean_template
+from scan2albedo.face_model.template_surface import TemplateSurface
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
 
@@ -43,8 +44,17 @@ class DenseTemplate:
     name: str
 
 
-def model_from_mesh(given: DenseTemplate, control_size: int) -> AnnotatedFaceModel:
+def model_from_surface(
+    surface: TemplateSurface, given: DenseTemplate, control_size: int
+) -> AnnotatedFaceModel:
     """Make a model of about `control_size` control vertices; `AnnotatedFaceModel.from_mesh` tells how.
+
+    Parameters
+    ----------
+    surface : TemplateSurface
+        Of `given`, in the model's axes.
+    given : DenseTemplate
+    control_size : int
 
     Raises
     ------
@@ -52,7 +62,7 @@ def model_from_mesh(given: DenseTemplate, control_size: int) -> AnnotatedFaceMod
         When the template, the regions or the landmarks cannot be used; the message says why.
     """
     name = given.name
-    template = clean_template(given.vertices, given.faces, name)
+    template = clean_template(surface, name)
     faces = np.array(given.faces, np.int64)
     control = fit_limit_surface(
         decimated(template.vertices, template.faces, control_size), template.vertices, template.faces
@@ -80,6 +90,8 @@ def model_from_mesh(given: DenseTemplate, control_size: int) -> AnnotatedFaceMod
         template_points=placed,
         template_offset=offset,
         template_faces=faces,
+        template_from_model=surface.template_from_surface,
+        notes=surface.notes + ((f"holes filled: {template.holes}",) if template.holes else ()),
         name=name,
     )
 

@@ -45,6 +45,10 @@ class AnnotatedFaceModel:
         Template vertex minus its surface point at rest, in the surface point's local frame or zeros.
     template_faces : (T_F, 3) int64, optional
         The template's own triangles.
+    template_from_model : (4, 4) float64, optional
+        Similarity from the model's frame in mm to the axes, origin and unit that the template came in.
+    notes : tuple of str
+        What `from_mesh` decided and mended, one sentence each.
     name : str
         Used in messages and results.
 
@@ -63,6 +67,8 @@ class AnnotatedFaceModel:
     template_points: SurfacePoints | None = None
     template_offset: FloatArray | None = None
     template_faces: IntArray | None = None
+    template_from_model: FloatArray | None = None
+    notes: tuple[str, ...] = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
 
@@ -136,20 +142,23 @@ class AnnotatedFaceModel:
         landmarks: FloatArray | IntArray | None = None,
         *,
         control_size: int = 1000,
+        annotate: bool = True,
         name: str = "template",
     ) -> AnnotatedFaceModel:
         """Make an `AnnotatedFaceModel` from a dense face template of 100 to 100,000 vertices.
 
-        The template is mended (unit, seams, loose parts, holes for eyes and mouth), its
+        The template is mended (unit, seams, loose parts, a few faces that spoil the surface, holes for eyes
+        and mouth) and turned into the model's axes, its
         edges are collapsed to about `control_size` vertices, and these are moved until the Loop limit
         surface passes near the template. Every template vertex is placed on that surface, so that a fit
-        returns the face in the template's own topology.
+        returns the face in the template's own topology. Regions and landmarks that are not given are
+        carried over from the default model, registered and fitted to the template.
 
         Parameters
         ----------
         vertices : (T, 3) array of float
-            Millimetres, centimetres or metres (decided by the size of a head); +x the subject's left,
-            +y up, +z out of the face.
+            Micrometres, millimetres, centimetres or metres (decided by the size of a head); any axes when
+            `annotate`, else +x the subject's left, +y up, +z out of the face.
         faces : (F, 3) array of int
             Triangles. Vertices without a face, or on loose parts (eyeballs), are carried along by the
             nearest surface.
@@ -162,22 +171,31 @@ class AnnotatedFaceModel:
             Points in the template's frame and unit, or vertex indices, iBUG-68 order.
         control_size : int
             Control vertices aimed at; a template not much larger keeps its own vertices.
+        annotate : bool
+            Find the template's axes, and what annotation is not given, with the default model. Where no
+            face is recognised in the template, its axes are taken as they are and `notes` says so.
         name : str
             Used in messages and results.
 
         Returns
         -------
         AnnotatedFaceModel
-            In millimetres, the template's axes, origin at the centroid of its vertices in faces.
+            In millimetres, origin at the centroid of the template's vertices in faces; the template's own
+            axes where they are within 25 degrees of the convention's, else turned.
 
         Raises
         ------
         ModelError
             When the template, the regions or the landmarks cannot be used; the message says why.
         """
-        from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_mesh
+        from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_surface
+        from scan2albedo.face_model.template_surface import template_surface
+        from scan2albedo.template_annotation import annotated_model
 
-        return model_from_mesh(DenseTemplate(vertices, faces, uv, regions, landmarks, name), control_size)
+        given = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
+        surface = template_surface(vertices, faces, name)
+        make = annotated_model if annotate else model_from_surface
+        return make(surface, given, control_size)
 
     def save(self, path: str | Path) -> None:
         """Write the model as JSON beside a small binary of its arrays."""

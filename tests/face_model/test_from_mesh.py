@@ -1,3 +1,5 @@
+from functools import partial
+
 import igl
 import numpy as np
 import pytest
@@ -8,6 +10,9 @@ from scan2albedo.face_model.from_mesh import carried_template, surface_frames
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.hole_filling import boundary_loops
 from scan2albedo.geometry.mesh import face_areas, face_cross_products
+
+plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
+"""The domes below are no faces, so nothing is to be recognised in them."""
 
 
 def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +43,7 @@ def assert_sound(model: AnnotatedFaceModel) -> None:
 @pytest.fixture(scope="module")
 def dense():
     vertices, faces = dome()
-    return vertices, faces, AnnotatedFaceModel.from_mesh(vertices, faces, control_size=300)
+    return vertices, faces, plain_model(vertices, faces, control_size=300)
 
 
 def test_a_dense_template_gets_a_small_control_mesh_whose_limit_surface_follows_it(dense):
@@ -64,13 +69,13 @@ def test_the_template_comes_back_exactly_at_rest_and_turns_with_the_surface(dens
 @pytest.mark.parametrize(("unit", "factor"), [("cm", 0.1), ("m", 0.001)])
 def test_the_unit_is_decided_by_the_size_of_a_head(dense, unit, factor):
     vertices, faces, model = dense
-    other = AnnotatedFaceModel.from_mesh(factor * vertices, faces, control_size=300)
+    other = plain_model(factor * vertices, faces, control_size=300)
     np.testing.assert_allclose(other.control_vertices, model.control_vertices, atol=1e-6)
 
 
 def test_a_small_template_keeps_its_own_vertices():
     vertices, faces = dome(16)
-    model = AnnotatedFaceModel.from_mesh(vertices, faces)
+    model = plain_model(vertices, faces)
     assert len(model.control_vertices) == 256
     np.testing.assert_array_equal(model.control_faces, faces)
 
@@ -80,7 +85,7 @@ def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
     holed = without_disc(vertices, without_disc(vertices, faces, 30, 30, 10), -30, 30, 10)
     eyeball = np.array([[30.0, 30, 40], [32, 30, 40], [30, 32, 40]])
     count = len(vertices)
-    model = AnnotatedFaceModel.from_mesh(
+    model = plain_model(
         np.concatenate([vertices, eyeball]),
         np.concatenate([holed, [[count, count + 1, count + 2]]]),
         control_size=400,
@@ -101,7 +106,7 @@ def test_seams_with_doubled_vertices_are_welded():
     vertices, faces = dome(24)
     left = vertices[faces, 0].mean(1) < 0
     count = len(vertices)
-    model = AnnotatedFaceModel.from_mesh(
+    model = plain_model(
         np.concatenate([vertices, vertices]), np.where(left[:, None], faces, faces + count), control_size=200
     )
     assert_sound(model)
@@ -112,7 +117,7 @@ def test_seams_with_doubled_vertices_are_welded():
 
 def test_an_inside_out_template_is_turned(dense):
     vertices, faces, _ = dense
-    model = AnnotatedFaceModel.from_mesh(vertices, faces[:, ::-1], control_size=300)
+    model = plain_model(vertices, faces[:, ::-1], control_size=300)
     assert face_cross_products(model.control_vertices, model.control_faces)[:, 2].sum() > 0
 
 
@@ -121,7 +126,7 @@ def test_a_closed_head_is_cut_open_at_the_back():
     for _ in range(3):
         vertices, faces = igl.upsample(vertices, faces)
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, control_size=200)
+    model = plain_model(vertices, faces, control_size=200)
     assert_sound(model)
     assert np.ptp(model.control_vertices[:, 2]) < 160
 
@@ -129,21 +134,19 @@ def test_a_closed_head_is_cut_open_at_the_back():
 def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
     vertices, faces, _ = dense
     uv = 0.1 + 0.8 * (vertices[:, :2] - vertices[:, :2].min(0)) / np.ptp(vertices[:, :2], axis=0)
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, uv, control_size=300)
+    model = plain_model(vertices, faces, uv, control_size=300)
     assert_sound(model)
     expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
     np.testing.assert_allclose(model.uv, expected, atol=0.02)
     folded = np.abs(uv - 0.5) + 0.2
-    assert_sound(AnnotatedFaceModel.from_mesh(vertices, faces, folded, control_size=300))
+    assert_sound(plain_model(vertices, faces, folded, control_size=300))
 
 
 def test_regions_by_indices_and_masks(dense):
     vertices, faces, _ = dense
     left = vertices[:, 0] > 5
     low = vertices[faces][:, :, 1].mean(1) < -40
-    model = AnnotatedFaceModel.from_mesh(
-        vertices, faces, regions={"left": np.flatnonzero(left), "low": low}, control_size=300
-    )
+    model = plain_model(vertices, faces, regions={"left": np.flatnonzero(left), "low": low}, control_size=300)
     centre = model.control_vertices[model.control_faces].mean(1)
     names = {r.index: r.name for r in model.regions.values()}
     for spot, name in (([40, 40], "left"), ([-40, 40], "face"), ([-40, -70], "low")):
@@ -154,19 +157,27 @@ def test_regions_by_indices_and_masks(dense):
 def test_landmarks_by_points_and_by_vertices(dense):
     vertices, faces, _ = dense
     chosen = np.arange(68) * 20 + 101
-    by_index = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=chosen, control_size=300)
-    by_point = AnnotatedFaceModel.from_mesh(
-        0.1 * vertices, faces, landmarks=0.1 * vertices[chosen], control_size=300
-    )
+    by_index = plain_model(vertices, faces, landmarks=chosen, control_size=300)
+    by_point = plain_model(0.1 * vertices, faces, landmarks=0.1 * vertices[chosen], control_size=300)
     np.testing.assert_allclose(by_point.landmarks, by_index.landmarks, atol=1e-6)
     assert np.linalg.norm(by_index.landmarks - (vertices - vertices.mean(0))[chosen], axis=1).mean() < 0.2
+
+
+def test_a_few_faces_that_spoil_the_surface_are_dropped(dense):
+    vertices, faces, model = dense
+    fin = np.concatenate([faces, [[*faces[1000, :2], 100]]])
+    mended = plain_model(vertices, fin, control_size=300)
+    np.testing.assert_array_equal(mended.control_faces, model.control_faces)
+    assert any(note.startswith("faces dropped at edges") for note in mended.notes)
+    pinched = np.where(faces == faces[1000, 0], faces[2000, 0], faces)
+    assert_sound(plain_model(vertices, pinched, control_size=300))
 
 
 def test_what_cannot_be_used_is_refused_with_the_reason():
     vertices, faces = dome(12)
     broken = vertices.copy()
     broken[3, 1] = np.nan
-    fin = np.concatenate([faces, [[*faces[40, :2], 100]]])
+    every_edge_thrice = np.concatenate([faces, np.roll(faces, 7, axis=0) * [1, 1, 0] + [0, 0, 77]])
     torus = _torus()
     cases = [
         (vertices[:, :2], faces, "shape"),
@@ -176,12 +187,12 @@ def test_what_cannot_be_used_is_refused_with_the_reason():
         (vertices, faces - 1, "refers to vertex -1,"),
         (vertices[:4], np.array([[0, 1, 2], [1, 3, 2]]), "at least 100"),
         (7000 * vertices, faces, "no head"),
-        (vertices, fin, "more than two faces"),
+        (vertices, every_edge_thrice, "more than two faces"),
         (*torus, "disc"),
     ]
     for v, f, message in cases:
         with pytest.raises(ModelError, match=message):
-            AnnotatedFaceModel.from_mesh(v, f)
+            plain_model(v, f)
 
 
 def test_wrong_annotations_are_refused_with_the_reason():
@@ -199,7 +210,7 @@ def test_wrong_annotations_are_refused_with_the_reason():
         ({"regions": {"filled": np.array([0])}}, "'filled' is taken"),
     ):
         with pytest.raises(ModelError, match=message):
-            AnnotatedFaceModel.from_mesh(vertices, faces, **extra)
+            plain_model(vertices, faces, **extra)
 
 
 def _torus() -> tuple[np.ndarray, np.ndarray]:

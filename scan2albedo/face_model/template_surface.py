@@ -1,0 +1,206 @@
+"""The surface of anyone's face template: its unit, its seams, its main part, which side is out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ModelError
+from scan2albedo.geometry.mesh import (
+    edges_with_faces,
+    face_areas,
+    face_cross_products,
+    vertex_components,
+)
+from scan2albedo.geometry.rigid import compose
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MIN_VERTICES = 100
+HEAD_SIZE_MM = (80.0, 600.0)
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
+MENDABLE_SHARE = 0.02
+"""A template of which more than this share of faces would have to go to make it a surface is refused."""
+
+
+@dataclass(frozen=True)
+class TemplateSurface:
+    """The largest part of a template, welded and oriented; still with its holes, and in any pose.
+
+    Parameters
+    ----------
+    vertices : (T, 3) float64
+        Every template vertex in millimetres, origin at the centroid of those in faces.
+    faces : (F, 3) int64
+        Manifold, counter-clockwise from outside.
+    unit : str
+        The unit decided for the input.
+    template_from_surface : (4, 4) float64
+        Similarity from `vertices` back to the input's unit, origin and axes.
+    notes : tuple of str
+        What was decided and mended, one sentence each.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    unit: str
+    template_from_surface: FloatArray
+    notes: tuple[str, ...] = ()
+
+    def turned(self, rotation: FloatArray) -> TemplateSurface:
+        """Return the surface turned by a (3, 3) rotation about its origin."""
+        back = self.template_from_surface @ compose(rotation.T, np.zeros(3))
+        return replace(self, vertices=self.vertices @ rotation.T, template_from_surface=back)
+
+
+def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> TemplateSurface:
+    """Decide the unit, join seams, keep the largest part and turn its faces outward.
+
+    Parameters
+    ----------
+    vertices : (T, 3) array of float
+        A head in micrometres, millimetres, centimetres or metres; any pose.
+    faces : (F, 3) array of int
+    name : str
+        Used in messages.
+
+    Raises
+    ------
+    ModelError
+        Wrong shapes, NaN, too few vertices, no faces, bad indices, no head's size, no surface even when
+        a few faces are dropped, or a surface that cannot be oriented.
+    """
+    given, index = _checked(vertices, faces, name)
+    used = np.unique(index)
+    unit = _unit(given[used], name)
+    origin = given[used].mean(0)
+    xyz = (given - origin) * UNITS_MM[unit]
+    welded = _welded(xyz, index)
+    part = largest_component(len(xyz), welded)
+    mesh, dropped = _manifold(part, name)
+    notes = (
+        f"unit {unit}",
+        *_note(len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
+        *_note(dropped, "faces dropped at edges with three faces and at pinched points"),
+    )
+    back = compose(np.eye(3) / UNITS_MM[unit], origin)
+    return TemplateSurface(xyz, _outward(xyz, mesh), unit, back, notes)
+
+
+def _note(count: int, text: str) -> tuple[str, ...]:
+    return (f"{text}: {count}",) if count else ()
+
+
+def _checked(vertices: FloatArray, faces: IntArray, name: str) -> tuple[FloatArray, IntArray]:
+    xyz, index = np.array(vertices, np.float64), np.array(faces)
+    if xyz.ndim != 2 or xyz.shape[1] != 3:
+        raise ModelError(f"{name}: template vertices have shape {xyz.shape}, expected (T, 3)")
+    if index.ndim != 2 or index.shape[1] != 3 or len(index) == 0:
+        raise ModelError(
+            f"{name}: template faces have shape {index.shape}, expected (F, 3) with F > 0; "
+            "triangulate the mesh, a point cloud is not enough"
+        )
+    if not np.isfinite(xyz).all():
+        bad = int((~np.isfinite(xyz)).any(1).sum())
+        raise ModelError(f"{name}: {bad} template vertices are NaN or infinite; repair or re-export it")
+    index = index.astype(np.int64)
+    if index.min() < 0 or index.max() >= len(xyz):
+        wrong = index.min() if index.min() < 0 else index.max()
+        raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(xyz)} vertices")
+    used = len(np.unique(index))
+    if used < MIN_VERTICES:
+        raise ModelError(f"{name}: the template has {used} vertices in faces, at least {MIN_VERTICES} needed")
+    return xyz, index
+
+
+def _unit(xyz: FloatArray, name: str) -> str:
+    size = float(np.max(np.ptp(xyz, axis=0)))
+    for unit, factor in UNITS_MM.items():
+        if HEAD_SIZE_MM[0] <= size * factor <= HEAD_SIZE_MM[1]:
+            return unit
+    low, high = HEAD_SIZE_MM
+    raise ModelError(
+        f"{name}: the template is {size:.4g} units large, which is no head in mm, cm, m or um "
+        f"({low:.0f} to {high:.0f} mm); scale it to millimetres"
+    )
+
+
+def _welded(xyz: FloatArray, faces: IntArray) -> IntArray:
+    """Join vertices at equal positions (UV seams), unless that makes an edge with three faces."""
+    step = 1e-7 * float(np.max(np.ptp(xyz, axis=0)))
+    _, first, inverse = np.unique(np.round(xyz / step), axis=0, return_index=True, return_inverse=True)
+    joined = first[inverse.ravel()][faces]
+    return _proper(xyz, joined if _edge_manifold(_proper(xyz, joined)) else faces)
+
+
+def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
+    """Drop faces with a repeated corner, no area, or the same corners as an earlier face."""
+    area = face_areas(xyz, faces)
+    good = faces[area > 1e-14 * area.max()]
+    _, first = np.unique(np.sort(good, axis=1), axis=0, return_index=True)
+    return good[np.sort(first)]
+
+
+def _edge_manifold(faces: IntArray) -> bool:
+    return len(faces) > 0 and int(edges_with_faces(faces)[1].max()) <= 2
+
+
+def largest_component(vertex_count: int, faces: IntArray) -> IntArray:
+    """Return the faces of the connected part that has the most."""
+    label = vertex_components(vertex_count, faces)[faces[:, 0]]
+    return faces[label == np.bincount(label).argmax()]
+
+
+def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
+    """Return consistently oriented faces of a surface, and how many had to be dropped for it."""
+    import igl
+
+    kept = faces
+    while len(spoilt := _spoilt(kept)):
+        kept = np.delete(kept, spoilt, axis=0)
+        dropped = len(faces) - len(kept)
+        if dropped > max(MENDABLE_SHARE * len(faces), 1):
+            raise ModelError(
+                f"{name}: more than {MENDABLE_SHARE:.0%} of the faces lie at edges with more than two "
+                "faces, or where surfaces touch at a point; remove inner and doubled faces"
+            )
+    if len(kept) < len(faces):
+        kept = largest_component(int(faces.max()) + 1, kept)
+    oriented = np.asarray(igl.bfs_orient(kept)[0], np.int64)
+    directed = oriented[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    if len(np.unique(directed, axis=0)) < len(directed):
+        raise ModelError(f"{name}: the surface cannot be oriented (it is one-sided); use an orientable mesh")
+    return oriented, len(faces) - len(kept)
+
+
+def _spoilt(faces: IntArray) -> IntArray:
+    """Return the faces that keep the mesh from being a surface.
+
+    At an edge with more than two faces those that hang loose go first, all of them where none does; where
+    surfaces touch at a single point, the faces around it.
+    """
+    import igl
+
+    edges, uses = edges_with_faces(faces)
+    if uses.max() > 2:
+        size = int(faces.max()) + 1
+        keys = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2) @ [size, 1]
+        key = edges @ [size, 1]
+        at_knot = np.isin(keys, key[uses > 2]).any(1)
+        loose = at_knot & np.isin(keys, key[uses == 1]).any(1)
+        return np.flatnonzero(loose if loose.any() else at_knot)
+    pinched = np.setdiff1d(np.flatnonzero(~igl.is_vertex_manifold(faces)), _unused(faces))
+    return np.flatnonzero(np.isin(faces, pinched).any(1))
+
+
+def _unused(faces: IntArray) -> IntArray:
+    return np.setdiff1d(np.arange(faces.max() + 1), faces)
+
+
+def _outward(xyz: FloatArray, faces: IntArray) -> IntArray:
+    corner = xyz[faces[:, 0]] - xyz[np.unique(faces)].mean(0)
+    volume = float(np.sum(face_cross_products(xyz, faces) * corner))
+    return faces if volume >= 0 else faces[:, ::-1].copy()

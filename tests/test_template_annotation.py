@@ -1,0 +1,127 @@
+"""Templates in any axes and unit get the convention's axes, regions and landmarks."""
+
+import igl
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.face_model.from_mesh import carried_template
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.rigid import procrustes, rotation_from_vector, transform_points
+
+TURN = rotation_from_vector(np.array([1.2, -0.7, 2.0]))
+INNER = slice(17, 68)
+
+
+@pytest.fixture(scope="module")
+def own():
+    """The default model's surface as a template: (vertices mm, faces, its landmarks)."""
+    default = s2a.AnnotatedFaceModel.default()
+    return *default.surface(2), default.landmarks
+
+
+@pytest.fixture(scope="module")
+def turned(own):
+    """The same in micrometres, inside out and upside down."""
+    vertices, faces, _ = own
+    return s2a.AnnotatedFaceModel.from_mesh(1000 * vertices @ TURN.T + 5000, faces[:, ::-1], name="own")
+
+
+def test_a_turned_template_gets_the_conventions_axes(own, turned):
+    vertices, _, _ = own
+    aligned = procrustes(carried_template(turned, turned.control_vertices), vertices)
+    angle = np.degrees(np.arccos((np.trace(aligned[:3, :3]) - 1) / 2))
+    assert angle < 1
+    assert any("unit um" in note for note in turned.notes)
+    assert any(note.startswith("turned by ") for note in turned.notes)
+
+
+def test_the_template_finds_its_way_back_to_its_own_axes_and_unit(own, turned):
+    vertices, _, _ = own
+    carried = carried_template(turned, turned.control_vertices)
+    back = transform_points(turned.template_from_model, carried)
+    np.testing.assert_allclose(back, 1000 * vertices @ TURN.T + 5000, atol=1e-3)
+
+
+def test_landmarks_and_regions_are_carried_over(own, turned):
+    vertices, _, landmarks = own
+    model_from_own = procrustes(vertices, carried_template(turned, turned.control_vertices))
+    error = np.linalg.norm(turned.landmarks - transform_points(model_from_own, landmarks), axis=1)
+    assert error.mean() < 0.5
+    default = s2a.AnnotatedFaceModel.default()
+    surface, faces = default.surface(2)
+    centres = turned.control_vertices[turned.control_faces].mean(1)
+    near = ClosestPointQuery(transform_points(model_from_own, surface), faces).query(centres).face
+    expected = {region.index: name for name, region in default.regions.items()}
+    got = {region.index: name for name, region in turned.regions.items()}
+    same = [
+        got[int(a)] == expected[int(b)]
+        for a, b in zip(turned.region, default.region[default.subdivision(2).parent[near]], strict=True)
+    ]
+    assert np.mean(same) > 0.93
+    assert turned.regions["nose"].stiffness == default.regions["nose"].stiffness
+
+
+def test_what_is_given_is_kept(own):
+    vertices, faces, landmarks = own
+    model = s2a.AnnotatedFaceModel.from_mesh(
+        vertices, faces, regions={"left": vertices[:, 0] > 0}, landmarks=landmarks
+    )
+    assert set(model.regions) == {"face", "left"}
+    assert np.linalg.norm(model.landmarks + vertices.mean(0) - landmarks, axis=1).max() < 3
+    assert not any("carried over" in note for note in model.notes)
+
+
+def test_a_template_without_a_face_keeps_its_axes_and_says_so():
+    vertices, faces = igl.icosahedron()
+    for _ in range(3):
+        vertices, faces = igl.upsample(vertices, faces)
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices, faces, control_size=200)
+    assert model.landmarks is None
+    assert set(model.regions) == {"face"}
+    assert "nothing annotated" in model.notes[-1]
+
+
+def test_half_a_face_gets_regions_but_no_landmarks(own):
+    vertices, faces, _ = own
+    half = faces[(vertices[faces][:, :, 0] > -12).all(1)]
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices, half)
+    assert model.landmarks is None
+    names = {region.index: name for name, region in model.regions.items()}
+    assert "left_eye" in {names[int(index)] for index in model.region}
+    assert "beside the template" in model.notes[-1]
+
+
+@pytest.mark.parametrize("part", ["inner face", "face area", "whole head"])
+def test_the_generic_face_in_metres_and_turned(shared_data, part):
+    data = np.load(shared_data / "ict_faces.npz")
+    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
+    if part != "whole head":
+        faces = faces[: int(data["face_area_faces"])]
+    if part == "inner face":
+        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+    given = vertices @ TURN.T / 1000
+    model = s2a.AnnotatedFaceModel.from_mesh(given, faces)
+    found = transform_points(model.template_from_model, model.landmarks) * 1000
+    error = np.linalg.norm(found - given[data["landmarks68"]] * 1000, axis=1)
+    assert error[INNER].mean() < 3
+    np.testing.assert_allclose(
+        transform_points(model.template_from_model, carried_template(model, model.control_vertices)),
+        given,
+        atol=1e-9,
+    )
+
+
+def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topology(shared_data):
+    vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices @ TURN.T, faces, name="mask")
+    assert model.landmarks is not None
+    scan = s2a.load_scan(shared_data / "james.obj")
+    fitted = s2a.fit(scan, model, s2a.register(scan, model))
+    assert fitted.template_vertices.shape == (468, 3)
+    truth = transform_points(
+        fitted.model_from_scan, np.loadtxt(shared_data / "james_ibug68.csv", delimiter=",")
+    )
+    assert np.linalg.norm(fitted.landmarks - truth, axis=1)[INNER].mean() < 5
+    assert np.nanmedian(fitted.residual_mm) < 0.4
