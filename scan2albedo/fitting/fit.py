@@ -12,6 +12,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.forces import ForceGates
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.fitting.outcome import fitted_face
+from scan2albedo.fitting.proportions import proportioned
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.rigid_refinement import Similarity, refine_similarity
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -52,7 +53,8 @@ def fit(
     energy of q weighted by each region's stiffness, and f the forces of the scan on samples of the limit
     surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
     implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
-    Before that, pose and size s are refined over the stiff regions (`refine_similarity`).
+    Before that, pose and size s are refined over the stiff regions (`refine_similarity`), and the face gets
+    its proportions (`proportioned`).
 
     Parameters
     ----------
@@ -100,6 +102,8 @@ def fit(
     pose = similarity.correction @ pose
     surface = surface.moved(similarity.correction)
     reference = similarity.scale * model.control_vertices
+    samples = SurfaceSamples.of(model, reference, RIGID_LEVEL)
+    reference = proportioned(surface, samples, reference, chosen, meter)
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
         deformation = mouth_opened(deformation)

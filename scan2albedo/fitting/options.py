@@ -36,6 +36,8 @@ class FitOptions:
         dt, and M and D as multiples of the surface's area (a unit force is a unit area).
     rigid_iterations : int
         Most iterations of the pose and scale refinement; 0 keeps the pose given.
+    proportion_iterations : int
+        Iterations of the symmetric stretch that gives the face its proportions; 0 leaves it out.
     scale_range : (float, float)
         Least and greatest size of the face relative to the model.
     open_mouth : bool
@@ -65,6 +67,7 @@ class FitOptions:
     mass: float = 1.0
     damping: float = 0.1
     rigid_iterations: int = 5
+    proportion_iterations: int = 8
     scale_range: tuple[float, float] = (0.75, 1.35)
     open_mouth: bool = True
     result_levels: int = 2
