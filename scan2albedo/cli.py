@@ -40,7 +40,10 @@ def process(
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
     model: Annotated[
-        str, typer.Option(help="A model's JSON file; 'default'; or 'none' for an object that is no face.")
+        str,
+        typer.Option(
+            help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face."
+        ),
     ] = "default",
     size: SizeOption = 512,
     lights: Annotated[str, typer.Option(help="'auto', or how many.")] = "auto",
@@ -64,6 +67,7 @@ def process(
     light_choice = _light_choice(lights)
     from scan2albedo.choices import check_choices, check_stage_names
     from scan2albedo.optimization import Budget
+    from scan2albedo.pipeline import chosen_model
     from scan2albedo.pipeline import process as run
     from scan2albedo.progress import ProgressLines
 
@@ -74,6 +78,9 @@ def process(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     _stop_cleanly_on_interrupt(out)
+    template = chosen_model(model)
+    for note in template.notes if template is not None else ():
+        typer.echo(f"{model}: {note}", err=True)
     summaries, failures = [], 0
     for path in scans:
         with ProgressLines(path.stem) as progress:
@@ -82,7 +89,7 @@ def process(
                 result = run(
                     path,
                     out=out,
-                    model=model,
+                    model=template or "none",
                     size=size,
                     lights=light_choice,
                     brdf=brdf,

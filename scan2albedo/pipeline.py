@@ -15,6 +15,7 @@ from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.choices import check_choices, check_stage_names
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.template_file import TEMPLATE_FILES, model_from_file
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.io import GeometryImage, RawScan, load_scan
 from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
@@ -50,8 +51,9 @@ def process(
     out : path, optional
         Folder that gets a subfolder named after the scan with the files of the result.
     model : AnnotatedFaceModel, path, "default" or "none", optional
-        The template; the default model when omitted. "none" processes any object without a face:
-        xatlas charts, no registration, no fit.
+        The template, from a model's JSON file or a mesh (`AnnotatedFaceModel.from_mesh`); the default
+        model when omitted. "none" processes any object without a face: xatlas charts, no registration,
+        no fit.
     size : int
         Height and width of the geometry image.
     lights : "auto" or int
@@ -123,7 +125,14 @@ def _evenness(image: GeometryImage) -> str:
     )
 
 
-def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
+def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
+    """Return the model that a user means: a model, a file of one or of a template, "default" or "none".
+
+    Raises
+    ------
+    ModelError
+        When there is no such file, or it holds neither.
+    """
     if isinstance(model, AnnotatedFaceModel):
         return model
     if model is None or str(model) == "default":
@@ -131,7 +140,11 @@ def _model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel 
     if str(model) == "none":
         return None
     if not Path(model).is_file():
-        raise ModelError(f"{model}: no such model file; give a model's JSON file, 'default' or 'none'")
+        raise ModelError(
+            f"{model}: no such file; give a model's JSON file, a template's mesh, 'default' or 'none'"
+        )
+    if Path(model).suffix.lower() in TEMPLATE_FILES:
+        return model_from_file(model)
     return AnnotatedFaceModel.load(model)
 
 
@@ -168,7 +181,7 @@ class _Run:
         """Take the scan through the stages; no file is written."""
         with self.timed("load"):
             scan = source if isinstance(source, RawScan) else load_scan(source, unit=unit)
-            template = _model(model)
+            template = chosen_model(model)
         with _kept_messages() as messages:
             registration, fitted, image = self.geometry(scan, template, size)
             estimate = self.albedo(image, scan, lights, brdf)

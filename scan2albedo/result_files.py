@@ -31,6 +31,7 @@ from scan2albedo.report.overview import chart_panels, face_panels, overview_figu
 from scan2albedo.staging import staging_folder
 
 if TYPE_CHECKING:
+    from scan2albedo.fitting import FittedFace
     from scan2albedo.process_result import ProcessResult
 
 FILES = frozenset(
@@ -44,6 +45,7 @@ FILES = frozenset(
         "specular.exr",
         "shadow.png",
         "fitted.glb",
+        "template.obj",
         "registration.json",
         "trace.csv",
         "error_vs_time.png",
@@ -117,9 +119,21 @@ def _write_all(result: ProcessResult, folder: Path) -> None:
         write_glb(
             folder / "fitted.glb", result.fitted.vertices, result.fitted.faces, result.fitted.uv, texture
         )
+        _write_template(result.fitted, folder / "template.obj")
     _write_pictures(result, folder)
     result.trace.to_csv(folder / "trace.csv")
     _write_json(result, folder)
+
+
+def _write_template(fitted: FittedFace, path: Path) -> None:
+    """Write the face in its template's own vertices and triangles; models without a template have none."""
+    if fitted.template_vertices is None or fitted.model.template_faces is None:
+        return
+    import igl
+
+    igl.writeOBJ(str(path), fitted.template_vertices, fitted.model.template_faces)
+    if not path.is_file():
+        raise OutputError(f"{path} cannot be written")
 
 
 def _write_pictures(result: ProcessResult, folder: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import igl
 import jsonschema
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from scan2albedo import pipeline
 from scan2albedo.choices import FORCEABLE
 from scan2albedo.demo import compare_with_truth, run_demo
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128
@@ -52,7 +54,7 @@ def result(case, tmp_path_factory):
 
 def test_error_against_the_truth(result, case):
     report = compare_with_truth(result, case[1])
-    assert report.surface_mm < 0.3
+    assert report.surface_mm < 0.2
     assert report.landmarks_mm < 2.5
     assert report.lights_found == report.lights_true
     assert report.light_deg < 5
@@ -316,7 +318,23 @@ def test_an_interrupted_renaming_leaves_no_folder_that_looks_whole(result, tmp_p
 @pytest.mark.slow
 def test_demo_at_full_size():
     report = run_demo(None)
-    assert report.surface_mm < 0.3
+    assert report.surface_mm < 0.2
     assert report.landmarks_mm < 2.0
     assert report.albedo.mse_percent < 0.15
     assert report.light_deg < 4
+
+
+def test_a_template_of_ones_own_comes_back_in_its_own_topology(case, tmp_path):
+    """A control mesh turned and in metres as template: as many vertices, in the same order."""
+    own = s2a.AnnotatedFaceModel.default()
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    template = tmp_path / "mine.obj"
+    igl.writeOBJ(str(template), own.control_vertices @ turn.T / 1000, own.control_faces)
+    result = s2a.process(case[0], tmp_path, model=template, size=64, skip=["albedo"])
+    vertices, faces = igl.read_triangle_mesh(str(result.out / "template.obj"))
+    np.testing.assert_allclose(vertices, result.fitted.template_vertices, atol=1e-3)
+    np.testing.assert_array_equal(faces, own.control_faces)
+    truth = case[1]
+    truth_from_fit = truth.model_from_scan @ invert_rigid(result.fitted.model_from_scan)
+    landmarks = transform_points(truth_from_fit, result.fitted.landmarks)
+    assert np.linalg.norm(landmarks - truth.landmarks, axis=1)[17:].mean() < 3

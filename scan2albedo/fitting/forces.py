@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 
 MUTUAL_SLOPE = 0.5
 MUTUAL_SPACING = 0.1
+RIM_ROBUST_MM = 0.25
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,8 @@ def scan_forces(
     sample_normals: FloatArray,
     gates: ForceGates,
     start: ScanForces | None = None,
+    *,
+    rim: FloatArray | None = None,
 ) -> ScanForces:
     """Return the springs w (n n^T + t (I - n n^T)) (y - x) that pull samples x to their closest points y.
 
@@ -122,6 +125,8 @@ def scan_forces(
     gates : ForceGates
     start : ScanForces, optional
         Of the last call, when the samples are the same ones moved a little.
+    rim : (N,) float64, optional
+        `SurfaceSamples.rim`; there, scan that stands before the model is likely hair or cloth.
     """
     vertex = scan.nearest.nearest_vertices(samples) if start is None else start.vertex.copy()
     offset, normal, distance, border = pulled(
@@ -130,15 +135,28 @@ def scan_forces(
     agreement = np.einsum("ij,ij->i", normal, sample_normals)
     open_gate = ~border & (distance < gates.distance_mm) & (agreement > gates.min_normal_cosine)
     across = np.einsum("ij,ij->i", normal, offset)
-    weight = np.where(open_gate, robust_weights(across, open_gate, gates), 0.0)
+    weight = np.where(open_gate, robust_weights(across, open_gate, gates, rim), 0.0)
     near = np.where(border, np.nan, np.minimum(distance, gates.distance_mm))
     return ScanForces(weight, gates.tangential, offset, normal, near, vertex)
 
 
-def robust_weights(residual: FloatArray, used: NDArray[np.bool_], gates: ForceGates) -> FloatArray:
-    """Return (N,) Geman-McClure weights 1 / (1 + (r / c)^2)^2, c from the median of the used residuals."""
+def robust_weights(
+    residual: FloatArray, used: NDArray[np.bool_], gates: ForceGates, rim: FloatArray | None = None
+) -> FloatArray:
+    """Return (N,) Geman-McClure weights 1 / (1 + (r / c)^2)^2, c from the median of the used residuals.
+
+    At the `rim` a scan in front of the model (positive residual) has a c with RIM_ROBUST_MM as its floor: a
+    wide one would draw the rim onto hair and collars, a little further with every stage.
+    """
     if not used.any():
         return np.zeros(len(residual))
     spread = 1.4826 * float(np.median(np.abs(residual[used])))
-    cutoff = gates.robust_scale * max(spread, gates.min_robust_mm)
+    weight = _geman_mcclure(residual, gates.robust_scale * max(spread, gates.min_robust_mm))
+    if rim is None or gates.min_robust_mm <= RIM_ROBUST_MM:
+        return weight
+    tight = _geman_mcclure(residual, gates.robust_scale * max(spread, RIM_ROBUST_MM))
+    return np.where(residual > 0, (1 - rim) * weight + rim * tight, weight)
+
+
+def _geman_mcclure(residual: FloatArray, cutoff: float) -> FloatArray:
     return 1.0 / (1.0 + (residual / cutoff) ** 2) ** 2

@@ -68,7 +68,7 @@ def proportioned(
             options.robust_scale,
             between(ROBUST_MM, progress),
         )
-        forces = scan_forces(scan, points, samples.normals(points), gates)
+        forces = scan_forces(scan, points, samples.normals(points), gates, rim=samples.rim)
         meter.count()
         meter.record(forces.mean_distance_mm(samples.area))
         weight = samples.area * samples.rigidity * forces.weight

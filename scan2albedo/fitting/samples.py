@@ -8,14 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.kernels import spring_product, surface_normals
-from scan2albedo.geometry.mesh import vertex_areas
+from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+RIM_MM = 30.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,8 @@ class SurfaceSamples:
         mm^2 of surface each sample stands for.
     rigidity : (N,) float64
         Mean stiffness of the regions around each sample.
+    rim : (N,) float64
+        1 at the model's rim and up to RIM_MM / 2 from it, falling to 0 at RIM_MM: where hair and collars are.
     """
 
     matrix: sparse.csr_matrix
@@ -41,6 +46,7 @@ class SurfaceSamples:
     parent: IntArray
     area: FloatArray
     rigidity: FloatArray
+    rim: FloatArray
 
     @classmethod
     def of(cls, model: AnnotatedFaceModel, control_points: FloatArray, level: int) -> SurfaceSamples:
@@ -54,6 +60,7 @@ class SurfaceSamples:
             subdivision.parent,
             vertex_areas(points, subdivision.faces),
             vertex_average(len(points), subdivision.faces, stiffness),
+            _rim(points, subdivision.faces),
         )
 
     def normals(self, points: FloatArray) -> FloatArray:
@@ -64,3 +71,11 @@ class SurfaceSamples:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""
         matrix = self.matrix
         return lambda x: spring_product(x, matrix.indptr, matrix.indices, matrix.data, stiffness)
+
+
+def _rim(points: FloatArray, faces: IntArray) -> FloatArray:
+    border = points[boundary_vertex_mask(len(points), faces)]
+    if len(border) == 0:
+        return np.zeros(len(points))
+    distance, _ = cKDTree(border).query(points, distance_upper_bound=RIM_MM)
+    return np.clip(2 - 2 * distance / RIM_MM, 0, 1)

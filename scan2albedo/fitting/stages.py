@@ -174,7 +174,7 @@ def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatAr
         points = samples.matrix @ (reference + state.q)
         start = forces if forces is not None and step % SEARCH_EVERY else None
         normals, face_normals = surface_normals(points, samples.faces)
-        forces = scan_forces(deformation.scan, points, normals, gates, start)
+        forces = scan_forces(deformation.scan, points, normals, gates, start, rim=samples.rim)
         meter.count()
         errors.append(forces.mean_distance_mm(samples.area))
         meter.record(errors[-1])

@@ -56,7 +56,7 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     from scan2albedo.io.units import millimetres_per_unit
 
     file = Path(path)
-    parsed = _read(file)
+    parsed = read_mesh_file(file)
     refuse_unusable(parsed, file.name)
     mesh = repair(parsed)
     if len(mesh.faces) == 0:
@@ -80,8 +80,14 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     )
 
 
-def _read(file: Path) -> ParsedMesh:
-    """Check that the file is there and pass it to the reader of its kind."""
+def read_mesh_file(file: Path) -> ParsedMesh:
+    """Return what stands in a file: vertices in its own order and unit, nothing repaired.
+
+    Raises
+    ------
+    ScanError
+        When the file is missing, of an unsupported kind or damaged.
+    """
     extension = file.suffix.lower()
     if extension not in SUPPORTED_SCANS:
         raise ScanError(

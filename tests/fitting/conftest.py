@@ -27,7 +27,7 @@ def mask_surface(
 def mask_model() -> AnnotatedFaceModel:
     """A small model: 400 vertices, its own control mesh."""
     vertices, faces = mask_surface(20)
-    return AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, name="mask")
+    return AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, annotate=False, name="mask")
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
+from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces
 from scan2albedo.fitting.kernels import springs
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.geometry.mesh import boundary_vertex_mask
 from tests.fitting.conftest import mask_surface
 
 GATES = ForceGates(10.0, 0.6, 0.1, 3.0, 0.5)
@@ -98,3 +100,30 @@ def test_seams_are_no_borders_and_floaters_pull_at_nothing():
 def test_a_scan_elsewhere_gives_none():
     vertices, faces = mask_surface(5)
     assert scan_near_model(vertices + 1e4, faces, np.eye(4), vertices.min(0), vertices.max(0)) is None
+
+
+def test_at_the_rim_what_stands_before_the_model_hardly_pulls():
+    """A sheet of hair 4 mm before the model, and skin 4 mm behind it, seen from rim and middle."""
+    points = np.tile([5.0, 5.0, -4.0], (40, 1))
+    points[20:, 2] = 4.0
+    near = np.tile([5.0, 5.0, 0.01], (200, 1))
+    everything = np.concatenate([points, near])
+    rim = np.zeros(len(everything))
+    rim[[*range(10), *range(20, 30)]] = 1.0
+    gates = ForceGates(10.0, 0.5, 0.1, 3.0, 3.0)
+    weight = scan_forces(plane_scan(), everything, np.tile(UP, (len(everything), 1)), gates, rim=rim).weight
+    before_rim, before_middle, behind_rim, behind_middle = weight[:40].reshape(4, 10).mean(1)
+    assert before_middle > 0.6
+    assert before_rim < 0.01
+    assert behind_rim == behind_middle == before_middle
+
+
+def test_the_rim_of_a_model_fades_inward():
+    vertices, faces = mask_surface(40)
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, annotate=False)
+    samples = SurfaceSamples.of(model, model.control_vertices, 1)
+    points = samples.matrix @ model.control_vertices
+    border = boundary_vertex_mask(len(points), samples.faces)
+    assert (samples.rim[border] == 1).all()
+    assert samples.rim[np.argmax(points[:, 2])] == 0
+    assert 0.3 < samples.rim.mean() < 0.7

@@ -1,0 +1,52 @@
+"""Templates from mesh files."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.template_file import model_from_file, vertex_uv
+
+
+@pytest.fixture(scope="module")
+def obj(tmp_path_factory):
+    """The default model's control mesh as an OBJ with texture coordinates, its last vertex unused."""
+    model = AnnotatedFaceModel.default()
+    path = tmp_path_factory.mktemp("template") / "mine.obj"
+    vertices = np.concatenate([model.control_vertices, [[0, 0, 0]]])
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"vt {u} {v}" for u, v in model.uv]
+    lines += ["f " + " ".join(f"{i}/{i}" for i in face + 1) for face in model.control_faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_order_and_chart_are_the_files(obj):
+    made, default = model_from_file(obj), AnnotatedFaceModel.default()
+    assert made.name == "mine"
+    assert len(made.template_points.face) == len(default.control_vertices) + 1
+    np.testing.assert_array_equal(made.template_faces, default.control_faces)
+    assert np.abs(made.uv - default.uv).mean() < 0.01
+
+
+def test_a_vertex_with_two_texture_coordinates_has_none():
+    faces = np.array([[0, 1, 2], [1, 3, 2]])
+    uv = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
+    np.testing.assert_array_equal(vertex_uv(5, faces, uv[faces])[:4], uv)
+    seam = uv[faces]
+    seam[1, 0] = [0.5, 0.5]
+    assert vertex_uv(4, faces, seam) is None
+    assert vertex_uv(4, faces, np.full((2, 3, 2), np.nan)) is None
+
+
+@pytest.mark.parametrize("text", ["", "hello\n", "v 0 0 0\n"])
+def test_a_file_without_a_template_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "mine.obj"
+    path.write_text(text)
+    with pytest.raises(ModelError, match="mine"):
+        model_from_file(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ModelError, match=r"gone\.ply"):
+        model_from_file(tmp_path / "gone.ply")
