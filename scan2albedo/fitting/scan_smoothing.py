@@ -12,12 +12,23 @@ BoolArray = NDArray[np.bool_]
 
 SPREAD_PER_PASS = 0.43
 """Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""
+REACH = 0.6
+"""Standard deviation of the say of neighbours with their distance, per scale (or usual edge, if longer).
+
+Without it a vertex whose neighbours are 8 mm away would be averaged with them as one 0.5 mm away is.
+"""
 SPIKE = 6.0
 """Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
 MAX_PASSES = 40
 
 
-def smoothed(vertices: FloatArray, faces: IntArray, boundary: BoolArray, scale_mm: float) -> FloatArray:
+def smoothed(
+    vertices: FloatArray,
+    faces: IntArray,
+    boundary: BoolArray,
+    scale_mm: float,
+    count: FloatArray | None = None,
+) -> FloatArray:
     """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
 
     As many averages over the neighbours as the length of the edges asks for, none when edges are as long as
@@ -29,22 +40,22 @@ def smoothed(vertices: FloatArray, faces: IntArray, boundary: BoolArray, scale_m
     faces : (F, 3) int64
     boundary : (V,) bool
     scale_mm : float
+    count : (V,) float64, optional
+        How many measurements each vertex is the mean of: its say.
     """
     edge_mm = float(np.median(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)))
     passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)
     if passes == 0:
         return vertices
     joined = _neighbours(len(vertices), faces)
-    gap = np.linalg.norm(_mean(joined, vertices) - vertices, axis=1)
-    around = joined.multiply(gap).max(axis=1).toarray().ravel()
-    spike = (gap > SPIKE * np.median(gap)) & (gap > around)
-    counted = joined @ sparse.diags((~spike).astype(float)) + sparse.diags((~spike).astype(float))
-    counted = sparse.csr_matrix(counted)
-    counted.eliminate_zeros()
-    still = boundary | (np.asarray(counted.sum(1)).ravel() == 0)
+    spike = _spikes(vertices, joined)
+    say = np.where(spike, 0.0, 1.0 if count is None else count)
+    weights = _weights(vertices, joined, spike, say, REACH * max(scale_mm, edge_mm))
+    total = np.asarray(weights.sum(1))
+    still = boundary[:, None] | (total < 1e-9)
     points = vertices
     for _ in range(passes):
-        points = np.where(still[:, None], vertices, _mean(counted, points))
+        points = np.where(still, vertices, (weights @ points) / np.maximum(total, 1e-9))
     return points
 
 
@@ -56,6 +67,19 @@ def _neighbours(count: int, faces: IntArray) -> sparse.csr_matrix:
     return joined
 
 
-def _mean(weights: sparse.csr_matrix, points: FloatArray) -> FloatArray:
-    total = np.asarray(weights.sum(1)).ravel()
-    return np.asarray(weights @ points) / np.maximum(total, 1.0)[:, None]
+def _spikes(vertices: FloatArray, joined: sparse.csr_matrix) -> BoolArray:
+    degree = np.maximum(np.diff(joined.indptr), 1)
+    gap = np.linalg.norm((joined @ vertices) / degree[:, None] - vertices, axis=1)
+    around = joined.multiply(gap).max(axis=1).toarray().ravel()
+    return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
+
+
+def _weights(
+    vertices: FloatArray, joined: sparse.csr_matrix, spike: BoolArray, say: FloatArray, reach_mm: float
+) -> sparse.csr_matrix:
+    """Return (V, V) what each vertex (row) takes from itself and its neighbours; spikes from all alike."""
+    row = np.repeat(np.arange(len(vertices)), np.diff(joined.indptr))
+    length = np.linalg.norm(vertices[row] - vertices[joined.indices], axis=1)
+    near = np.where(spike[row], 1.0, np.exp(-0.5 * (length / reach_mm) ** 2))
+    around = sparse.csr_matrix((near * say[joined.indices], joined.indices, joined.indptr), joined.shape)
+    return sparse.csr_matrix(around + sparse.diags(say))

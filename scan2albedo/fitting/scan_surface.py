@@ -1,4 +1,4 @@
-"""The scan as the fit sees it: in the model's frame, cropped, welded, with normals and borders."""
+"""The scan as the fit sees it: in the model's frame, cropped, thinned, with normals and borders."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.fitting.scan_smoothing import smoothed
+from scan2albedo.fitting.scan_thinning import thinned
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
-    boundary_vertex_mask,
     vertex_components,
     vertex_normals,
     without_unreferenced,
@@ -24,6 +24,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 WELD_STEP_MM = 1e-3
+CELL = 1.25
+"""Vertices that lie in one cell of this size, per mm of smoothing, are made one."""
 NORMAL_SMOOTHING = 2.0
 """Normals are taken over this much wider a surface than positions: noise turns them more."""
 MIN_COMPONENT = 0.005
@@ -91,8 +93,9 @@ def scan_near_model(
 ) -> ScanSurface | None:
     """Return the scan's surface inside the box `low` ... `high` (3,) of the model's frame; None when empty.
 
-    Seam vertices are welded, so that seams are no borders, and floaters dropped. Faces that reach out
-    of the box stay when one corner is inside, so that the cut itself makes no border near the model.
+    Vertices nearer to each other than the smoothing are made one (`thinned`), which bounds what a dense
+    scan costs and makes seams no borders; then noise is averaged and floaters are dropped. Faces that reach
+    out of the box stay when one corner is inside, so that the cut itself makes no border near the model.
     """
     xyz = transform_points(model_from_scan, vertices)
     inside = np.all((xyz >= low) & (xyz <= high), axis=1)
@@ -100,26 +103,14 @@ def scan_near_model(
     if len(near) == 0:
         return None
     kept, index = without_unreferenced(xyz, near)
-    welded, index = _welded(xyz[kept], index)
-    label = vertex_components(len(welded), index)[index[:, 0]]
+    thin = thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
+    if len(thin.faces) == 0:
+        return None
+    label = vertex_components(len(thin.vertices), thin.faces)[thin.faces[:, 0]]
     share = np.bincount(label) / len(label)
-    index = index[share[label] >= min(MIN_COMPONENT, share.max())]
-    kept, index = without_unreferenced(welded, index)
-    welded = welded[kept]
-    boundary = boundary_vertex_mask(len(welded), index)
-    fair = smoothed(welded, index, boundary, NORMAL_SMOOTHING * smoothing_mm)
-    welded = smoothed(welded, index, boundary, smoothing_mm)
-    return ScanSurface(welded, index, vertex_normals(fair, index), boundary)
-
-
-def _welded(xyz: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Join vertices that round to the same cell; drop the faces that lose their area by it."""
-    cell = np.round((xyz - xyz.min(0)) / WELD_STEP_MM).astype(np.int64)
-    span = cell.max(0) + 1
-    key = (cell[:, 0] * span[1] + cell[:, 1]) * span[2] + cell[:, 2]
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    joined = inverse.ravel()[faces]
-    distinct = (
-        (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
-    )
-    return xyz[first], joined[distinct] if distinct.any() else joined
+    large = thin.faces[share[label] >= min(MIN_COMPONENT, share.max())]
+    kept, index = without_unreferenced(thin.vertices, large)
+    points, boundary, count = thin.vertices[kept], thin.boundary[kept], thin.count[kept]
+    fair = smoothed(points, index, boundary, NORMAL_SMOOTHING * smoothing_mm, count)
+    points = smoothed(points, index, boundary, smoothing_mm, count)
+    return ScanSurface(points, index, vertex_normals(fair, index), boundary)

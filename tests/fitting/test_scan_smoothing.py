@@ -40,3 +40,13 @@ def test_curvature_loses_no_more_than_theory_says(radius):
     vertices[:, 2] = -(vertices[:, :2] ** 2).sum(1) / (2 * radius)
     fair = smoothed(vertices, faces, border, 1.0)
     assert np.abs(fair - vertices)[middle, 2].max() < 1.5 * 1.0**2 / radius
+
+
+def test_a_mesh_of_uneven_density_does_not_shrink():
+    size, radius = 121, 80.0
+    u = 2 * np.linspace(0, 1, size) - 1
+    x, y = np.meshgrid(45 * u**3, 45 * u**3)
+    dome = np.column_stack([x.ravel(), y.ravel(), np.sqrt(radius**2 - x.ravel() ** 2 - y.ravel() ** 2)])
+    _, faces = mask_surface(size)
+    fair = smoothed(dome, faces, boundary_vertex_mask(len(dome), faces), 0.8)
+    assert np.abs(np.linalg.norm(fair, axis=1) - radius).max() < 3 * 0.8**2 / radius

@@ -1,0 +1,65 @@
+"""Join the vertices of a scan that is finer than the fit can follow: one for each cell of a grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ThinnedSurface:
+    """What is left of a triangle mesh when all vertices of a cell are one.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+        Means of the vertices joined.
+    faces : (F, 3) int64
+        Those with corners in three cells.
+    count : (V,) float64
+        How many vertices were joined.
+    boundary : (V,) bool
+        On the border of the surface, which joining neither opens nor moves by more than a cell.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    count: FloatArray
+    boundary: BoolArray
+
+
+def thinned(vertices: FloatArray, faces: IntArray, cell_mm: float) -> ThinnedSurface:
+    """Join the vertices (V, 3) that lie in the same cell of a grid of `cell_mm`; seams close by it."""
+    cell = np.floor((vertices - vertices.min(0)) / cell_mm + 0.5).astype(np.int64)
+    span = cell.max(0) + 1
+    key = (cell[:, 0] * span[1] + cell[:, 1]) * span[2] + cell[:, 2]
+    _, inverse = np.unique(key, return_inverse=True)
+    cluster = inverse.ravel()
+    count = np.bincount(cluster).astype(np.float64)
+    means = np.stack([np.bincount(cluster, vertices[:, axis]) / count for axis in range(3)], 1)
+    joined = cluster[faces]
+    a, b, c = joined.T
+    distinct = joined[(a != b) & (b != c) & (c != a)]
+    return ThinnedSurface(means, distinct, count, _on_odd_edge(len(means), distinct))
+
+
+def _on_odd_edge(count: int, faces: IntArray) -> BoolArray:
+    """Return (V,) True at edges of an odd number of faces.
+
+    A border is the sum of all faces' borders modulo 2; joining vertices maps the one as the other, so
+    that faces that came to lie on each other make no border where there was none.
+    """
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    keys = np.sort(edges[:, 0] * np.int64(count) + edges[:, 1])
+    starts = np.flatnonzero(np.diff(keys, prepend=-1))
+    odd = keys[starts[np.diff(starts, append=len(keys)) % 2 == 1]]
+    mask = np.zeros(count, bool)
+    mask[odd // count] = True
+    mask[odd % count] = True
+    return mask

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from scan2albedo.fitting.scan_thinning import thinned
+from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
+from tests.fitting.conftest import mask_surface
+
+
+def test_a_coarse_surface_stays_as_it_is():
+    vertices, faces = mask_surface(20)
+    thin = thinned(vertices, faces, 1.0)
+    assert len(thin.vertices) == len(vertices)
+    assert thin.faces.shape == faces.shape
+    assert (thin.count == 1).all()
+    assert thin.boundary.sum() == boundary_vertex_mask(len(vertices), faces).sum()
+
+
+def test_a_dense_surface_keeps_its_place_and_its_border():
+    vertices, faces = mask_surface(200)
+    thin = thinned(vertices, faces, 4.0)
+    assert thin.count.sum() == len(vertices)
+    assert len(thin.vertices) < len(vertices) / 5
+    flat, even = thin.vertices[:, :2], vertices[:, :2]
+    away = np.maximum(np.abs(even).max(0) - np.abs(flat), 0).min(1)
+    assert away[thin.boundary].max() < 4.0
+    assert not thin.boundary[away > 4.0].any()
+    assert (vertex_normals(thin.vertices, thin.faces)[:, 2] > 0).mean() > 0.98
+
+
+def test_a_cell_of_many_vertices_averages_their_noise_out():
+    vertices, faces = mask_surface(300)
+    plane = vertices * [1, 1, 0]
+    noise = np.random.default_rng(0).normal(size=len(plane))
+    thin = thinned(plane + noise[:, None] * [0, 0, 0.1], faces, 4.0)
+    full = thin.count > 15
+    assert full.mean() > 0.5
+    assert thin.vertices[full, 2].std() < 0.1 / np.sqrt(12)
+
+
+def torus(around: int, along: int) -> tuple[np.ndarray, np.ndarray]:
+    """A closed surface of 40 mm and 15 mm radius."""
+    i, j = np.meshgrid(np.arange(around), np.arange(along), indexing="ij")
+    u, v = 2 * np.pi * i.ravel() / around, 2 * np.pi * j.ravel() / along
+    ring = 40 + 15 * np.cos(v)
+    vertices = np.column_stack([ring * np.cos(u), ring * np.sin(u), 15 * np.sin(v)])
+    a, b = i * along + j, (i + 1) % around * along + j
+    c, d = (i + 1) % around * along + (j + 1) % along, i * along + (j + 1) % along
+    return vertices, np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("cell_mm", [1e-3, 0.5, 5.0])
+def test_seams_close_and_a_closed_surface_has_no_border_however_it_crumples(cell_mm):
+    vertices, faces = torus(120, 50)
+    crumpled = vertices + np.random.default_rng(1).normal(scale=0.5, size=vertices.shape)
+    soup, separate = crumpled[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+    assert boundary_vertex_mask(len(soup), separate).all()
+    assert not thinned(soup, separate, cell_mm).boundary.any()
+
+
+def test_a_surface_within_one_cell_has_no_faces_left():
+    vertices, faces = mask_surface(5)
+    thin = thinned(vertices * 1e-3, faces, 5.0)
+    assert len(thin.vertices) == 1
+    assert thin.faces.shape == (0, 3)
