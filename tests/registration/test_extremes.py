@@ -1,5 +1,7 @@
 """Named extremes: whatever the scan, a pose, or one clear refusal; never NaN, never a crash."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
@@ -52,11 +54,31 @@ def test_micrometres_and_kilometres_are_refused_when_loaded(plain, unit_mm):
         millimetres_per_unit(vertices, vertex_components(len(vertices), faces), "auto", "scan")
 
 
-@pytest.mark.parametrize("factor", [pytest.param(1e3, marks=pytest.mark.slow), 1e-6])
-def test_a_wrong_unit_that_was_forced_is_refused(plain, model, factor):
+@pytest.mark.parametrize(("unit", "factor"), [("micrometres", 1e3), ("metres", 1e-3), ("kilometres", 1e-6)])
+def test_a_scan_taken_for_millimetres_is_refused_at_once_with_box_and_unit(
+    plain, model, monkeypatch, unit, factor
+):
+    def searched(*_: object) -> None:
+        raise AssertionError("the size must be looked at before the search")
+
+    monkeypatch.setattr(import_module("scan2albedo.registration.register"), "coarse_poses", searched)
     scan = plain[0].scan
-    with pytest.raises(RegistrationError):
-        register(RawScan(scan.vertices * factor, scan.faces), model)
+    mends = f"{1 / factor:g}".replace("+", r"\+")
+    with pytest.raises(RegistrationError, match=rf"{unit}: .*box .* mm.*unit.*multiplied by {mends} "):
+        register(RawScan(scan.vertices * factor, scan.faces, name=unit), model)
+
+
+def test_a_far_crumb_does_not_make_a_scan_too_large(plain, model):
+    example, straight = plain
+    first = len(example.scan.vertices)
+    crumb = np.array([[9e3, 0, 0], [9e3, 5, 0], [9e3, 0, 5]])
+    scan = RawScan(
+        np.concatenate([example.scan.vertices, crumb]),
+        np.concatenate([example.scan.faces, [[first, first + 1, first + 2]]]),
+    )
+    degrees, millimetres = difference(register(scan, model).model_from_scan, straight.model_from_scan)
+    assert degrees < 2
+    assert millimetres < 2
 
 
 def test_one_triangle_is_refused(model):
@@ -90,6 +112,14 @@ def test_a_budget_of_a_twentieth_of_a_second(plain, model):
 
 def test_an_inside_out_scan_is_refused_with_that_reason(ict_scan, model):
     scan = ict_scan("person1", 4).scan
+    with pytest.raises(RegistrationError, match=r"inside out.*Reverse the order"):
+        register(RawScan(scan.vertices, scan.faces[:, ::-1], name="turned"), model)
+
+
+# Seen from behind, where its triangles face outward again, each of these looks somewhat like a face.
+@pytest.mark.parametrize("seed", [2, 9, 11])
+def test_a_synthetic_person_inside_out_is_refused_with_that_reason(synthetic_scan, model, seed):
+    scan = synthetic_scan(seed).scan
     with pytest.raises(RegistrationError, match=r"inside out.*Reverse the order"):
         register(RawScan(scan.vertices, scan.faces[:, ::-1], name="turned"), model)
 
