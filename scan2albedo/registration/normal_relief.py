@@ -35,22 +35,19 @@ def normal_relief(
     placed = model.points @ rotation.T + translation
     index = grid.nearest_samples(placed)
     normals = grid.samples.normals[index] @ rotation
-    near = np.linalg.norm(grid.samples.points[index] - placed, axis=1) < _FARTHEST_MM
+    offset = grid.samples.points[index] - placed
+    near = np.einsum("ij,ij->i", offset, offset) < _FARTHEST_MM**2
     front = model.normals[:, 2] > _LEAST_NORMAL_Z
     used = front & near & (index >= 0) & (normals[:, 2] > 0)
     if used.sum() < _FEWEST:
         return 0.0
     position = model.points[used, :2] / np.abs(model.points[:, :2]).max()
     weights = model.areas[used]
-    slopes = [
-        [_trendless(n[used, axis], n[used, 2], position, weights) for axis in (0, 1)]
-        for n in (model.normals, normals)
-    ]
-    a, b = np.concatenate(slopes[0]), np.concatenate(slopes[1])
-    return correlation(a, b, np.tile(weights, 2)) * float(np.sqrt(used.sum() / front.sum()))
+    slopes = np.concatenate([_slopes(model.normals[used]), _slopes(normals[used])], 1)
+    relief = without_quadratic_trend(slopes, position, weights)
+    alike = correlation(relief[:, :2].ravel(), relief[:, 2:].ravel(), np.repeat(weights, 2))
+    return alike * float(np.sqrt(used.sum() / front.sum()))
 
 
-def _trendless(
-    across: FloatArray, toward: FloatArray, position: FloatArray, weights: FloatArray
-) -> FloatArray:
-    return without_quadratic_trend(across / np.maximum(toward, _LEAST_NORMAL_Z), position, weights)
+def _slopes(normals: FloatArray) -> FloatArray:
+    return normals[:, :2] / np.maximum(normals[:, 2:], _LEAST_NORMAL_Z)

@@ -24,6 +24,7 @@ _FACE_MM = 200.0
 _LARGEST_MM = 6000.0
 _TRIM_PERCENT = 2.0
 _BEYOND_DOUBT = 0.62
+_CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
 
 
@@ -89,11 +90,14 @@ def refuse_inside_out(
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
 
     Such a face seen from behind has just enough relief to be taken for one; with the triangles
-    reversed it has far more. So the reversed scan is searched wherever the best pose leaves doubt.
+    reversed it has far more. So the reversed scan is searched where the best pose leaves doubt and the
+    surface does not clearly bulge outward.
     """
-    if best.evidence.certainty >= _BEYOND_DOUBT:
-        return
     samples = view.tree.samples
+    certain = best.evidence.certainty >= _BEYOND_DOUBT
+    found = is_face(best, options, options.certainty_needed)
+    if certain or (found and _bulge(samples) >= _CLEARLY_OUTWARD):
+        return
     reversed_samples = OrientedPoints(samples.points, -samples.normals, samples.areas)
     reversed_view = ScanView(view.vertices, view.faces, ScanTree(reversed_samples, view.tree.tree))
     # The reversed scan is another yardstick, so its rows stay out of the trace.
@@ -109,6 +113,17 @@ def refuse_inside_out(
         other, options, options.certainty_needed
     ):
         raise RegistrationError(_inside_out_text(scan, other))
+
+
+def _bulge(samples: OrientedPoints) -> float:
+    """Return sum a n.(p - c) / sum a |p - c| about the centroid c: -1 ... 1, its sign flips with the normals.
+
+    Whole faces with hair and shoulders have 0.24 and more, half a face with them about 0.
+    """
+    offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
+    outward = np.einsum("ij,ij->i", offset, samples.normals)
+    reach = samples.areas @ np.linalg.norm(offset, axis=1)
+    return float(samples.areas @ outward / reach) if reach > 0 else 0.0
 
 
 def refuse_facing_away(scan: RawScan, view: ScanView, template: Template, best: Candidate) -> None:

@@ -9,7 +9,7 @@ FloatArray = NDArray[np.float64]
 
 
 def without_quadratic_trend(values: FloatArray, position: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return values (N,) minus their weighted least-squares quadratic in position (N, 2).
+    """Return values (N,) or (N, K) minus their weighted least-squares quadratic in position (N, 2).
 
     Positions should be of the order of 1.
     """
