@@ -36,6 +36,8 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _CONVINCING = 0.1
+_WHOLE_COVERAGE = 0.8
+_DOUBT_OF_MISSING = 0.4
 
 
 def register(
@@ -138,9 +140,14 @@ def _judged(
 
 
 def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions) -> float:
-    """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1."""
+    """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1.
+
+    Where part of the face is missing the line is higher: half a face that resembles the model little
+    slides along it by a centimetre.
+    """
     best = candidates[0].evidence
-    clear = (best.certainty - options.certainty_needed) / 0.1 + 0.3
+    missing = max(0.0, _WHOLE_COVERAGE - best.coverage)
+    clear = (best.certainty - options.certainty_needed - _DOUBT_OF_MISSING * missing) / 0.1 + 0.3
     alone = (best.score - runner_up_score(candidates)) / 0.15
     return float(np.clip(min(clear, alone), 0, 1))
 

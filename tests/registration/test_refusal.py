@@ -85,6 +85,19 @@ def test_half_a_face_is_enough(synthetic_scan, model, side):
     assert millimetres < 15
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_half_a_face_unlike_the_model_is_reported_as_unsure(ict_scan, model, side):
+    example = ict_scan("person4", 304, noise_mm=0.3)
+    in_model = example.scan.vertices @ example.model_from_scan[:3, :3].T + example.model_from_scan[:3, 3]
+    kept = (side * in_model[:, 0][example.scan.faces] > 0).all(1)
+    whole = register(example.scan, model)
+    half = register(RawScan(example.scan.vertices, example.scan.faces[kept]), model)
+    assert whole.confidence > 0.5
+    # About 10 degrees and 13 mm off: on the edge of what counts as found.
+    assert half.confidence < 0.5
+    assert example.error(half.model_from_scan)[0] < 15
+
+
 def test_a_million_millimetres_from_the_origin_changes_nothing(synthetic_scan, posed, model):
     scan = synthetic_scan(7).scan
     far = compose(np.eye(3), [1e6, -1e6, 1e6])
