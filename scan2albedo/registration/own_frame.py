@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.rigid import compose
 
 FloatArray = NDArray[np.float64]
@@ -37,17 +37,63 @@ def in_own_frame(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[FloatA
     """
     # Differences to a vertex of the scan lose no digits however far away the origin is.
     anchor = vertices[faces[0, 0]]
-    centroid = (vertices[faces].sum(1) - 3 * anchor) / 3
-    area = np.linalg.norm(face_cross_products(vertices, faces), axis=1)
-    total = float(area.sum())
+    total, center, second = _first_and_second_moments(vertices, faces, anchor)
     if total <= 0:
         return vertices - anchor, compose(np.eye(3), -anchor)
-    center = area @ centroid / total
-    offset = centroid - center
-    _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset / total)
-    axes = vectors[:, ::-1]
-    tail = area @ (offset @ axes) ** 3
-    axes = axes * np.where(tail < 0, -1.0, 1.0)
-    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     origin = anchor + center
+    _, vectors = np.linalg.eigh(second)
+    axes = np.ascontiguousarray(vectors[:, ::-1])
+    axes = axes * np.where(_third_moments(vertices, faces, origin, axes) < 0, -1.0, 1.0)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     return (vertices - origin) @ axes, compose(axes.T, -axes.T @ origin)
+
+
+@njit(cache=True, nogil=True)
+def _first_and_second_moments(vertices, faces, anchor):  # type: ignore[no-untyped-def]
+    """Return area, centroid relative to the anchor, and covariance of the faces' centroids, by area."""
+    total, center, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    middle = np.empty(3)
+    for f in range(faces.shape[0]):
+        area = _place(vertices, faces[f], anchor, middle)
+        total += area
+        for i in range(3):
+            center[i] += area * middle[i]
+            for j in range(3):
+                second[i, j] += area * middle[i] * middle[j]
+    if total <= 0:
+        return total, center, second
+    center /= total
+    return total, center, second / total - np.outer(center, center)
+
+
+@njit(cache=True, nogil=True)
+def _third_moments(vertices, faces, origin, axes):  # type: ignore[no-untyped-def]
+    """Return (3,) sums of area times the cube of the centroid's coordinate along each axis."""
+    third, middle = np.zeros(3), np.empty(3)
+    for f in range(faces.shape[0]):
+        area = _place(vertices, faces[f], origin, middle)
+        for axis in range(3):
+            along = middle[0] * axes[0, axis] + middle[1] * axes[1, axis] + middle[2] * axes[2, axis]
+            third[axis] += area * along * along * along
+    return third
+
+
+@njit(cache=True, nogil=True)
+def _place(vertices, face, origin, middle):  # type: ignore[no-untyped-def]
+    """Fill in a face's centroid relative to the origin and return its area."""
+    a, b, c = face[0], face[1], face[2]
+    ux, uy, uz = (
+        vertices[b, 0] - vertices[a, 0],
+        vertices[b, 1] - vertices[a, 1],
+        vertices[b, 2] - vertices[a, 2],
+    )
+    vx, vy, vz = (
+        vertices[c, 0] - vertices[a, 0],
+        vertices[c, 1] - vertices[a, 1],
+        vertices[c, 2] - vertices[a, 2],
+    )
+    for i in range(3):
+        at = origin[i]
+        middle[i] = ((vertices[a, i] - at) + (vertices[b, i] - at) + (vertices[c, i] - at)) / 3
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return 0.5 * np.sqrt(x * x + y * y + z * z)
