@@ -57,3 +57,20 @@ def test_rows_go_down_and_columns_right():
     assert frame.pixel == 2
     assert frame.coordinates()[0, 0].tolist() == [7, 23]
     assert frame.coordinates()[3, 1].tolist() == [9, 17]
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-14, 0.3])
+def test_neighbouring_faces_leave_no_pixel_between_them(jitter):
+    # Without jitter every pixel centre lies on edges or corners of the grid; 1e-14 makes rows near level.
+    side = np.arange(-4.0, 5.0)
+    x, y = np.meshgrid(side, side)
+    rng = np.random.default_rng(0)
+    xy = np.stack([x, y], -1) + jitter * rng.uniform(-1, 1, (9, 9, 2))
+    vertices = np.column_stack([xy.reshape(-1, 2), xy.reshape(-1, 2) @ [0.5, -0.25]])
+    index = np.arange(81).reshape(9, 9)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    frame = DepthFrame((0.0, 0.0), 7.0, 7)
+    image = depth_image(vertices, faces, frame)
+    np.testing.assert_allclose(image, frame.coordinates() @ [0.5, -0.25], atol=1e-9)
+    np.testing.assert_allclose(depth_image(vertices, faces[:, ::-1], frame), image, atol=1e-9)
