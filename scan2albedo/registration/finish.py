@@ -93,10 +93,10 @@ def annealed(
 ) -> Annealed:
     """Anneal on depth derivatives where ICP left doubt, finish, and keep the answer if the surface says so.
 
-    Left out where ICP settled on a fixed point: from poses 4 degrees away, where annealing ends, the tight
-    ICP then came back to that point in all scans measured. Where it runs, its optimum is biased by the
-    ways in which a face's relief differs from the model's, so its answer counts only when the robust
-    distance of the rigid regions falls at two scales; `force_annealing` overrules both.
+    Left out where ICP settled on a fixed point: from the pose where annealing ends the tight ICP mostly
+    comes back to it (tools/bench_registration.py forces it and shows both). Where it runs, its optimum is
+    biased by the ways in which a face's relief differs from the model's, so its answer counts only when
+    the robust distance of the rigid regions falls at two scales; `force_annealing` overrules both.
     """
     if options.annealing_evaluations == 0:
         return Annealed(start.pose, None, ("depth_annealing", False, "switched off", "0 evaluations"))
