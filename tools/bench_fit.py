@@ -116,7 +116,12 @@ def cases(names: tuple[str, ...], target: int) -> list[Case]:
     data = np.load(DATA / "ict_faces.npz")
     faces, inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
     template = data["shape_generic_neutral"].astype(float)[:inner]
-    model = s2a.AnnotatedFaceModel.from_mesh(template, faces[(faces < inner).all(1)], name="generic face")
+    model = s2a.AnnotatedFaceModel.from_mesh(
+        template,
+        faces[(faces < inner).all(1)],
+        landmarks=data["landmarks68"].astype(np.int64),
+        name="generic face",
+    )
     rest = template - template[np.unique(faces[(faces < inner).all(1)])].mean(0)
     made = []
     for name in names:
@@ -240,7 +245,7 @@ def _print_james(name: str, residual: FloatArray, error: FloatArray, cpu_s: floa
 
 def scaling() -> None:
     print("\nscan vertices, fit CPU s, surface mean / median mm")
-    for target in (10_000, 30_000, 100_000, 200_000, 300_000, 1_000_000):
+    for target in (10_000, 20_000, 50_000, 100_000, 200_000, 300_000, 1_000_000):
         (case,) = cases(("person1",), target)
         score = score_ours(case)
         print(

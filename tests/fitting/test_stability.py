@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.errors import FitError
+from scan2albedo.errors import FitError, ScanError
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.raw_scan import RawScan
@@ -63,6 +63,31 @@ def test_a_tenth_of_the_vertices_lost(mask_model, mask_scan):
     lost = np.random.default_rng(1).random(len(scan.vertices)) < 0.1
     fitted = run(mask_model, mask_scan, RawScan(scan.vertices, scan.faces[~lost[scan.faces].any(1)]))
     assert fitted.metrics["residual_median_mm"] < 1.0
+
+
+def test_a_scan_with_a_tenth_of_its_vertices_nan_is_fitted_once_they_are_removed(mask_model, mask_scan):
+    vertices, faces = mask_scan.scan.vertices.copy(), mask_scan.scan.faces
+    vertices[np.random.default_rng(3).random(len(vertices)) < 0.1] = np.nan
+    with pytest.raises(ScanError, match="NaN"):
+        RawScan(vertices, faces)
+    known = np.isfinite(vertices).all(1)
+    left = RawScan(vertices[known], (np.cumsum(known) - 1)[faces[known[faces].all(1)]])
+    fitted = run(mask_model, mask_scan, left)
+    assert fitted.metrics["residual_median_mm"] < 1.0
+
+
+def test_coincident_vertices_that_are_half_the_scan(mask_model, mask_scan):
+    scan = mask_scan.scan
+    vertices = scan.vertices.copy()
+    odd = np.flatnonzero(np.arange(len(vertices) - 1) % 2)
+    vertices[odd] = vertices[odd + 1]
+    fitted = run(mask_model, mask_scan, RawScan(vertices, scan.faces))
+    assert fitted.metrics["residual_median_mm"] < 1.0
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 1e6])
+def test_a_mass_to_damping_ratio_of_a_million(mask_model, mask_scan, ratio):
+    run(mask_model, mask_scan, mass=ratio**0.5, damping=ratio**-0.5)
 
 
 @pytest.mark.parametrize("noise_mm", [1.0, 5.0])
