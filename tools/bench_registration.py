@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from registration_peers import Surface, available_peers, fpfh_ransac_icp
+from registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 
 import scan2albedo as s2a
 from scan2albedo.errors import RegistrationError
@@ -335,6 +335,7 @@ def curves(shapes: Shapes, names: list[str], scans: int, path: Path) -> None:
     methods = {
         "scan2albedo": [ours(n) for n in (200, 500, 1000, 2000, 10_000)],
         "Open3D FPFH+RANSAC+ICP": [theirs(n) for n in (1000, 10_000, 100_000, 400_000)],
+        "Open3D ICP from centroids": [lambda scan: invert_rigid(open3d_icp(surface, scan))],
     }
     figure = Figure(figsize=(10, 4))
     success, error = figure.subplots(1, 2)
