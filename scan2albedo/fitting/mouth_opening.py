@@ -35,7 +35,7 @@ ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 REACH_MM = 8.0
 MIN_GAIN = 0.31
 TRIALS = 2
-TRIAL_GAIN = 0.1
+TRIAL_GAIN = 0.25
 """An angle is tried when it gains this much as it is, and chosen when its coarse fit gains MIN_GAIN."""
 JAW_WEIGHT = 0.6
 """Samples that follow the jaw by at least this much judge it."""

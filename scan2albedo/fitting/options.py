@@ -55,8 +55,8 @@ class FitOptions:
         Scans finer than this are averaged over it, so that their noise does not steer the fit.
     """
 
-    levels: tuple[int, ...] = (0, 0, 0, 1, 1, 1, 2)
-    steps: int = 7
+    levels: tuple[int, ...] = (0, 0, 0, 1, 1, 1, 1, 1)
+    steps: int = 10
     bending_mm: tuple[float, float] = (40.0, 0.9)
     membrane_mm: tuple[float, float] = (6.0, 0.5)
     tangential: float = 0.01

@@ -150,33 +150,30 @@ def _coarse_fits(deformation: Deformation, references: Sequence[FloatArray]) -> 
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
     """Run all stages, or the first `count`, or as many as the budget allows.
 
-    Where the sheet has folded over it is made stiffer, in short rounds of the last two stages, until no
-    fold is left.
+    Where the sheet has folded over it is made stiffer, in short rounds of the last stage, until no fold
+    is left.
     """
     levels, meter = deformation.options.levels, deformation.meter
     q = np.zeros_like(deformation.reference)
-    stiffening = np.ones(len(deformation.model.control_faces))
-    last = len(levels) - 1
+    even = np.ones(len(deformation.model.control_faces))
     for index, level in enumerate(levels[:count]):
         if meter.exhausted:
             return StagesOutcome(q, False)
-        stage = Stage(level, index / max(last, 1), deformation.options.steps, stiffening)
-        q = _run_stage(deformation, stage, q)
-        if count is None and index >= last - 1:
-            q, stiffening = _mended(deformation, q, stage)
+        progress = index / max(len(levels) - 1, 1)
+        q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, even), q)
+    if count is None:
+        q = _mended(deformation, q, even)
     return StagesOutcome(q, not meter.exhausted)
 
 
-def _mended(deformation: Deformation, q: FloatArray, stage: Stage) -> tuple[FloatArray, FloatArray]:
-    """Return the displacement without folds, and the stiffening of the faces that it took."""
-    stiffening = stage.stiffening
+def _mended(deformation: Deformation, q: FloatArray, stiffening: FloatArray) -> FloatArray:
     for _ in range(MENDING_ROUNDS):
         more = _stiffer(deformation, q)
         if not (more > 1).any() or deformation.meter.exhausted:
             break
         stiffening = stiffening * more
-        q = _run_stage(deformation, replace(stage, steps=MENDING_STEPS, stiffening=stiffening), q)
-    return q, stiffening
+        q = _run_stage(deformation, Stage(deformation.options.levels[-1], 1.0, MENDING_STEPS, stiffening), q)
+    return q
 
 
 def _stiffer(deformation: Deformation, q: FloatArray) -> FloatArray:

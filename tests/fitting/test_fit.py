@@ -104,7 +104,7 @@ def test_a_hole_has_no_residual_and_keeps_its_shape(mask_model, mask_scan):
     assert surface_error_mm(fitted, truth).max() < 1.5
 
 
-@pytest.mark.parametrize("evaluations", [1, 35, 45])
+@pytest.mark.parametrize("evaluations", [1, 35, 60])
 def test_a_budget_ends_the_fit_with_what_there_is(mask_model, mask_scan, evaluations):
     fitted = fit(mask_scan.scan, mask_model, mask_scan.model_from_scan, Budget(evaluations=evaluations))
     assert not fitted.converged
