@@ -17,7 +17,7 @@ from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.rigid_refinement import Similarity, refine_similarity
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
-from scan2albedo.fitting.stages import Deformation, corners_pulled, mouth_opened, run_stages
+from scan2albedo.fitting.stages import Deformation, mouth_opened, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
@@ -106,7 +106,7 @@ def fit(
     reference = proportioned(surface, samples, reference, chosen, meter)
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
-        deformation = corners_pulled(mouth_opened(deformation))
+        deformation = mouth_opened(deformation)
     outcome = run_stages(deformation)
     return fitted_face(deformation, outcome, pose, similarity.scale, scan.name)
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.harmonic import harmonic_weight
+from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -64,7 +65,7 @@ class JawHinge:
         still |= control_points[:, 1] < landmarks[CHIN, 1] - NECK_BELOW_CHIN_MM
         # A face across the mouth holds both lips: its corners follow their neighbours.
         fixed = moving ^ still
-        weight = harmonic_weight(laplacian(control_points, model.control_faces), fixed, moving)
+        weight = _harmonic(laplacian(control_points, model.control_faces), fixed, moving)
         ears = landmarks[list(EARS)]
         center = ears.mean(0) - [0.0, 0.0, HINGE_DEPTH * float(np.linalg.norm(ears[1] - ears[0]))]
         center[1] = landmarks[list(BELOW_EARS), 1].mean()
@@ -115,8 +116,13 @@ class MouthSearch:
         return cls((control_points, *worth), samples, jaw)
 
     def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
-        """Mean distance of the jaw to the scan, see `nearness_cost`."""
-        return nearness_cost(scan, self.samples, control_points, self.weight)[0]
+        """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""
+        points = self.samples.matrix @ control_points
+        hits = scan.nearest.query(points)
+        normals = surface_normals(points, self.samples.faces)[0]
+        agreement = np.einsum("ij,ij->i", scan.normals_at(hits), normals)
+        distance = np.where(agreement > 0, np.minimum(hits.distance, REACH_MM), REACH_MM)
+        return float(self.weight @ distance / max(self.weight.sum(), 1e-300))
 
     def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
         """Return which candidate's coarse fit ends nearest; the first unless another gains MIN_GAIN."""
@@ -125,13 +131,10 @@ class MouthSearch:
         return chosen if costs[chosen] < (1 - MIN_GAIN) * costs[0] else 0
 
 
-def nearness_cost(
-    scan: ScanSurface, samples: SurfaceSamples, control_points: FloatArray, *weights: FloatArray
-) -> list[float]:
-    """Mean distance to the scan by each weight (N,), cut off at REACH_MM; in full where normals disagree."""
-    points = samples.matrix @ control_points
-    hits = scan.nearest.query(points)
-    normals = surface_normals(points, samples.faces)[0]
-    agreement = np.einsum("ij,ij->i", scan.normals_at(hits), normals)
-    distance = np.where(agreement > 0, np.minimum(hits.distance, REACH_MM), REACH_MM)
-    return [float(weight @ distance / max(weight.sum(), 1e-300)) for weight in weights]
+def _harmonic(matrix: sparse.csr_matrix, fixed: NDArray[np.bool_], one: NDArray[np.bool_]) -> FloatArray:
+    """Solve L w = 0 with w = 1 where `fixed` and `one`, 0 where `fixed` only."""
+    weight = (fixed & one).astype(float)
+    free = np.flatnonzero(~fixed)
+    inner = matrix[free][:, free] + 1e-9 * sparse.identity(len(free))
+    weight[free] = factorized(inner)(-(matrix[free] @ weight)[:, None])[:, 0]
+    return np.clip(weight, 0.0, 1.0)

@@ -41,8 +41,7 @@ class FitOptions:
     scale_range : (float, float)
         Least and greatest size of the face relative to the model.
     open_mouth : bool
-        Search the angle of the jaw and the pull of the mouth's corners before anything bends (models
-        with landmarks).
+        Search the angle of the jaw before anything bends (models with landmarks).
     result_levels : int
         Loop refinements of the surface returned.
     residual_gate_mm : float

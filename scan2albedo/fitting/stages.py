@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,8 +14,7 @@ from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import FoldFinder, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.kernels import surface_normals
-from scan2albedo.fitting.mouth_corners import PULLS_MM, MouthCorners
-from scan2albedo.fitting.mouth_opening import MouthSearch, nearness_cost
+from scan2albedo.fitting.mouth_opening import MouthSearch
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -108,43 +106,19 @@ def mouth_opened(deformation: Deformation) -> Deformation:
     Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations
     but leave no rows in the trace.
     """
-    scan = deformation.scan
+    scan, meter = deformation.scan, deformation.meter
     search = MouthSearch.of(deformation.model, deformation.reference, scan, MOUTH_LEVEL)
     if len(search.candidates) == 1:
         return deformation
-    reached = _coarse_fits(deformation, search.candidates)
-    if reached is None:
-        return deformation
-    return replace(deformation, reference=search.candidates[search.best(scan, reached)])
-
-
-def corners_pulled(deformation: Deformation) -> Deformation:
-    """Return the deformation that starts from the mouth corners where the scan's are; see `MouthCorners`."""
-    model, reference = deformation.model, deformation.reference
-    corners = MouthCorners.of(model, reference)
-    if corners is None:
-        return deformation
-    reached = _coarse_fits(deformation, [corners.pulled(reference, pull, pull) for pull in PULLS_MM])
-    if reached is None:
-        return deformation
-    samples = SurfaceSamples.of(model, reference, MOUTH_LEVEL)
-    right, left = (samples.area * near for near in corners.sides(samples.matrix))
-    costs = [nearness_cost(deformation.scan, samples, points, right, left) for points in reached]
-    chosen = corners.chosen(reference, *(list(side) for side in zip(*costs, strict=True)))
-    return replace(deformation, reference=chosen)
-
-
-def _coarse_fits(deformation: Deformation, references: Sequence[FloatArray]) -> list[FloatArray] | None:
-    """Return the control points that the first stages reach from each start; None when the budget ends."""
-    meter = deformation.meter
     reached = []
-    for reference in references:
+    for reference in search.candidates:
         if meter.exhausted:
-            return None
+            return deformation
         trial = replace(deformation, reference=reference, meter=Meter("trial", "mm", meter.budget))
-        reached.append(reference + run_stages(trial, MOUTH_STAGES).q)
+        outcome = run_stages(trial, MOUTH_STAGES)
+        reached.append(reference + outcome.q)
         meter.count(trial.meter.evaluations)
-    return reached
+    return replace(deformation, reference=search.candidates[search.best(scan, reached)])
 
 
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
