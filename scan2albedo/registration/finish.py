@@ -22,6 +22,9 @@ _NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
 _HARDLY_MOVING = 0.02
 _TIGHTEST_MM, _WIDEST_MM = 0.35, 3.0
 
+_SETTLED = "nothing to gain: ICP settled on a fixed point"
+_UNSETTLED = "no gain measured where ICP keeps moving either; force it to compare"
+
 Note = tuple[str, bool, str, str]
 
 
@@ -36,11 +39,16 @@ class Annealed:
 
 @dataclass(frozen=True)
 class Tightened:
-    """The pose of the tight ICP, the scale of its weights, and whether it settled on a fixed point."""
+    """The pose of the tight ICP, the scale of its weights, and its last step (degrees or mm)."""
 
     pose: SimilarPose
     sigma_mm: float
-    settled: bool
+    last_step: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether ICP ended on a fixed point."""
+        return self.last_step < _HARDLY_MOVING
 
 
 def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> Tightened:
@@ -51,7 +59,7 @@ def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Met
     fits that closely, and a wide scale has one optimum where a narrow one has many.
     """
     if meter.exhausted:
-        return Tightened(start, _WIDEST_MM, False)
+        return Tightened(start, _WIDEST_MM, float("inf"))
     return _settled(view, template, start, meter)
 
 
@@ -75,7 +83,7 @@ def _settled(view: ScanView, template: Template, start: SimilarPose, meter: Mete
     )
     meter.count(_NARROWING_STEPS + steps)
     meter.record(residuals(view.tree, samples, pose).icp_loss_mm(weights, sigma_mm))
-    return Tightened(pose, sigma_mm, last < _HARDLY_MOVING)
+    return Tightened(pose, sigma_mm, last)
 
 
 def rms_mm(view: ScanView, template: Template, pose: SimilarPose) -> float:
@@ -91,20 +99,21 @@ def annealed(
     meter: Meter,
     seed: int,
 ) -> Annealed:
-    """Anneal on depth derivatives where ICP left doubt, finish, and keep the answer if the surface says so.
+    """Anneal on depth derivatives when forced, finish, and keep the answer if the surface says so.
 
-    Left out where ICP settled on a fixed point: from the pose where annealing ends the tight ICP mostly
-    comes back to it (tools/bench_registration.py forces it and shows both). Where it runs, its optimum is
-    biased by the ways in which a face's relief differs from the model's, so its answer counts only when
-    the robust distance of the rigid regions falls at two scales; `force_annealing` overrules both.
+    Left out by default: where ICP settled on a fixed point, the tight ICP mostly comes back to it from where
+    annealing ends; where ICP keeps moving (another person's face, an open jaw), annealing's optimum is biased
+    by the ways in which a face's relief differs from the model's, and lies farther from the truth more often
+    than nearer (`tools/bench_registration.py`). Its answer counts only when the robust distance of the rigid
+    regions falls at two scales.
     """
     if options.annealing_evaluations == 0:
         return Annealed(start.pose, None, ("depth_annealing", False, "switched off", "0 evaluations"))
     if meter.exhausted:
         return Annealed(start.pose, None, ("depth_annealing", False, "the budget had ended", ""))
-    if start.settled and not options.force_annealing:
-        evidence = f"last step below {_HARDLY_MOVING:g} degrees and mm at a scale of {start.sigma_mm:.2f} mm"
-        reason = "nothing to gain: ICP settled on a fixed point"
+    if not options.force_annealing:
+        reason = _SETTLED if start.settled else _UNSETTLED
+        evidence = f"last step of ICP {start.last_step:.2g} degrees or mm, scale {start.sigma_mm:.2f} mm"
         return Annealed(start.pose, None, ("depth_annealing", False, reason, evidence))
     found = anneal_depth_derivatives(
         view.vertices,
@@ -125,21 +134,14 @@ def annealed(
         for p in (start.pose, polished.pose)
     )
     better = all(a < b for a, b in zip(after, before, strict=True))
-    verdict = _verdict(better, options.force_annealing)
-    note = _annealing_note(verdict, found, start.pose, polished.pose, before, after, meter.evaluations)
-    if better or options.force_annealing:
+    note = _annealing_note(better, found, start.pose, polished.pose, before, after, meter.evaluations)
+    if better:
         return Annealed(polished.pose, found.error, note)
     return Annealed(start.pose, found.start_error, note)
 
 
-def _verdict(better: bool, forced: bool) -> str:
-    if better:
-        return "its pose is taken: the surface distance is less"
-    return "its pose is taken, as forced" if forced else "its pose is dropped: the surface is no nearer"
-
-
 def _annealing_note(
-    verdict: str,
+    better: bool,
     found: AnnealedPose,
     start: SimilarPose,
     polished: SimilarPose,
@@ -154,4 +156,5 @@ def _annealing_note(
         f"robust distance {distances} mm, objective {found.start_error:.4f} -> "
         f"{found.error:.4f} in {evaluations} evaluations, {angle_deg:.2f} degrees and {shift_mm:.2f} mm away"
     )
-    return ("depth_annealing", True, verdict, evidence)
+    verdict = "taken: the surface distance is less" if better else "dropped: the surface is no nearer"
+    return ("depth_annealing", True, f"its pose is {verdict}", evidence)

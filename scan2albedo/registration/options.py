@@ -31,8 +31,8 @@ class RegistrationOptions:
     """Least certainty (see `face_evidence.FaceEvidence`) of a face: whole faces reach 0.55 and more, balls,
     boxes, backs of heads and random bumpy bodies at most 0.48."""
     annealing_evaluations: int = 400
-    """Objective evaluations of the depth-derivative annealing; 0 leaves it out."""
+    """Objective evaluations of the depth-derivative annealing where it is forced; 0 leaves it out."""
     annealing_size: int = 64
     """Side of the annealing's depth images in pixels."""
     force_annealing: bool = False
-    """Anneal even where nothing is to be gained, and take its pose whatever the distance check says."""
+    """Anneal, and take its pose where the surface distance falls; else ICP's pose is the answer."""

@@ -53,8 +53,8 @@ def register(
 
     Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane
     ICP, then by one that also estimates the face's size; the pose whose depth image has the relief of
-    a face wins, is tightened on the rigid regions, and annealed on depth derivatives [1]_; the annealed
-    pose counts only when the surface distance is no worse for it.
+    a face wins and is tightened on the rigid regions. The annealing on depth derivatives of [1]_ runs when
+    forced (`RegistrationOptions.force_annealing`), and counts when the surface is nearer for it.
 
     Parameters
     ----------

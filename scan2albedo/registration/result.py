@@ -29,7 +29,7 @@ class Registration:
     iterations : int
         Objective evaluations and ICP iterations spent.
     trace : Trace
-        Stages "icp" (mm) and "depth_annealing" (objective).
+        Stages "icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced.
     notes : tuple of (step, ran, reason, evidence)
         What the steps inside decided, for the plan.
     face_scale : float
