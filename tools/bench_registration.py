@@ -239,7 +239,7 @@ def run(turns: list[str], shapes: Shapes, peer_names: list[str] | None) -> None:
     pairs = np.array([pair for row in rows.values() for pair in row.annealed]).reshape(-1, 2, 2)
     worse = (pairs[:, 1] > pairs[:, 0] + 0.05).any(1)
     print(
-        f"\nforced, annealing's pose is taken on {len(pairs)} unposed scans; farther from the truth on {worse.sum()}"
+        f"\nforced annealing's pose taken on {len(pairs)} unposed scans, farther from the truth on {worse.sum()}"
     )
     for before, after in pairs:
         print("  {:.2f} deg / {:.2f} mm".format(*before), "-> {:.2f} deg / {:.2f} mm".format(*after))
