@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -53,8 +54,8 @@ def fit(
     energy of q weighted by each region's stiffness, and f the forces of the scan on samples of the limit
     surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
     implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
-    Before that, pose and size s are refined over the stiff regions (`refine_similarity`), and the face gets
-    its proportions (`proportioned`).
+    Before that, pose and size s are refined over the stiff regions (`refine_similarity`), the mouth is opened
+    as the scan's is, and the face gets its proportions (`proportioned`).
 
     Parameters
     ----------
@@ -102,11 +103,12 @@ def fit(
     pose = similarity.correction @ pose
     surface = surface.moved(similarity.correction)
     reference = similarity.scale * model.control_vertices
-    samples = SurfaceSamples.of(model, reference, RIGID_LEVEL)
-    reference = proportioned(surface, samples, reference, chosen, meter)
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
         deformation = mouth_opened(deformation)
+    samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
+    reference = proportioned(surface, samples, deformation.reference, chosen, meter)
+    deformation = replace(deformation, reference=reference)
     outcome = run_stages(deformation)
     return fitted_face(deformation, outcome, pose, similarity.scale, scan.name)
 
