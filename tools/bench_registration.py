@@ -238,9 +238,7 @@ def run(turns: list[str], shapes: Shapes, peer_names: list[str] | None) -> None:
     _print_table(rows, others)
     pairs = np.array([pair for row in rows.values() for pair in row.annealed]).reshape(-1, 2, 2)
     worse = (pairs[:, 1] > pairs[:, 0] + 0.05).any(1)
-    print(
-        f"\nforced annealing's pose taken on {len(pairs)} unposed scans, farther from the truth on {worse.sum()}"
-    )
+    print(f"\nforced annealing's pose taken on {len(pairs)} scans, farther from the truth on {worse.sum()}")
     for before, after in pairs:
         print("  {:.2f} deg / {:.2f} mm".format(*before), "-> {:.2f} deg / {:.2f} mm".format(*after))
 
