@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.expression_start import corners_pulled, mouth_opened
 from scan2albedo.fitting.forces import ForceGates
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.fitting.outcome import fitted_face
@@ -18,7 +19,7 @@ from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.rigid_refinement import Similarity, refine_similarity
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
-from scan2albedo.fitting.stages import Deformation, mouth_opened, run_stages
+from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
@@ -55,7 +56,7 @@ def fit(
     surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
     implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
     Before that, pose and size s are refined over the stiff regions (`refine_similarity`), the mouth is opened
-    as the scan's is, and the face gets its proportions (`proportioned`).
+    and its corners are drawn back as the scan's are, and the face gets its proportions (`proportioned`).
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ def fit(
     reference = similarity.scale * model.control_vertices
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
-        deformation = mouth_opened(deformation)
+        deformation = corners_pulled(mouth_opened(deformation))
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
     reference = proportioned(surface, samples, deformation.reference, chosen, meter)
     deformation = replace(deformation, reference=reference)

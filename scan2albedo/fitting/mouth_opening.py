@@ -117,12 +117,12 @@ class MouthSearch:
 
     def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
         """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""
-        points = self.samples.matrix @ control_points
-        hits = scan.nearest.query(points)
-        normals = surface_normals(points, self.samples.faces)[0]
+        points, jaw = self.samples.matrix @ control_points, self.weight > 0
+        hits = scan.nearest.query(points[jaw])
+        normals = surface_normals(points, self.samples.faces)[0][jaw]
         agreement = np.einsum("ij,ij->i", scan.normals_at(hits), normals)
         distance = np.where(agreement > 0, np.minimum(hits.distance, REACH_MM), REACH_MM)
-        return float(self.weight @ distance / max(self.weight.sum(), 1e-300))
+        return float(self.weight[jaw] @ distance / max(self.weight.sum(), 1e-300))
 
     def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
         """Return which candidate's coarse fit ends nearest; the first unless another gains MIN_GAIN."""

@@ -16,6 +16,8 @@ class FitOptions:
     ----------
     levels : tuple of int
         Loop refinements whose limit vertices feel forces, one entry a stage: coarse to fine.
+    finest_level : int
+        Refinement of a short last stage for scans at least as fine as its samples; 0 leaves it out.
     steps : int
         Most time steps a stage.
     bending_mm : (float, float)
@@ -41,7 +43,7 @@ class FitOptions:
     scale_range : (float, float)
         Least and greatest size of the face relative to the model.
     open_mouth : bool
-        Search the angle of the jaw before anything bends (models with landmarks).
+        Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks).
     result_levels : int
         Loop refinements of the surface returned.
     residual_gate_mm : float
@@ -55,6 +57,7 @@ class FitOptions:
     """
 
     levels: tuple[int, ...] = (0, 0, 0, 1, 1, 1, 1, 1)
+    finest_level: int = 2
     steps: int = 10
     bending_mm: tuple[float, float] = (40.0, 0.9)
     membrane_mm: tuple[float, float] = (6.0, 0.5)

@@ -28,11 +28,16 @@ def smoothed(
     boundary: BoolArray,
     scale_mm: float,
     count: FloatArray | None = None,
+    *,
+    keep_curvature: bool = False,
 ) -> FloatArray:
     """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
 
     As many averages over the neighbours as the length of the edges asks for, none when edges are as long as
     the scale. Borders stay; spikes have no say, and move to where their neighbours are.
+
+    Averages flatten what is curved. With `keep_curvature` what they took away is averaged as well and given
+    back ("twicing"): 2 S - S^2 in place of S, at about a third more noise.
 
     Parameters
     ----------
@@ -42,6 +47,11 @@ def smoothed(
     scale_mm : float
     count : (V,) float64, optional
         How many measurements each vertex is the mean of: its say.
+    keep_curvature : bool
+
+    References
+    ----------
+    .. [1] J. W. Tukey, "Exploratory Data Analysis", 1977, section 16 (twicing).
     """
     edge_mm = float(np.median(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)))
     passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)
@@ -53,10 +63,16 @@ def smoothed(
     weights = _weights(vertices, joined, spike, say, REACH * max(scale_mm, edge_mm))
     total = np.asarray(weights.sum(1))
     still = boundary[:, None] | (total < 1e-9)
-    points = vertices
-    for _ in range(passes):
-        points = np.where(still, vertices, (weights @ points) / np.maximum(total, 1e-9))
-    return points
+
+    def averaged(values: FloatArray, at_border: FloatArray) -> FloatArray:
+        for _ in range(passes):
+            values = np.where(still, at_border, (weights @ values) / np.maximum(total, 1e-9))
+        return values
+
+    points = averaged(vertices, vertices)
+    if not keep_curvature:
+        return points
+    return points + averaged(vertices - points, np.zeros_like(points))
 
 
 def _neighbours(count: int, faces: IntArray) -> sparse.csr_matrix:

@@ -55,6 +55,12 @@ class ScanSurface:
         """The closest-point index of these triangles."""
         return NearestSurface(self.vertices, self.faces)
 
+    @cached_property
+    def edge_mm(self) -> float:
+        """Median length of the edges."""
+        start, end = self.vertices[self.faces[:, 0]], self.vertices[self.faces[:, 1]]
+        return float(np.median(np.linalg.norm(end - start, axis=1)))
+
     def normals_at(self, hits: NearestHits | ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
         return np.einsum("nk,nkj->nj", hits.barycentric, self.normals[self.faces[hits.face]])
@@ -112,5 +118,5 @@ def scan_near_model(
     kept, index = without_unreferenced(thin.vertices, large)
     points, boundary, count = thin.vertices[kept], thin.boundary[kept], thin.count[kept]
     fair = smoothed(points, index, boundary, NORMAL_SMOOTHING * smoothing_mm, count)
-    points = smoothed(points, index, boundary, smoothing_mm, count)
+    points = smoothed(points, index, boundary, smoothing_mm, count, keep_curvature=True)
     return ScanSurface(points, index, vertex_normals(fair, index), boundary)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,6 @@ from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import FoldFinder, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.kernels import surface_normals
-from scan2albedo.fitting.mouth_opening import MouthSearch
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -30,8 +29,8 @@ MUTUAL_EVERY = 4
 STIFFENING = 3.0
 MENDING_ROUNDS = 14
 MENDING_STEPS = 3
-MOUTH_LEVEL = 1
-MOUTH_STAGES = 2
+FINEST_STEPS = 3
+FINEST_MENDING_ROUNDS = 3
 USUAL_SPRINGS = 0.5
 """Stiffness of the springs, relative to an open gate's, that the preconditioner reckons with."""
 
@@ -56,6 +55,28 @@ class Deformation:
     scan: ScanSurface
     options: FitOptions
     meter: Meter
+    _sampled: dict[int, tuple[SurfaceSamples, sparse.csr_matrix]] = field(
+        init=False, repr=False, default_factory=dict
+    )
+
+    def sampled(self, level: int) -> tuple[SurfaceSamples, sparse.csr_matrix]:
+        """Return the samples of a level, and what their usual springs weigh on the control points (C, C)."""
+        if level not in self._sampled:
+            samples = SurfaceSamples.of(self.model, self.reference, level)
+            weight = sparse.diags(USUAL_SPRINGS * samples.area)
+            self._sampled[level] = samples, (samples.matrix.T @ weight @ samples.matrix).tocsr()
+        return self._sampled[level]
+
+    def scan_is_finer_than(self, level: int) -> bool:
+        """Whether the scan's edges near the model are shorter than the spacing of the samples of a level."""
+        samples, _ = self.sampled(level)
+        return self.scan.edge_mm < float(np.sqrt(np.median(samples.area)))
+
+    @cached_property
+    def control_area(self) -> FloatArray:
+        """(C,) mm^2 around each control point, never quite 0."""
+        area = vertex_areas(self.reference, self.model.control_faces)
+        return np.maximum(area, 1e-6 * area.mean())
 
     @cached_property
     def folds(self) -> FoldFinder:
@@ -100,32 +121,12 @@ class StagesOutcome:
     converged: bool
 
 
-def mouth_opened(deformation: Deformation) -> Deformation:
-    """Return the deformation that starts from the mouth opened as the scan's is.
-
-    Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations
-    but leave no rows in the trace.
-    """
-    scan, meter = deformation.scan, deformation.meter
-    search = MouthSearch.of(deformation.model, deformation.reference, scan, MOUTH_LEVEL)
-    if len(search.candidates) == 1:
-        return deformation
-    reached = []
-    for reference in search.candidates:
-        if meter.exhausted:
-            return deformation
-        trial = replace(deformation, reference=reference, meter=Meter("trial", "mm", meter.budget))
-        outcome = run_stages(trial, MOUTH_STAGES)
-        reached.append(reference + outcome.q)
-        meter.count(trial.meter.evaluations)
-    return replace(deformation, reference=search.candidates[search.best(scan, reached)])
-
-
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
     """Run all stages, or the first `count`, or as many as the budget allows.
 
     Where the sheet has folded over it is made stiffer, in short rounds of the last stage, until no fold
-    is left.
+    is left. A scan as fine as the samples of `FitOptions.finest_level` then gets a few steps with these: more
+    of its vertices have a say, and their noise averages out.
     """
     levels, meter = deformation.options.levels, deformation.meter
     q = np.zeros_like(deformation.reference)
@@ -135,35 +136,67 @@ def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutc
             return StagesOutcome(q, False)
         progress = index / max(len(levels) - 1, 1)
         q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, even), q)
-    if count is None:
-        q = _mended(deformation, q, even)
+    if count is not None:
+        return StagesOutcome(q, not meter.exhausted)
+    q, stiffening = _mended(deformation, q, even, levels[-1])
+    finest = deformation.options.finest_level
+    if finest > levels[-1] and deformation.scan_is_finer_than(finest) and not meter.exhausted:
+        finer = _run_stage(deformation, Stage(finest, 1.0, FINEST_STEPS, stiffening), q)
+        finer, _ = _mended(deformation, finer, stiffening, finest, FINEST_MENDING_ROUNDS)
+        q = _where_unfolded(deformation, finer, q)
     return StagesOutcome(q, not meter.exhausted)
 
 
-def _mended(deformation: Deformation, q: FloatArray, stiffening: FloatArray) -> FloatArray:
+def _where_unfolded(deformation: Deformation, q: FloatArray, before: FloatArray) -> FloatArray:
+    """Return `q`, taken back to `before` around its folds; `before` where that does not end them."""
+    back = np.zeros(len(q), bool)
     for _ in range(MENDING_ROUNDS):
+        folded = _around_folds(deformation, np.where(back[:, None], before, q))
+        if not folded.any():
+            return np.where(back[:, None], before, q)
+        back |= folded
+    return before
+
+
+def _mended(
+    deformation: Deformation, q: FloatArray, stiffening: FloatArray, level: int, rounds: int = MENDING_ROUNDS
+) -> tuple[FloatArray, FloatArray]:
+    """Return `q` without folds, as far as it goes, and how much stiffer (F_C,) the faces got for it."""
+    for _ in range(rounds):
         more = _stiffer(deformation, q)
         if not (more > 1).any() or deformation.meter.exhausted:
             break
         stiffening = stiffening * more
-        q = _run_stage(deformation, Stage(deformation.options.levels[-1], 1.0, MENDING_STEPS, stiffening), q)
-    return q
+        q = _run_stage(deformation, Stage(level, 1.0, MENDING_STEPS, stiffening), q)
+    return q, stiffening
 
 
 def _stiffer(deformation: Deformation, q: FloatArray) -> FloatArray:
     """Return (F_C,) STIFFENING for the control faces around folds of the surface, 1 elsewhere."""
+    around = _around_folds(deformation, q)
+    return np.where(around[deformation.model.control_faces].any(1), STIFFENING, 1.0)
+
+
+def _around_folds(deformation: Deformation, q: FloatArray) -> NDArray[np.bool_]:
+    """Return (C,) True at the corners of control faces with a fold."""
     model, faces = deformation.model, deformation.model.control_faces
     subdivision = model.subdivision(deformation.options.result_levels)
     folds = deformation.folds.find(subdivision.matrix @ (deformation.reference + q))
     around = np.zeros(len(deformation.reference), bool)
     around[faces[subdivision.parent[folds]]] = True
-    return np.where(around[faces].any(1), STIFFENING, 1.0)
+    return around
 
 
 def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatArray:
     options, meter, reference = deformation.options, deformation.meter, deformation.reference
-    samples = SurfaceSamples.of(deformation.model, reference, stage.level)
-    system = _system(deformation, samples, stage)
+    samples, usual = deformation.sampled(stage.level)
+    system = ImplicitSystem(
+        options.mass * deformation.control_area,
+        options.damping * deformation.control_area,
+        deformation.elasticity(stage.progress, stage.stiffening),
+        usual,
+        options.time_step,
+    )
     gates = ForceGates.at(options, stage.progress)
     state = State(q, np.zeros_like(q))
     errors: list[float] = []
@@ -193,20 +226,6 @@ def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatAr
         if _settled(errors, options.gain_tolerance):
             break
     return state.q
-
-
-def _system(deformation: Deformation, samples: SurfaceSamples, stage: Stage) -> ImplicitSystem:
-    options = deformation.options
-    control_area = vertex_areas(deformation.reference, deformation.model.control_faces)
-    lumped = np.maximum(control_area, 1e-6 * control_area.mean())
-    springs = samples.matrix.T @ sparse.diags(USUAL_SPRINGS * samples.area) @ samples.matrix
-    return ImplicitSystem(
-        options.mass * lumped,
-        options.damping * lumped,
-        deformation.elasticity(stage.progress, stage.stiffening),
-        springs,
-        options.time_step,
-    )
 
 
 def _settled(errors: list[float], tolerance: float) -> bool:

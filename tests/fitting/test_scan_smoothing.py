@@ -42,6 +42,25 @@ def test_curvature_loses_no_more_than_theory_says(radius):
     assert np.abs(fair - vertices)[middle, 2].max() < 1.5 * 1.0**2 / radius
 
 
+@pytest.mark.parametrize("radius", [10.0, 30.0])
+def test_curvature_stays_when_asked(radius):
+    vertices, faces, border = noisy_plane(161, 0.0)
+    distance = np.linalg.norm(vertices[:, :2], axis=1)
+    vertices[:, 2] = np.sqrt(np.maximum(radius**2 - distance**2, 0))
+    cap = distance < 0.4 * radius
+    lost, kept = (
+        np.abs(smoothed(vertices, faces, border, 1.5, keep_curvature=keep) - vertices)[cap, 2].max()
+        for keep in (False, True)
+    )
+    assert kept < 0.25 * lost
+
+
+def test_noise_averages_out_with_curvature_kept():
+    vertices, faces, border = noisy_plane(161, 0.3)
+    fair = smoothed(vertices, faces, border, 2.0, keep_curvature=True)
+    assert fair[~border, 2].std() < 0.17
+
+
 def test_a_mesh_of_uneven_density_does_not_shrink():
     size, radius = 121, 80.0
     u = 2 * np.linspace(0, 1, size) - 1

@@ -1,0 +1,144 @@
+"""Draw the corners of the model's mouth back before it bends, as a smile does: a search over two lengths.
+
+A smile moves the corners of the mouth over the cheeks and leaves a crease where they were drawn to. Closest
+points slide no corner along a surface; so smiling models are tried, and chosen, each side for itself, by
+whether a coarse fit reaches into the crease.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.kernels import surface_normals
+from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.nearest_surface import NearestSurface
+
+FloatArray = NDArray[np.float64]
+
+CORNERS = (48, 54)
+EARS = (0, 16)
+"""iBUG-68 indices of the corners of the mouth and the jaw line's ends, the subject's right side first."""
+BESIDE_MM = 15.0
+ABOVE_MM = 14.0
+"""How far beside and above the corners the skin follows them (standard deviations)."""
+PULLS_MM = (5.0, 10.0, 15.0)
+TRIALS = 2
+TRIAL_GAIN = 0.15
+MIN_GAIN = 0.34
+"""A pull is tried when it saves TRIAL_GAIN of the distance as it is, and chosen when its coarse fit saves
+MIN_GAIN."""
+ZONE_MM = 45.0
+REACH_MM = 8.0
+MIN_COSINE = 0.2
+
+
+@dataclass(frozen=True)
+class MouthCorners:
+    """How the control points move when the corners are pulled a mm: `right`, `left` (C, 3)."""
+
+    right: FloatArray
+    left: FloatArray
+
+    @classmethod
+    def of(cls, model: AnnotatedFaceModel, control_points: FloatArray) -> MouthCorners | None:
+        """Return the pulls of an annotated model at `control_points`; None without landmarks.
+
+        A corner goes toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles draw
+        it; the lips stretch evenly between their middle and the corner, the cheek follows less and less.
+        """
+        landmarks = model.landmarks_of(control_points)
+        if landmarks is None:
+            return None
+        corners = landmarks[list(CORNERS)]
+        middle, half_width = corners.mean(0), 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
+        across, above = (control_points - middle)[:, :2].T
+        beside = np.maximum(np.abs(across) - half_width, 0)
+        share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
+        share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
+        toward = landmarks[list(EARS)] - corners
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        return cls(
+            np.where(across < 0, share, 0.0)[:, None] * toward[0],
+            np.where(across > 0, share, 0.0)[:, None] * toward[1],
+        )
+
+    def pulled(self, control_points: FloatArray, mm: tuple[float, float]) -> FloatArray:
+        """Return the control points (C, 3) with the right and the left corner pulled."""
+        return control_points + mm[0] * self.right + mm[1] * self.left
+
+
+@dataclass(frozen=True)
+class CornerJudge:
+    """The scan around the mouth: `points` (N, 3), unit-ish `normals` (N, 3), and which are on the `left`."""
+
+    points: FloatArray
+    normals: FloatArray
+    left: NDArray[np.bool_]
+    samples: SurfaceSamples
+
+    @classmethod
+    def of(
+        cls, model: AnnotatedFaceModel, control_points: FloatArray, scan: ScanSurface, level: int
+    ) -> CornerJudge:
+        """Take the scan within ZONE_MM of the mouth of an annotated model."""
+        landmarks = model.landmarks_of(control_points)
+        assert landmarks is not None
+        middle = landmarks[list(CORNERS)].mean(0)
+        near = np.linalg.norm(scan.vertices - middle, axis=1) < ZONE_MM
+        points = scan.vertices[near]
+        samples = SurfaceSamples.of(model, control_points, level)
+        return cls(points, scan.normals[near], points[:, 0] > middle[0], samples)
+
+    def distances(self, control_points: FloatArray) -> tuple[float, float]:
+        """Return the mean distance of the scan from the model, mm, on the right and on the left.
+
+        Scan that looks another way than the model there (inside of the mouth) is left out, distances are cut
+        off at REACH_MM; a side without scan gives 0.
+        """
+        surface, faces = self.samples.matrix @ control_points, self.samples.faces
+        hits = NearestSurface(surface, faces).query(self.points)
+        normals = surface_normals(surface, faces)[0][faces[hits.face]]
+        facing = np.einsum("nk,nkj,nj->n", hits.barycentric, normals, self.normals) > MIN_COSINE
+        distance = np.minimum(hits.distance, REACH_MM)
+        right, left = facing & ~self.left, facing & self.left
+        return _mean(distance[right]), _mean(distance[left])
+
+    def worth_a_trial(self, control_points: FloatArray, corners: MouthCorners) -> list[float]:
+        """Return at most TRIALS of PULLS_MM, the nearest first, that bring the model nearer unfitted."""
+        still = self.distances(control_points)
+        saved = {
+            mm: max(_saved(still, self.distances(corners.pulled(control_points, (mm, mm)))))
+            for mm in PULLS_MM
+        }
+        nearest = sorted(saved, key=lambda mm: -saved[mm])
+        return [mm for mm in nearest[:TRIALS] if saved[mm] > TRIAL_GAIN]
+
+    def chosen(self, reached: dict[float, FloatArray]) -> tuple[float, float]:
+        """Return the pulls of the right and the left corner whose coarse fits ended nearest.
+
+        `reached` holds the control points after each pull's coarse fit, that of 0 mm among them; a side stays
+        unless it gains MIN_GAIN.
+        """
+        found = {mm: self.distances(points) for mm, points in reached.items()}
+        saved = {mm: _saved(found[0.0], distances) for mm, distances in found.items()}
+        right = max(saved, key=lambda mm: saved[mm][0])
+        left = max(saved, key=lambda mm: saved[mm][1])
+        return (
+            right if saved[right][0] > MIN_GAIN else 0.0,
+            left if saved[left][1] > MIN_GAIN else 0.0,
+        )
+
+
+def _saved(before: tuple[float, float], after: tuple[float, float]) -> tuple[float, float]:
+    """Return which part of the distance is saved, right and left."""
+    right, left = (1 - new / old if old > 0 else 0.0 for old, new in zip(before, after, strict=True))
+    return right, left
+
+
+def _mean(values: FloatArray) -> float:
+    return float(values.mean()) if len(values) else 0.0

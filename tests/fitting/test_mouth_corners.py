@@ -1,0 +1,122 @@
+"""The corners of the mouth are drawn back before the face bends."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting import FitOptions, fit
+from scan2albedo.fitting.mouth_corners import CORNERS, PULLS_MM, CornerJudge, MouthCorners
+from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.optimization import Budget
+from scan2albedo.synthetic import raw_like
+
+RIGHT, LEFT = CORNERS
+
+
+@pytest.fixture(scope="module")
+def model() -> AnnotatedFaceModel:
+    return AnnotatedFaceModel.default()
+
+
+def smiling(model, right_mm, left_mm):
+    return MouthCorners.of(model, model.control_vertices).pulled(model.control_vertices, (right_mm, left_mm))
+
+
+def judge_of(model, control_points):
+    subdivision = model.subdivision(2)
+    vertices = subdivision.matrix @ control_points
+    scan = scan_near_model(
+        vertices, subdivision.faces, np.eye(4), vertices.min(0) - 9, vertices.max(0) + 9, 0.8
+    )
+    return CornerJudge.of(model, model.control_vertices, scan, 1)
+
+
+def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
+    moved = model.landmarks_of(smiling(model, 10, 10)) - model.landmarks
+    for corner, side in ((RIGHT, -1), (LEFT, 1)):
+        assert np.linalg.norm(moved[corner]) == pytest.approx(10, abs=1.5)
+        assert moved[corner] @ [side, 0, 0] > 3
+        assert moved[corner, 1] > 3
+        assert moved[corner, 2] < -3
+    upper_face_and_ears = [0, 1, 2, 14, 15, 16, *range(17, 28), *range(36, 48)]
+    assert np.linalg.norm(moved[upper_face_and_ears], axis=1).max() < 0.2
+    assert np.linalg.norm(moved[[51, 57, 62, 66]], axis=1).max() < 2
+    one_side = model.landmarks_of(smiling(model, 10, 0)) - model.landmarks
+    np.testing.assert_allclose(one_side[RIGHT], moved[RIGHT], atol=0.5)
+    assert np.linalg.norm(one_side[LEFT]) < 0.5
+
+
+@pytest.mark.parametrize("pulled", [(10.0, 10.0), (15.0, 15.0), (0.0, 15.0), (10.0, 0.0)])
+def test_each_side_is_found_for_itself(model, pulled):
+    judge = judge_of(model, smiling(model, *pulled))
+    corners = MouthCorners.of(model, model.control_vertices)
+    worth = judge.worth_a_trial(model.control_vertices, corners)
+    assert max(pulled) in worth
+    reached = {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, *worth)}
+    assert judge.chosen(reached) == pulled
+
+
+def test_a_mouth_as_the_model_s_costs_no_trial(model):
+    judge = judge_of(model, model.control_vertices)
+    corners = MouthCorners.of(model, model.control_vertices)
+    assert judge.worth_a_trial(model.control_vertices, corners) == []
+    assert judge.chosen(
+        {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, *PULLS_MM)}
+    ) == (0.0, 0.0)
+
+
+def test_a_side_without_scan_stays(model):
+    control = smiling(model, 15, 15)
+    judge = judge_of(model, control)
+    right_only = CornerJudge(
+        judge.points[~judge.left], judge.normals[~judge.left], judge.left[~judge.left], judge.samples
+    )
+    assert right_only.distances(model.control_vertices)[1] == 0
+    corners = MouthCorners.of(model, model.control_vertices)
+    reached = {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, 15.0)}
+    assert right_only.chosen(reached) == (15.0, 0.0)
+
+
+@pytest.mark.parametrize("shape", ["generic_mouthSmile_L_mouthSmile_R", "person2_mouthSmile_L_mouthSmile_R"])
+def test_a_smile_is_followed_only_with_the_search(ict, shape):
+    vertices = ict.shapes[shape]
+    scan, scan_from_shape = raw_like(vertices, ict.faces, 1)
+    given = vertices[ict.landmarks]
+    pose = procrustes(given[17:], ict.model.landmarks[17:]) @ invert_rigid(scan_from_shape)
+    error = {}
+    for search in (False, True):
+        fitted = fit(scan, ict.model, pose, options=FitOptions(open_mouth=search))
+        truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
+        error[search] = np.linalg.norm(fitted.landmarks - truth, axis=1)[list(CORNERS)].mean()
+    assert error[True] < 3.5
+    assert error[True] < 0.6 * error[False]
+
+
+@pytest.mark.parametrize("person", ["person1", "person2", "person3", "person4"])
+def test_nobody_smiles_who_does_not(ict, model, person, monkeypatch):
+    vertices = ict.shapes[person]
+    scan, scan_from_shape = raw_like(vertices, ict.faces, 1)
+    chosen = []
+    choose = CornerJudge.chosen
+    monkeypatch.setattr(CornerJudge, "chosen", lambda *given: chosen.append(choose(*given)) or chosen[-1])
+    for template in (ict.model, model):
+        pose = procrustes(vertices[ict.landmarks][17:], template.landmarks[17:]) @ invert_rigid(
+            scan_from_shape
+        )
+        fit(scan, template, pose)
+    assert all(pulls == (0.0, 0.0) for pulls in chosen)
+
+
+def test_models_without_landmarks_have_no_corners(mask_model):
+    assert MouthCorners.of(mask_model, mask_model.control_vertices) is None
+
+
+def test_a_budget_that_ends_in_the_search_leaves_the_mouth_as_it_is(model):
+    subdivision = model.subdivision(2)
+    scan = RawScan(subdivision.matrix @ smiling(model, 15, 15), subdivision.faces, name="smile")
+    for evaluations in (5, 20, 40):
+        fitted = fit(scan, model, np.eye(4), Budget(evaluations=evaluations))
+        assert not fitted.converged
+        assert np.isfinite(fitted.vertices).all()
