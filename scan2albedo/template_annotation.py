@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model import AnnotatedFaceModel, Region
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.face_model.from_mesh import FILLED_REGION, DenseTemplate, model_from_surface
 from scan2albedo.face_model.limit_fit import project
 from scan2albedo.face_model.model import LANDMARK_LEVELS
@@ -95,7 +96,7 @@ def _turn(rotation: FloatArray) -> tuple[FloatArray, str]:
 
 @dataclass(frozen=True)
 class _AnnotatedSurface:
-    """The fitted default model in the new model's frame: (V, 3) mm, (F, 3), and its annotation."""
+    """The skin of the fitted default model in the new model's frame: (V, 3) mm, (F, 3), its annotation."""
 
     vertices: FloatArray
     faces: IntArray
@@ -106,10 +107,11 @@ class _AnnotatedSurface:
     @classmethod
     def of(cls, fitted: FittedFace, model_from_default: FloatArray) -> _AnnotatedSurface:
         assert fitted.landmarks is not None  # the default model has them
+        skin = fitted.region != fitted.model.regions[MOUTH_REGION].index
         return cls(
             transform_points(model_from_default, fitted.vertices),
-            fitted.faces,
-            fitted.region,
+            fitted.faces[skin],
+            fitted.region[skin],
             transform_points(model_from_default, fitted.landmarks),
             fitted.model,
         )
@@ -118,7 +120,7 @@ class _AnnotatedSurface:
 def _carried_regions(
     source: _AnnotatedSurface, model: AnnotatedFaceModel
 ) -> tuple[NDArray[np.uint8], dict[str, Region]]:
-    """Give each control face the region that lies on it; over the mouth's own hole it stays soft."""
+    """Give each control face the region that lies on it; what closes the mouth's own hole is film."""
     first = 1 + max(region.index for region in model.regions.values())
     added = {
         name: replace(region, index=first + region.index) for name, region in source.default.regions.items()
@@ -131,7 +133,8 @@ def _carried_regions(
     filled = model.regions.get(FILLED_REGION)
     in_mouth = (model.region == filled.index) & np.isin(carried, lips) if filled else False
     beyond = hits.distance > REACH_MM
-    return np.where(beyond | in_mouth, model.region, carried), {**model.regions, **added}
+    region = np.where(in_mouth, added[MOUTH_REGION].index, np.where(beyond, model.region, carried))
+    return region.astype(np.uint8), {**model.regions, **added}
 
 
 def _carried_landmarks(

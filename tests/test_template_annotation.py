@@ -125,3 +125,15 @@ def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topolo
     )
     assert np.linalg.norm(fitted.landmarks - truth, axis=1)[INNER].mean() < 5
     assert np.nanmedian(fitted.residual_mm) < 0.4
+
+
+def test_what_closes_the_hole_of_a_mouth_becomes_film(shared_data):
+    data = np.load(shared_data / "ict_faces.npz")
+    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(int)
+    narrow = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices, narrow)
+    film = model.in_region("between_lips")
+    centres = model.control_vertices[model.control_faces].mean(1)
+    mouth = model.landmarks[60:68].mean(0)
+    assert film.any()
+    assert np.linalg.norm(centres[film] - mouth, axis=1).max() < 35

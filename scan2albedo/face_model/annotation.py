@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MOUTH_REGION = "between_lips"
+"""The film between the lips, which closes the model's surface. It is no skin: no scan pulls at it."""
+
 
 @dataclass(frozen=True)
 class Region:

@@ -120,6 +120,12 @@ class AnnotatedFaceModel:
             table[region.index] = float(getattr(region, attribute))
         return table
 
+    def in_region(self, name: str) -> NDArray[np.bool_]:
+        """Return (F_C,) which control faces lie in the region `name`; none where there is no such region."""
+        if name not in self.regions:
+            return np.zeros(len(self.control_faces), bool)
+        return np.asarray(self.region == self.regions[name].index)
+
     @classmethod
     def default(cls) -> AnnotatedFaceModel:
         """Return the model that ships with the package (cached)."""
@@ -166,7 +172,8 @@ class AnnotatedFaceModel:
             One continuous chart; a new one is drawn when omitted or when it folds over.
         regions : mapping of str to array, optional
             Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
-            what closes a hole of the template is region "filled"; these two names are taken.
+            what closes a hole of the template is region "filled"; these two names are taken. No scan pulls at
+            a region named "between_lips", into which `annotate` puts what closes the mouth.
         landmarks : (68, 3) array of float or (68,) array of int, optional
             Points in the template's frame and unit, or vertex indices, iBUG-68 order.
         control_size : int

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -32,12 +33,16 @@ MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
 """Chin and lower lip."""
 CHIN = 8
 NECK_BELOW_CHIN_MM = 35.0
+FILM_WEIGHT = 1e-3
+"""What lies between the lips ties them together next to not at all."""
 ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 REACH_MM = 8.0
-MIN_GAIN = 0.31
+MIN_GAIN = 0.12
 TRIALS = 2
 TRIAL_GAIN = 0.25
 """An angle is tried when it gains this much as it is, and chosen when its coarse fit gains MIN_GAIN."""
+ABOUT = 0.07
+"""Costs this much above the least are as good."""
 JAW_WEIGHT = 0.6
 """Samples that follow the jaw by at least this much judge it."""
 
@@ -65,7 +70,8 @@ class JawHinge:
         still |= control_points[:, 1] < landmarks[CHIN, 1] - NECK_BELOW_CHIN_MM
         # A face across the mouth holds both lips: its corners follow their neighbours.
         fixed = moving ^ still
-        weight = _harmonic(laplacian(control_points, model.control_faces), fixed, moving)
+        film = np.where(model.in_region(MOUTH_REGION), FILM_WEIGHT, 1.0)
+        weight = _harmonic(laplacian(control_points, model.control_faces, film), fixed, moving)
         ears = landmarks[list(EARS)]
         center = ears.mean(0) - [0.0, 0.0, HINGE_DEPTH * float(np.linalg.norm(ears[1] - ears[0]))]
         center[1] = landmarks[list(BELOW_EARS), 1].mean()
@@ -112,7 +118,7 @@ class MouthSearch:
         search = cls((control_points,), samples, jaw)
         costs = [search.cost(scan, points) for points in (control_points, *opened)]
         nearest = np.argsort(costs[1:], kind="stable")[:TRIALS]
-        worth = [opened[i] for i in nearest if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
+        worth = [opened[i] for i in sorted(nearest) if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
         return cls((control_points, *worth), samples, jaw)
 
     def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
@@ -125,10 +131,14 @@ class MouthSearch:
         return float(self.weight[jaw] @ distance / max(self.weight.sum(), 1e-300))
 
     def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
-        """Return which candidate's coarse fit ends nearest; the first unless another gains MIN_GAIN."""
-        costs = [self.cost(scan, points) for points in reached]
-        chosen = int(np.argmin(costs))
-        return chosen if costs[chosen] < (1 - MIN_GAIN) * costs[0] else 0
+        """Return the least opened candidate whose coarse fit ends about nearest (ABOUT).
+
+        The first, the mouth as it is, unless MIN_GAIN is gained.
+        """
+        costs = np.array([self.cost(scan, points) for points in reached])
+        if not costs.min() < (1 - MIN_GAIN) * costs[0]:
+            return 0
+        return int(np.argmax(costs <= (1 + ABOUT) * costs.min()))
 
 
 def _harmonic(matrix: sparse.csr_matrix, fixed: NDArray[np.bool_], one: NDArray[np.bool_]) -> FloatArray:

@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.kernels import spring_product, surface_normals
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
@@ -34,7 +35,7 @@ class SurfaceSamples:
     parent : (F,) int64
         Control face of each triangle.
     area : (N,) float64
-        mm^2 of surface each sample stands for.
+        mm^2 of skin each sample stands for; 0 on the film between the lips, which nothing pulls at.
     rigidity : (N,) float64
         Mean stiffness of the regions around each sample.
     rim : (N,) float64
@@ -53,12 +54,14 @@ class SurfaceSamples:
         """Sample `model` at the limit vertices of `level` refinements, areas taken at `control_points`."""
         subdivision = model.subdivision(level)
         points = subdivision.matrix @ control_points
+        film = model.in_region(MOUTH_REGION)[subdivision.parent].astype(float)
+        skin = 1 - vertex_average(len(points), subdivision.faces, film)
         stiffness = model.region_values("stiffness")[model.region[subdivision.parent]]
         return cls(
             subdivision.matrix,
             subdivision.faces,
             subdivision.parent,
-            vertex_areas(points, subdivision.faces),
+            skin * vertex_areas(points, subdivision.faces),
             vertex_average(len(points), subdivision.faces, stiffness),
             _rim(points, subdivision.faces),
         )

@@ -41,9 +41,10 @@ def test_size_and_topology(model):
 
 def test_triangles_are_well_shaped(model):
     vertices, faces = model.surface(0)
-    corners = vertices[faces]
+    skin = faces[~model.in_region("between_lips")]
+    corners = vertices[skin]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    quality = 4 * np.sqrt(3) * face_areas(vertices, faces) / np.sum(sides**2, axis=1)
+    quality = 4 * np.sqrt(3) * face_areas(vertices, skin) / np.sum(sides**2, axis=1)
     assert quality.min() > 0.35
     assert np.mean(quality) > 0.85
     valence = np.asarray(adjacency(len(vertices), faces).sum(1)).ravel()
@@ -133,7 +134,7 @@ def test_widths_of_the_surface(model):
 
 
 def test_regions(model):
-    names = {"forehead", "nose", "upper_lip", "lower_lip", "chin"}
+    names = {"forehead", "nose", "upper_lip", "lower_lip", "chin", "between_lips"}
     for pair in ("brow", "eye", "nostril", "cheek", "jaw", "temple"):
         names |= {f"left_{pair}", f"right_{pair}"}
     assert set(model.regions) == names
@@ -178,6 +179,21 @@ def test_mouth_line_divides_the_lips(model):
         corners = corners[np.abs(corners[:, 0]) < 15]
         height = corners[:, 1] - np.interp(corners[:, 0], line[:, 0], line[:, 1])
         assert (sign * height).min() > -0.4
+
+
+def test_the_lips_part_along_a_film(model):
+    lips = [set(model.control_faces[model.in_region(name)].ravel()) for name in ("upper_lip", "lower_lip")]
+    vertices, _ = model.surface(0)
+    half_width = model.landmarks[54, 0]
+    assert all(abs(vertices[v, 0]) > 0.9 * half_width for v in lips[0] & lips[1])
+    film = model.control_faces[model.in_region("between_lips")]
+    height = np.ptp(vertices[film][:, :, 1], axis=1)
+    assert height.max() < 2.5
+    extent = np.ptp(vertices[np.unique(film), 0])
+    assert extent == pytest.approx(2 * half_width, rel=0.1)
+    assert set(np.unique(film)) <= lips[0] | lips[1]
+    on_film = np.isin(model.landmark_points.face, np.flatnonzero(model.in_region("between_lips")))
+    assert not on_film.any()
 
 
 def test_chart(model):

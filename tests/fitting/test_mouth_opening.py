@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
 
+from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, MouthSearch
+from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
-from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.synthetic import raw_like
 
 
 def opened_scan(model, angle_deg):
@@ -58,3 +61,57 @@ def test_an_open_mouth_is_followed_only_with_the_search(ict):
 
 def test_models_without_landmarks_stay_as_they_are(mask_model, mask_scan):
     assert JawHinge.of(mask_model, mask_model.control_vertices) is None
+
+
+@pytest.fixture(scope="module")
+def default_model():
+    return AnnotatedFaceModel.default()
+
+
+@pytest.mark.parametrize("angle", [8.0, 16.0])
+def test_the_default_model_opens_along_its_film(default_model, angle):
+    model = default_model
+    hinge = JawHinge.of(model, model.control_vertices)
+    opened = model.landmarks_of(hinge.opened(model.control_vertices, angle))
+    gap = opened[[61, 62, 63], 1] - opened[[67, 66, 65], 1]
+    shut = model.landmarks[[61, 62, 63], 1] - model.landmarks[[67, 66, 65], 1]
+    assert (shut < 1.5).all()
+    assert (gap > 0.8 * angle).all()
+    moved = np.abs(opened - model.landmarks).max(1)
+    assert moved[[i for i in STILL if i not in (61, 62, 63)]].max() < 2
+    assert (moved[[61, 62, 63]] < 0.25 * gap).all()  # the limit surface rounds the lips' edges off
+
+
+@pytest.mark.parametrize(
+    ("shape", "ceiling_mm"),
+    [("generic_jawOpen0.7", 4.5), ("person3_browInnerUp_L_browInnerUp_R_jawOpen0.5", 4.5)],
+)
+def test_the_default_model_follows_open_mouths(ict, default_model, shape, ceiling_mm):
+    model, vertices = default_model, ict.shapes[shape]
+    scan, scan_from_shape = raw_like(vertices, ict.faces, 0)
+    given = vertices[ict.landmarks]
+    pose = procrustes(given[17:48], model.landmarks[17:48]) @ invert_rigid(scan_from_shape)
+    fitted = fit(scan, model, pose)
+    truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
+    assert np.linalg.norm(fitted.landmarks - truth, axis=1)[48:].mean() < ceiling_mm
+    assert fitted.metrics["flipped_faces"] == 0
+
+
+@pytest.mark.parametrize("person", ["generic_neutral", "person1", "person2", "person3", "person4"])
+def test_shut_mouths_stay_shut(ict, default_model, person):
+    vertices = ict.shapes[person]
+    scan, scan_from_shape = raw_like(vertices, ict.faces, 1)
+    for model in (ict.model, default_model):
+        pose = procrustes(vertices[ict.landmarks][17:], model.landmarks[17:]) @ invert_rigid(scan_from_shape)
+        fitted = fit(scan, model, pose)
+        lips = fitted.landmarks[[61, 62, 63], 1] - fitted.landmarks[[67, 66, 65], 1]
+        assert lips.max() < 3.0
+
+
+def test_nothing_pulls_at_the_film_between_the_lips(default_model):
+    samples = SurfaceSamples.of(default_model, default_model.control_vertices, 1)
+    film = samples.faces[default_model.in_region("between_lips")[samples.parent]]
+    inside = np.setdiff1d(film, samples.faces[~default_model.in_region("between_lips")[samples.parent]])
+    assert len(inside) > 0
+    assert (samples.area[inside] == 0).all()
+    assert (samples.area >= 0).all()

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.face_model.generator.anthropometry import Measurements
 from scan2albedo.face_model.generator.key_points import half_face
 from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE, half_landmarks
 from scan2albedo.face_model.generator.layout import FaceLayout, layout_of, mirrored_mesh
-from scan2albedo.face_model.generator.meshing import HalfMesh, MeshOptions, mesh_half
+from scan2albedo.face_model.generator.meshing import MeshOptions, mesh_half
+from scan2albedo.face_model.generator.mouth_slit import SlitMesh, with_mouth_slit
 from scan2albedo.face_model.generator.regions import (
     MIDDLE_REGIONS,
     default_regions,
@@ -58,7 +60,8 @@ def build_face_model(measurements: Measurements | None = None) -> AnnotatedFaceM
     half = half_face(Measurements() if measurements is None else measurements)
     layout = layout_of(half)
     curves = {name: layout.place(curve) for name, curve in half.curves.items()}
-    mesh = mesh_half(curves, ("midline", "outline"), MeshOptions(CURVE_EDGE_MM))
+    slit = with_mouth_slit(mesh_half(curves, ("midline", "outline"), MeshOptions(CURVE_EDGE_MM)))
+    mesh = slit.mesh
     on_middle = mesh.flat[:, 0] < 1e-9
     flat, faces, mirror = mirrored_mesh(mesh.flat, mesh.faces, on_middle)
     control = _symmetric(_control_vertices(layout, flat, faces), mirror)
@@ -70,10 +73,10 @@ def build_face_model(measurements: Measurements | None = None) -> AnnotatedFaceM
         control - center,
         faces,
         parametrize_disc(lifted, faces, mirror=mirror),
-        _region_of_faces(lifted, mesh, lifted_curves, {r.name: r.index for r in regions.values()}),
+        _region_of_faces(lifted, slit, lifted_curves, {r.name: r.index for r in regions.values()}),
         regions,
         landmark_points=_landmark_points(
-            control, faces, half_landmarks(lifted_curves, half.middle, half.skin)
+            control, faces, slit.film, half_landmarks(lifted_curves, half.middle, half.skin)
         ),
         name="default annotated face model",
     )
@@ -106,10 +109,12 @@ def _centroid(control: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _region_of_faces(
-    lifted: FloatArray, mesh: HalfMesh, curves: dict[str, FloatArray], index: dict[str, int]
+    lifted: FloatArray, slit: SlitMesh, curves: dict[str, FloatArray], index: dict[str, int]
 ) -> NDArray[np.uint8]:
-    neighbours = _face_neighbours(mesh.faces)
-    names = half_region_names(lifted[mesh.faces].mean(1), curves)
+    faces = slit.mesh.faces
+    neighbours = _face_neighbours(faces)
+    names = half_region_names(lifted[faces].mean(1), curves)
+    names = [MOUTH_REGION if film else name for name, film in zip(names, slit.film, strict=True)]
     names = in_one_piece(without_spikes(names, neighbours), neighbours)
     sided = [
         [index[n if n in MIDDLE_REGIONS else f"{side}_{n}"] for n in names] for side in ("left", "right")
@@ -132,15 +137,18 @@ def _face_neighbours(faces: IntArray) -> list[list[int]]:
     return neighbours
 
 
-def _landmark_points(control: FloatArray, faces: IntArray, targets: dict[int, FloatArray]) -> SurfacePoints:
-    """Return the 68 landmarks: closest points of the limit surface, the right half mirrored."""
+def _landmark_points(
+    control: FloatArray, faces: IntArray, film: NDArray[np.bool_], targets: dict[int, FloatArray]
+) -> SurfacePoints:
+    """Return the 68 landmarks: closest points of the limit surface but its film, the right half mirrored."""
     numbers = sorted(targets)
     subdivision = LoopSubdivision.of(len(control), faces, LANDMARK_LEVELS)
-    left = len(subdivision.faces) // 2
-    hits = ClosestPointQuery(subdivision.matrix @ control, subdivision.faces[:left]).query(
+    left = np.arange(len(subdivision.faces)) < len(subdivision.faces) // 2
+    skin = np.flatnonzero(left & ~np.tile(film, 2)[subdivision.parent])
+    hits = ClosestPointQuery(subdivision.matrix @ control, subdivision.faces[skin]).query(
         np.stack([targets[n] for n in numbers])
     )
-    found = subdivision.control_points(SurfacePoints(hits.face, hits.barycentric))
+    found = subdivision.control_points(SurfacePoints(skin[hits.face], hits.barycentric))
     face, weights = np.zeros(68, np.int64), np.zeros((68, 3))
     face[numbers], weights[numbers] = found.face, found.barycentric
     for middle in MIDDLE:

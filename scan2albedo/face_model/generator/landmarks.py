@@ -35,14 +35,15 @@ def half_landmarks(curves: dict[str, FloatArray], middle: Midline, skin: Section
         The face on which brow, chin and jaw lie.
     """
     upper, lower = curves["upper_lid"], curves["lower_lid"]
-    top, line, bottom = curves["upper_vermilion"], curves["mouth_line"], curves["lower_vermilion"]
+    top, bottom = curves["upper_vermilion"], curves["lower_vermilion"]
+    line, under = curves["mouth_line"], curves["lower_mouth_line"]
     sets = {
         42: upper[0], 43: _share(upper, 0.38), 44: _share(upper, 0.74), 45: upper[-1],
         46: _share(lower, 0.75), 47: _share(lower, 0.37),
         51: top[0], 52: _share(top, 0.24), 53: _share(top, 0.64), 54: top[-1],
         57: bottom[0], 56: _share(bottom, 0.38), 55: _share(bottom, 0.66),
         62: line[0], 63: _share(line, 0.38), 64: _share(line, 0.86),
-        65: _share(line, 0.38) - [0, 0.4, 0], 66: line[0] - [0, 0.4, 0],
+        65: _share(under, 0.38), 66: under[0],
     }  # fmt: skip
     crease = curves["alar_crease"][-1]
     sets |= {

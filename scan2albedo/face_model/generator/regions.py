@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.annotation import MOUTH_REGION, Region
 from scan2albedo.face_model.generator.layout import inside_polygon
 
 FloatArray = NDArray[np.float64]
 
-MIDDLE_REGIONS = ("forehead", "nose", "upper_lip", "lower_lip", "chin")
+MIDDLE_REGIONS = ("forehead", "nose", "upper_lip", "lower_lip", "chin", MOUTH_REGION)
 """Regions that straddle the midline; the others exist left and right."""
 
 # name: (stiffness, specular scale, inpaint). Skull under thin skin is stiff, lips and jaw move with every
@@ -27,6 +27,7 @@ _TRAITS: dict[str, tuple[float, float, bool]] = {
     "chin": (0.7, 1.0, True),
     "jaw": (0.6, 0.7, True),
     "temple": (1.6, 0.9, True),
+    MOUTH_REGION: (0.05, 0.5, False),
 }
 
 
@@ -65,8 +66,8 @@ def half_region_names(centroids: FloatArray, curves: dict[str, FloatArray]) -> l
 def without_spikes(names: list[str], neighbours: list[list[int]], passes: int = 2) -> list[str]:
     """Give each face whose neighbours mostly agree on another region that region: borders turn smooth.
 
-    Faces do not change sides of the mouth line, which is exact as it is, and nostrils, a few faces
-    each, stay.
+    Faces do not change sides of the mouth line, which is exact as it is; nostrils, a few faces each, and the
+    film stay.
 
     >>> without_spikes(["a", "b", "a", "a"], [[1], [0, 2, 3], [1], [1]])
     ['a', 'a', 'a', 'a']
@@ -75,9 +76,9 @@ def without_spikes(names: list[str], neighbours: list[list[int]], passes: int = 
     for _ in range(passes):
         before = list(current)
         for face, around in enumerate(neighbours):
-            if before[face] == "nostril":
+            if before[face] in ("nostril", MOUTH_REGION):
                 continue
-            others = [before[k] for k in around]
+            others = [before[k] for k in around if before[k] != MOUTH_REGION]
             for candidate in sorted(set(others) - {before[face]}):
                 if others.count(candidate) >= 2 and {candidate, before[face]} != lips:
                     current[face] = candidate
