@@ -111,11 +111,15 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
     ------
     OutputError
         When the folder cannot be written.
+    ValueError
+        For values that are not finite in 32 bits.
     """
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     stored = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
+    if wrong := [name for name, c in stored.items() if not np.isfinite(c).all()]:
+        raise ValueError(f"{path}: channel {wrong[0]} holds NaN or infinite values; nothing is written")
     with atomic_path(path) as temporary:
         temporary.touch()
         try:
@@ -132,7 +136,7 @@ def write_exr(path: str | Path, linear: ArrayLike) -> None:
     OutputError
         When the folder cannot be written.
     ValueError
-        For another shape.
+        For another shape, or values that are not finite in 32 bits.
     """
     image = np.asarray(linear, np.float32)
     if image.ndim == 2:

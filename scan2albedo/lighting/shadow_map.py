@@ -68,13 +68,6 @@ class ShadowMap:
         toward = np.asarray(directions, np.float64)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
 
-    def cast_fraction(self, direction: ArrayLike, distance_mm: float = math.inf) -> float:
-        """Return which part of the points that face the light lies in a cast shadow, in [0, 1]."""
-        toward = np.asarray(direction, np.float64)
-        rays = toward if math.isinf(distance_mm) else distance_mm * toward - self.position
-        facing = np.einsum("ij,ij->i", self.normal, np.broadcast_to(rays, self.position.shape)) > 0
-        return 1.0 - float(self.visible(toward, distance_mm).sum()) / max(int(facing.sum()), 1)
-
 
 @dataclass(frozen=True)
 class VisibilityTable:

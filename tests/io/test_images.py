@@ -1,5 +1,6 @@
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 
 from scan2albedo.errors import OutputError, ScanError
@@ -120,7 +121,8 @@ def test_garbage_and_missing_images_are_refused_by_name(tmp_path):
 def test_nan_in_a_float_image_is_refused(tmp_path):
     values = np.ones((3, 3, 3), np.float32)
     values[1, 1] = np.nan
-    write_exr(tmp_path / "a.exr", values)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": values}).write(str(tmp_path / "a.exr"))
     with pytest.raises(ScanError, match=r"a\.exr holds NaN"):
         read_image_linear(tmp_path / "a.exr")
 
@@ -172,3 +174,15 @@ def test_a_big_texture_is_decoded_in_little_more_than_its_own_memory(tmp_path):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1.7 * linear.nbytes
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_an_exr_never_holds_what_is_not_finite(tmp_path, value):
+    image = np.zeros((2, 3))
+    image[1, 2] = value
+    with (
+        pytest.raises(ValueError, match=r"a\.exr: channel Y holds NaN or infinite"),
+        np.errstate(over="ignore"),
+    ):
+        write_exr(tmp_path / "a.exr", image)
+    assert not list(tmp_path.iterdir())
