@@ -19,10 +19,10 @@ from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.identity import Expression, person
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.renderer import Material, render
-from scan2albedo.synthetic.textures import skin, smooth_noise, wood
+from scan2albedo.synthetic.textures import plain, skin, smooth_noise, wood
 
 FloatArray = NDArray[np.float64]
-TextureName = Literal["skin", "wood"]
+TextureName = Literal["plain", "skin", "wood"]
 
 HEMISPHERE_RADIUS_MM = 80.0
 
@@ -119,7 +119,7 @@ def hemisphere(
     ----------
     lights : sequence of PointLight, optional
         One distant light at 45 degrees when omitted.
-    texture : "skin" or "wood"
+    texture : "plain", "skin" or "wood"
     size : int
         Height and width in texels.
     material : Material, optional
@@ -183,7 +183,7 @@ def face(
         One of neutral, smile, frown, pout, puff, surprise.
     lights : sequence of PointLight, optional
         One distant light at 45 degrees when omitted.
-    texture : "skin" or "wood"
+    texture : "plain", "skin" or "wood"
         "skin" comes with brows, lips and eyes.
     size, material, grain, noise, bits, exposure
         As in `hemisphere`; the model's annotation scales the highlights.
@@ -233,7 +233,7 @@ def texel_coordinates(size: int) -> FloatArray:
 
 def texture_at(uv: FloatArray, texture: str, rng: np.random.Generator, grain: float) -> FloatArray:
     """Return (N, 3) linear albedo of a named texture."""
-    painters = {"skin": skin, "wood": wood}
+    painters = {"plain": plain, "skin": skin, "wood": wood}
     if texture not in painters:
         raise ValueError(f"texture is {texture!r}, expected one of {sorted(painters)}")
     return painters[texture](uv, rng, grain=grain)

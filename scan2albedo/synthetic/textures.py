@@ -1,4 +1,4 @@
-"""Procedural albedo: wood and skin, evaluated at any texture coordinates."""
+"""Procedural albedo: wood, skin and next to nothing, evaluated at any texture coordinates."""
 
 from __future__ import annotations
 
@@ -80,6 +80,13 @@ def skin(
     moles = spots(xy, rng, count=int(rng.integers(3, 9)), radius=(0.005 * grain, 0.009 * grain))
     pigment = pigment + pores + 0.22 * freckles + 0.9 * moles
     return np.clip(base * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN), 0.01, 0.95)
+
+
+def plain(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
+    """Return (N, 3) linear albedo of one colour, with faint blotches of `grain` / 6 of the square."""
+    xy = np.asarray(uv, float) / grain
+    color = rng.uniform(0.25, 0.7, 3)
+    return np.clip(color * (1 + 0.02 * smooth_noise(xy, (6, 6), rng))[:, None], 0.01, 0.95)
 
 
 def spots(uv: FloatArray, rng: np.random.Generator, *, count: int, radius: tuple[float, float]) -> FloatArray:

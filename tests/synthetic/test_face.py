@@ -88,7 +88,7 @@ def test_texels_lie_where_the_models_chart_says(model):
     assert across @ image.normal[32, 32] > 0.9 * np.linalg.norm(across)
 
 
-@pytest.mark.parametrize("texture", ["skin", "wood"])
+@pytest.mark.parametrize("texture", ["plain", "skin", "wood"])
 def test_texture_is_albedo_times_shading_plus_highlights(texture):
     scene = face(2, size=96, texture=texture, bits=None, material=Material(0.3, 0.2, 15.0))
     made = scene.albedo_linear * scene.shading[..., None] + scene.specular[..., None]

@@ -1,0 +1,73 @@
+"""What others do about light in a photograph: filters, and spherical harmonics, as their authors give them.
+
+All take and return V (H, W) of a geometry image; scale is unknown to all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+DARKEST = 1 / 255
+
+
+def homomorphic(value: FloatArray, mask: BoolArray, sigma: float = 1 / 8) -> FloatArray:
+    """Take the low frequencies out of log V: a Gaussian of `sigma` of the image's side.
+
+    References
+    ----------
+    .. [1] A. Oppenheim, R. Schafer, T. Stockham, "Nonlinear Filtering of Multiplied and Convolved Signals",
+       Proceedings of the IEEE 56(8), 1968.
+    """
+    log = np.log(np.maximum(value, DARKEST))
+    return np.where(mask, np.exp(log - _blurred(log, mask, sigma * max(mask.shape))), 0)
+
+
+def multi_scale_retinex(
+    value: FloatArray, mask: BoolArray, sigmas: tuple[float, ...] = (15 / 512, 80 / 512, 250 / 512)
+) -> FloatArray:
+    """Average log V - log(Gaussian * V) over three scales.
+
+    References
+    ----------
+    .. [1] D. Jobson, Z. Rahman, G. Woodell, "A Multiscale Retinex for Bridging the Gap Between Color Images
+       and the Human Observation of Scenes", IEEE Transactions on Image Processing 6(7), 1997.
+    """
+    lit = np.maximum(value, DARKEST)
+    around = [_blurred(lit, mask, sigma * max(mask.shape)) for sigma in sigmas]
+    reflectance = np.log(lit) - np.mean([np.log(np.maximum(a, DARKEST)) for a in around], axis=0)
+    return np.where(mask, np.exp(reflectance), 0)
+
+
+def robust_harmonics(
+    value: FloatArray, normal: FloatArray, mask: BoolArray, iterations: int = 30
+) -> FloatArray:
+    """Divide by nine spherical harmonics of the normal, fitted with L1 (iteratively reweighted).
+
+    References
+    ----------
+    .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
+    """
+    basis, lit = spherical_harmonics_basis(normal[mask]), value[mask]
+    weight = np.ones(len(lit))
+    coefficients = np.zeros(basis.shape[1])
+    for _ in range(iterations):
+        scaled = basis * weight[:, None]
+        coefficients = np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0]
+        weight = 1 / np.maximum(np.abs(basis @ coefficients - lit), 1e-3)
+    shading = np.maximum(basis @ coefficients, 0.02 * np.median(basis @ coefficients))
+    albedo = np.zeros(mask.shape)
+    albedo[mask] = lit / shading
+    return albedo
+
+
+def _blurred(values: FloatArray, mask: BoolArray, sigma: float) -> FloatArray:
+    inside = mask.astype(float)
+    total = gaussian_filter(inside, sigma, mode="constant")
+    return gaussian_filter(values * inside, sigma, mode="constant") / np.maximum(total, 1e-9)

@@ -1,0 +1,221 @@
+"""Albedo error against CPU time: ours beside filters, spherical harmonics and the paper's objective.
+
+    python tools/bench_albedo.py [--size 128] [--scenes NAME ...] [--out DIR]
+
+Every scene is synthetic with a known albedo, 8 bits, rendered by the package's own ray tracer. Error is
+100 x MSE of V after the best single scale. "true light" divides by the true shading: noise and 8 bits are all
+that is left. Prints the worst and the mean of each group of scenes, and what failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from albedo_peers import homomorphic, multi_scale_retinex, robust_harmonics
+from numpy.typing import NDArray
+
+import scan2albedo as s2a
+from scan2albedo.albedo import EstimateOptions, albedo_error
+from scan2albedo.synthetic import (
+    Material,
+    SyntheticScene,
+    face,
+    hemisphere,
+    light_at,
+    with_normal_error,
+)
+
+FloatArray = NDArray[np.float64]
+
+TEXTURES = ("wood", "skin", "plain")
+GRAINS = (1.0, 2.5)
+DIRECTIONS = ((0, 0), (30, 15), (-45, 0), (60, -10), (-20, 40))
+"""Azimuth and elevation in degrees."""
+MAKERS: dict[str, Callable[..., SyntheticScene]] = {"hemisphere": hemisphere, "face": face}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scene of a group; `image` is what the methods see."""
+
+    group: str
+    name: str
+    scene: SyntheticScene
+    image: s2a.GeometryImage
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method on one case; `light_deg` is NaN where no lights are found, or another number of them."""
+
+    group: str
+    case: str
+    method: str
+    mse_percent: float
+    light_deg: float
+    cpu_s: float
+    evaluations: int
+
+
+def cases(size: int, wanted: set[str]) -> Iterator[Case]:
+    """Yield the scenes of the groups wanted (all when empty)."""
+    for shape, make in MAKERS.items():
+        for group, noise, tilt in (("clean", 0.0, 0.0), ("noise", 0.02, 0.0), ("normals", 0.0, 3.0)):
+            name = f"{shape} {group}"
+            if wanted and name not in wanted:
+                continue
+            for texture in TEXTURES:
+                for grain in GRAINS if group == "clean" else GRAINS[:1]:
+                    for azimuth, elevation in DIRECTIONS:
+                        scene = make(
+                            texture=texture,
+                            grain=grain,
+                            size=size,
+                            noise=noise,
+                            lights=[light_at(azimuth, elevation)],
+                        )
+                        image = scene.image
+                        if tilt:
+                            image = with_normal_error(image, tilt, np.random.default_rng(0))
+                        yield Case(name, f"{texture} {grain:g} {azimuth}/{elevation}", scene, image)
+        for group, lights, material in (
+            ("near", [light_at(40, 10, distance_mm=700)], Material()),
+            ("gloss", [light_at(30, 10)], Material(specular_strength=0.15)),
+            ("two lights", [light_at(50, 10), light_at(-40, 5, intensity=2)], Material()),
+            (
+                "two flashes",
+                [light_at(a, 10, distance_mm=900, intensity=2) for a in (45, -45)],
+                Material(specular_strength=0.1),
+            ),
+            ("three lights", [light_at(60), light_at(-50, 20), light_at(0, 60)], Material()),
+        ):
+            name = f"{shape} {group}"
+            if wanted and name not in wanted:
+                continue
+            for texture in TEXTURES:
+                scene = make(texture=texture, size=size, lights=lights, material=material)
+                yield Case(name, texture, scene, scene.image)
+
+
+def value_of(linear: NDArray) -> FloatArray:
+    return np.asarray(linear, np.float64).max(axis=2)
+
+
+def light_error_deg(found: tuple[s2a.PointLight, ...], true: tuple[s2a.PointLight, ...]) -> float:
+    """Return the largest angle of the best pairing; NaN when the counts differ."""
+    from scipy.optimize import linear_sum_assignment
+
+    if len(found) != len(true):
+        return float("nan")
+    cosine = np.array([[f.direction @ t.direction for t in true] for f in found])
+    rows, columns = linear_sum_assignment(-cosine)
+    return float(np.degrees(np.arccos(np.clip(cosine[rows, columns], -1, 1))).max())
+
+
+def scores(case: Case, seeds: int) -> Iterator[Score]:
+    scene, image, mask = case.scene, case.image, case.image.mask
+    assert image.texture_linear is not None
+    value, truth = value_of(image.texture_linear), value_of(scene.albedo_linear)
+
+    def score(method: str, albedo: FloatArray, light: float, cpu_s: float, evaluations: int = 0) -> Score:
+        error = albedo_error(albedo, truth, mask).mse_percent
+        return Score(case.group, case.name, method, error, light, cpu_s, evaluations)
+
+    nan = float("nan")
+    yield score("as it is", value, nan, 0.0)
+    plain = np.where(
+        mask, (value - scene.gain * value_of_specular(scene)) / np.where(mask, scene.shading, 1), 0
+    )
+    yield score("true light", plain, 0.0, 0.0)
+    for method, options, seed in [
+        *(("scan2albedo", EstimateOptions(), seed) for seed in range(seeds)),
+        ("paper's objective", EstimateOptions(objective="albedo-deviation"), 0),
+    ]:
+        start = time.process_time()
+        found = s2a.estimate_albedo(image, seed=seed, options=options)
+        spent = time.process_time() - start
+        yield score(
+            method,
+            value_of(found.albedo_linear),
+            light_error_deg(found.lights, scene.lights),
+            spent,
+            found.iterations,
+        )
+    for method, filtered in (
+        ("robust SH-2", lambda: robust_harmonics(value, image.normal, mask)),
+        ("homomorphic", lambda: homomorphic(value, mask)),
+        ("retinex", lambda: multi_scale_retinex(value, mask)),
+    ):
+        start = time.process_time()
+        albedo = filtered()
+        yield score(method, albedo, nan, time.process_time() - start)
+
+
+def value_of_specular(scene: SyntheticScene) -> FloatArray:
+    return np.asarray(scene.specular, np.float64)
+
+
+def table(found: list[Score]) -> str:
+    """Return one line for each group and method."""
+    lines = [
+        f"{'scenes':24}{'method':20}{'n':>4}{'MSE % mean':>12}{'worst':>9}{'light deg mean':>16}"
+        f"{'worst':>8}{'count right':>13}{'CPU s':>8}{'evals':>8}"
+    ]
+    groups = dict.fromkeys((s.group, s.method) for s in found)
+    for group, method in groups:
+        rows = [s for s in found if (s.group, s.method) == (group, method)]
+        errors, angles = (np.array([getattr(s, k) for s in rows]) for k in ("mse_percent", "light_deg"))
+        known = angles[~np.isnan(angles)]
+        light = f"{known.mean():16.2f}{known.max():8.2f}" if len(known) else f"{'-':>16}{'-':>8}"
+        lines.append(
+            f"{group:24}{method:20}{len(rows):4d}{errors.mean():12.4f}{errors.max():9.4f}{light}"
+            f"{f'{len(known)}/{len(rows)}':>13}{np.mean([s.cpu_s for s in rows]):8.2f}"
+            f"{np.mean([s.evaluations for s in rows]):8.0f}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--size", type=int, default=128)
+    parser.add_argument("--seeds", type=int, default=1, help="seeds of our estimate, each counted")
+    parser.add_argument("--scenes", nargs="*", default=[], help='groups, e.g. "face clean"; all when omitted')
+    parser.add_argument("--out", type=Path, help="a folder for albedo_scores.csv")
+    parser.add_argument("--worst", type=int, default=8, help="how many of our worst scenes to name")
+    arguments = parser.parse_args()
+    found: list[Score] = []
+    for case in cases(arguments.size, set(arguments.scenes)):
+        found += scores(case, arguments.seeds)
+    print(table(found))
+    ours = sorted((s for s in found if s.method == "scan2albedo"), key=lambda s: -s.mse_percent)
+    print("\nour worst scenes")
+    for s in ours[: arguments.worst]:
+        print(f"  {s.group:24}{s.case:24}{s.mse_percent:8.4f} %  light {s.light_deg:6.2f} deg")
+    behind = [
+        (s, p)
+        for s in ours
+        for p in found
+        if (p.group, p.case) == (s.group, s.case)
+        and p.method in ("robust SH-2", "homomorphic", "retinex")
+        and s.mse_percent > p.mse_percent + 0.02
+    ]
+    print(f"\nbehind a filter or SH-2 by more than 0.02 points: {len(behind)} times")
+    for s, p in behind[: arguments.worst]:
+        print(f"  {s.group:24}{s.case:24}{s.mse_percent:8.4f}  {p.method} {p.mse_percent:.4f}")
+    if arguments.out:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        lines = ["group,case,method,mse_percent,light_deg,cpu_s,evaluations"]
+        lines += [
+            f"{s.group},{s.case},{s.method},{s.mse_percent:.6g},{s.light_deg:.4g},{s.cpu_s:.4g},{s.evaluations}"
+            for s in found
+        ]
+        (arguments.out / "albedo_scores.csv").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
