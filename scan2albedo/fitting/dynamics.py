@@ -151,7 +151,7 @@ def _cholesky(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
     try:
         from cholespy import CholeskySolverD, MatrixType
     except ImportError:
-        return splu(matrix).solve
+        return _lu(matrix)
     coo = matrix.tocoo()
     try:
         solver = CholeskySolverD(
@@ -162,11 +162,22 @@ def _cholesky(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
             MatrixType.COO,
         )
     except ValueError:
-        return splu(matrix).solve
+        return _lu(matrix)
 
     def solve(rhs: FloatArray) -> FloatArray:
         result = np.zeros_like(rhs, order="C")
         solver.solve(np.ascontiguousarray(rhs), result)
         return result
 
+    return solve
+
+
+def _lu(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
+    try:
+        solve: Callable[[FloatArray], FloatArray] = splu(matrix).solve
+    except RuntimeError as error:
+        raise FitError(
+            f"the fit's system matrix cannot be factored ({error}); a stiffness, a mass or the time step is "
+            "extreme"
+        ) from error
     return solve

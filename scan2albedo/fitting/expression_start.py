@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scan2albedo.fitting.mouth_corners import CornerJudge, MouthCorners
 from scan2albedo.fitting.mouth_opening import MouthSearch
 from scan2albedo.fitting.stages import Deformation, run_stages
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +55,7 @@ def corners_pulled(deformation: Deformation) -> Deformation:
 
 def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     """Return the control points (C, 3) after the first stages from `reference`; counted, but not recorded."""
-    trial = replace(deformation, reference=reference, meter=Meter("trial", "mm", deformation.meter.budget))
+    trial = replace(deformation, reference=reference, meter=deformation.meter.unseen_child())
     outcome = run_stages(trial, MOUTH_STAGES)
     deformation.meter.count(trial.meter.evaluations)
     return reference + outcome.q

@@ -16,6 +16,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.nearest_surface import NearestSurface
 
 FloatArray = NDArray[np.float64]
@@ -55,13 +56,12 @@ class MouthCorners:
         if landmarks is None:
             return None
         corners = landmarks[list(CORNERS)]
-        middle, half_width = corners.mean(0), 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
+        middle, half_width = corners.mean(0), 0.5 * max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6)
         across, above = (control_points - middle)[:, :2].T
         beside = np.maximum(np.abs(across) - half_width, 0)
         share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
         share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
-        toward = landmarks[list(EARS)] - corners
-        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        toward = normalized(landmarks[list(EARS)] - corners)
         return cls(
             np.where(across < 0, share, 0.0)[:, None] * toward[0],
             np.where(across > 0, share, 0.0)[:, None] * toward[1],
@@ -74,7 +74,17 @@ class MouthCorners:
 
 @dataclass(frozen=True)
 class CornerJudge:
-    """The scan around the mouth: `points` (N, 3), unit-ish `normals` (N, 3), and which are on the `left`."""
+    """Tells how well a face lies on the scan around its mouth.
+
+    Parameters
+    ----------
+    points, normals : (N, 3) float64
+        Of the scan within ZONE_MM of the mouth; unit normals.
+    left : (N,) bool
+        Which of them are on the subject's left.
+    samples : SurfaceSamples
+        Of the model.
+    """
 
     points: FloatArray
     normals: FloatArray
@@ -98,18 +108,19 @@ class CornerJudge:
         """Return the mean distance of the scan from the model, mm, on the right and on the left.
 
         Scan that looks another way than the model there (inside of the mouth) is left out, distances are cut
-        off at REACH_MM; a side without scan gives 0.
+        off at REACH_MM; NaN on a side without any.
         """
         surface, faces = self.samples.matrix @ control_points, self.samples.faces
         hits = NearestSurface(surface, faces).query(self.points)
         normals = surface_normals(surface, faces)[0][faces[hits.face]]
-        facing = np.einsum("nk,nkj,nj->n", hits.barycentric, normals, self.normals) > MIN_COSINE
+        across = normalized(np.einsum("nk,nkj->nj", hits.barycentric, normals))
+        facing = np.einsum("ij,ij->i", across, self.normals) > MIN_COSINE
         distance = np.minimum(hits.distance, REACH_MM)
         right, left = facing & ~self.left, facing & self.left
         return _mean(distance[right]), _mean(distance[left])
 
     def worth_a_trial(self, control_points: FloatArray, corners: MouthCorners) -> list[float]:
-        """Return at most TRIALS of PULLS_MM, the nearest first, that bring the model nearer unfitted."""
+        """Return at most TRIALS of PULLS_MM, the best first, that save TRIAL_GAIN on either side unfitted."""
         still = self.distances(control_points)
         saved = {
             mm: max(_saved(still, self.distances(corners.pulled(control_points, (mm, mm)))))
@@ -135,10 +146,12 @@ class CornerJudge:
 
 
 def _saved(before: tuple[float, float], after: tuple[float, float]) -> tuple[float, float]:
-    """Return which part of the distance is saved, right and left."""
-    right, left = (1 - new / old if old > 0 else 0.0 for old, new in zip(before, after, strict=True))
+    """Return which part of the distance is saved, right and left; 0 where either is unknown."""
+    right, left = (
+        1 - new / old if old > 0 and new >= 0 else 0.0 for old, new in zip(before, after, strict=True)
+    )
     return right, left
 
 
 def _mean(values: FloatArray) -> float:
-    return float(values.mean()) if len(values) else 0.0
+    return float(values.mean()) if len(values) else float("nan")

@@ -6,7 +6,9 @@ models are tried, and chosen by what a coarse fit makes of them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.loop_subdivision import limit_matrix
 from scan2albedo.geometry.operators import laplacian
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +38,8 @@ CHIN = 8
 NECK_BELOW_CHIN_MM = 35.0
 FILM_WEIGHT = 1e-3
 """What lies between the lips ties them together next to not at all."""
+LIMIT_FREEDOM = 0.05
+"""How much the control points rather stay than let the surface turn exactly."""
 ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 REACH_MM = 8.0
 MIN_GAIN = 0.12
@@ -49,10 +54,21 @@ JAW_WEIGHT = 0.6
 
 @dataclass(frozen=True)
 class JawHinge:
-    """How the lower face turns about an axis along x through `center` (3,), by `weight` (C,) 0 ... 1."""
+    """How the lower face turns about an axis along x.
+
+    Parameters
+    ----------
+    center : (3,) float64
+        A point of the axis.
+    weight : (C,) float64
+        0 ... 1, the part of the angle by which the surface turns where each control point has its limit.
+    limit : (C, C) csr_matrix
+        Limit positions of the control points.
+    """
 
     center: FloatArray
     weight: FloatArray
+    limit: sparse.csr_matrix
 
     @classmethod
     def of(cls, model: AnnotatedFaceModel, control_points: FloatArray) -> JawHinge | None:
@@ -75,13 +91,27 @@ class JawHinge:
         ears = landmarks[list(EARS)]
         center = ears.mean(0) - [0.0, 0.0, HINGE_DEPTH * float(np.linalg.norm(ears[1] - ears[0]))]
         center[1] = landmarks[list(BELOW_EARS), 1].mean()
-        return cls(center, weight)
+        return cls(center, weight, limit_matrix(len(control_points), model.control_faces))
+
+    @cached_property
+    def _from_limit(self) -> Callable[[FloatArray], FloatArray]:
+        near = sparse.identity(len(self.weight))
+        return factorized(self.limit.T @ self.limit + LIMIT_FREEDOM * near)
 
     def opened(self, control_points: FloatArray, angle_deg: float) -> FloatArray:
-        """Return the control points (C, 3) with the jaw turned down by `angle_deg`."""
+        """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`.
+
+        The surface is what turns: it averages its control points, so that turning these would round the
+        lips' edges off by a part of what is between them.
+        """
+        turned = self._turned(control_points, angle_deg)
+        missing = self._turned(self.limit @ control_points, angle_deg) - self.limit @ turned
+        return turned + self._from_limit(self.limit.T @ missing)
+
+    def _turned(self, points: FloatArray, angle_deg: float) -> FloatArray:
         angle = np.deg2rad(angle_deg) * self.weight
-        _, y, z = (control_points - self.center).T
-        turned = control_points.copy()
+        _, y, z = (points - self.center).T
+        turned = points.copy()
         turned[:, 1] = self.center[1] + np.cos(angle) * y - np.sin(angle) * z
         turned[:, 2] = self.center[2] + np.sin(angle) * y + np.cos(angle) * z
         return turned

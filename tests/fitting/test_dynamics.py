@@ -137,3 +137,8 @@ def test_a_matrix_that_is_no_system_is_refused(bad):
 def test_time_step_must_be_positive():
     with pytest.raises(ValueError, match="time_step"):
         implicit(chain(3, 1.0), 0.0)
+
+
+def test_a_singular_matrix_is_refused_with_the_reason():
+    with pytest.raises(FitError, match="cannot be factored"):
+        factorized(sparse.csc_matrix([[1.0, 1.0], [1.0, 1.0]]))

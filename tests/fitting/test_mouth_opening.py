@@ -77,9 +77,7 @@ def test_the_default_model_opens_along_its_film(default_model, angle):
     shut = model.landmarks[[61, 62, 63], 1] - model.landmarks[[67, 66, 65], 1]
     assert (shut < 1.5).all()
     assert (gap > 0.8 * angle).all()
-    moved = np.abs(opened - model.landmarks).max(1)
-    assert moved[[i for i in STILL if i not in (61, 62, 63)]].max() < 2
-    assert (moved[[61, 62, 63]] < 0.25 * gap).all()  # the limit surface rounds the lips' edges off
+    assert np.abs(opened - model.landmarks)[list(STILL)].max() < 1.5
 
 
 @pytest.mark.parametrize(
