@@ -26,7 +26,7 @@ DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
-SeedOption = Annotated[int, typer.Option(help="Seed of every random step.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
 SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
 
 
@@ -140,7 +140,7 @@ def demo(
 def validate(
     what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
     size: SizeOption = 256,
-    seed: Annotated[int, typer.Option(help="Seed of the scenes.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the scenes.", min=0)] = 1,
     json_summary: JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""

@@ -88,6 +88,8 @@ def read_mesh_file(file: Path) -> ParsedMesh:
     ScanError
         When the file is missing, of an unsupported kind or damaged.
     """
+    if file.is_dir():
+        raise ScanError(f"{file}: is a folder; name the scan file in it ({', '.join(SUPPORTED_SCANS)})")
     extension = file.suffix.lower()
     if extension not in SUPPORTED_SCANS:
         raise ScanError(

@@ -27,11 +27,11 @@ def test_empty_files(tmp_path, extension):
         load_scan(tmp_path / f"a{extension}")
 
 
-@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
+@pytest.mark.parametrize("extension", ["", *SUPPORTED_SCANS])
 def test_folders(tmp_path, extension):
-    (tmp_path / f"a{extension}").mkdir()
-    with pytest.raises(ScanError, match=rf"a\{extension}: cannot be read: Is a directory"):
-        load_scan(tmp_path / f"a{extension}")
+    (tmp_path / f"folder{extension}").mkdir()
+    with pytest.raises(ScanError, match=rf"folder{extension}: is a folder; name the scan file in it"):
+        load_scan(tmp_path / f"folder{extension}")
 
 
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.txt"])
