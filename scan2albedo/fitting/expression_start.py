@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 
 MOUTH_LEVEL = 1
 MOUTH_STAGES = 2
+MOUTH_STEPS = 5
+"""A trial's stages and its steps in each; longer ones tell the candidates apart no better."""
 
 
 def mouth_opened(deformation: Deformation) -> Deformation:
@@ -55,7 +57,9 @@ def corners_pulled(deformation: Deformation) -> Deformation:
 
 def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     """Return the control points (C, 3) after the first stages from `reference`; counted, but not recorded."""
-    trial = replace(deformation, reference=reference, meter=deformation.meter.unseen_child())
+    options = replace(deformation.options, steps=min(deformation.options.steps, MOUTH_STEPS))
+    meter = deformation.meter.unseen_child()
+    trial = replace(deformation, reference=reference, options=options, meter=meter)
     outcome = run_stages(trial, MOUTH_STAGES)
-    deformation.meter.count(trial.meter.evaluations)
+    deformation.meter.count(meter.evaluations)
     return reference + outcome.q
