@@ -66,6 +66,8 @@ def annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size
         region, table = _carried_regions(source, model)
         model = replace(model, region=region, regions=table)
         notes.append("regions carried over from the default model")
+        if not model.in_region(MOUTH_REGION).any():
+            notes.append("no opening between the lips: a mouth that opens stretches what is there")
     if given.landmarks is None:
         points, note = _carried_landmarks(source, model)
         model = replace(model, landmark_points=points)

@@ -117,6 +117,7 @@ def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topolo
     vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
     model = s2a.AnnotatedFaceModel.from_mesh(vertices @ TURN.T, faces, name="mask")
     assert model.landmarks is not None
+    assert any("no opening between the lips" in note for note in model.notes)
     scan = s2a.load_scan(shared_data / "james.obj")
     fitted = s2a.fit(scan, model, s2a.register(scan, model))
     assert fitted.template_vertices.shape == (468, 3)
@@ -136,4 +137,5 @@ def test_what_closes_the_hole_of_a_mouth_becomes_film(shared_data):
     centres = model.control_vertices[model.control_faces].mean(1)
     mouth = model.landmarks[60:68].mean(0)
     assert film.any()
+    assert not any("no opening" in note for note in model.notes)
     assert np.linalg.norm(centres[film] - mouth, axis=1).max() < 35
