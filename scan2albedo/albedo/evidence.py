@@ -28,6 +28,11 @@ _PARTS = {
 }
 
 
+CLOSER_LOOK = 0.75
+"""A third light is tried when it removes this part of what is asked on the smallest image."""
+COARSE_STARTS = 8
+
+
 @dataclass(frozen=True)
 class LightFound:
     """The solution, the plan's rows, and the mesh that casts shadows (None where they are left out)."""
@@ -156,6 +161,26 @@ class LightSearch:
             polished.append(polish(middle, annealed, each))
         return min(polished, key=lambda s: s.cost)
 
+    def _coarse_gain(
+        self, coarse: Problem, plain: Solution, table: VisibilityTable, evaluations: int
+    ) -> float:
+        """Return which part of the cost one more light removes on the smallest image.
+
+        It is added to the lights of `plain` from every tabulated direction; some of the best starts are
+        polished, and so is `plain`.
+        """
+        rows, model = plain.hypothesis.rows, self._model(plain.model.lights + 1)
+        seen = [table.nearest(row[:3]) for row in rows]
+        starts = []
+        for k, direction in enumerate(table.directions):
+            for intensity in self.options.grid_strengths[:2]:
+                x = model.from_lights(np.vstack([rows[:, :3], direction]), np.append(rows[:, 4], intensity))
+                starts.append((coarse.cost(model.decode(x), np.stack([*seen, table.visibility[k]])), x))
+        starts.sort(key=lambda start: start[0])
+        tried = [polish(coarse, Solution(model, x, c), evaluations) for c, x in starts[:COARSE_STARTS:3]]
+        fewer = polish(coarse, replace(plain, cost=math.inf), evaluations)
+        return 1 - min(solution.cost for solution in tried) / fewer.cost
+
     def _count_lights(
         self,
         coarse: Problem,
@@ -172,6 +197,17 @@ class LightSearch:
             if self.meter.exhausted:
                 break
             each = options.polish_evaluations * lights
+            if lights > 2:
+                at_most = self._coarse_gain(coarse, plain, tables[0], each)
+                if at_most < CLOSER_LOOK * options.light_gain:
+                    decision = PlanStep(
+                        stage,
+                        True,
+                        f"{lights - 1} lights: one more does not pay",
+                        f"light {lights} removes {100 * at_most:.1f} % of the cost of the smallest image "
+                        f"({100 * CLOSER_LOOK * options.light_gain:g} % asked for a closer look)",
+                    )
+                    break
             plain = self._search(coarse, middle, tables, self._model(lights))
             trial, trial_rows = self._with_parts(middle, plain)
             same = replace(current.model, lights=lights)

@@ -36,7 +36,7 @@ class EstimateOptions:
     """Evaluations of one polish; one light."""
     annealing_evaluations: int = 1500
     """Evaluations of simulated annealing, where it runs."""
-    maximal_lights: int = 2
+    maximal_lights: int = 3
     """Most lights that `lights="auto"` tries."""
     light_gain: float = 0.04
     """Part of the cost that one more light has to remove."""

@@ -46,3 +46,12 @@ def test_a_saturated_highlight_is_resynthesised_better_than_left():
     error, estimate = _error(scene)
     assert estimate.plan.ran("albedo.inpainting")
     assert error.mse_percent <= 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [hemisphere, face])
+def test_three_lights_are_found(make):
+    scene = make(texture="skin", size=128, lights=[light_at(60), light_at(-50, 20), light_at(0, 60)])
+    error, estimate = _error(scene)
+    assert len(estimate.lights) == 3
+    assert error.mse_percent <= 0.05
