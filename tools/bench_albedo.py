@@ -128,9 +128,7 @@ def scores(case: Case, seeds: int) -> Iterator[Score]:
 
     nan = float("nan")
     yield score("as it is", value, nan, 0.0)
-    plain = np.where(
-        mask, (value - scene.gain * value_of_specular(scene)) / np.where(mask, scene.shading, 1), 0
-    )
+    plain = np.where(mask, (value - scene.gain * scene.specular) / np.where(mask, scene.shading, 1), 0)
     yield score("true light", plain, 0.0, 0.0)
     for method, options, seed in [
         *(("scan2albedo", EstimateOptions(), seed) for seed in range(seeds)),
@@ -154,10 +152,6 @@ def scores(case: Case, seeds: int) -> Iterator[Score]:
         start = time.process_time()
         albedo = filtered()
         yield score(method, albedo, nan, time.process_time() - start)
-
-
-def value_of_specular(scene: SyntheticScene) -> FloatArray:
-    return np.asarray(scene.specular, np.float64)
 
 
 def table(found: list[Score]) -> str:
