@@ -37,7 +37,7 @@ ZONE_MM = 45.0
 """Scan this near to the middle of the mouth judges: the mouth, and the cheek that a smile folds."""
 REACH_MM = 8.0
 MIN_COSINE = 0.2
-"""Scan counts where it looks within 78 degrees of the model's way; what lies farther off counts as REACH_MM."""
+"""Scan counts where it looks within 78 degrees of the model's way; beyond REACH_MM it counts as that far."""
 
 
 @dataclass(frozen=True)

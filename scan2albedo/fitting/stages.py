@@ -31,7 +31,7 @@ MENDING_ROUNDS = 14
 MENDING_STEPS = 3
 FINEST_STEPS = 3
 FINEST_MENDING_ROUNDS = 3
-"""On the finest samples 5 steps and more rounds cost a fifth more and end no nearer."""
+"""On the finest samples 5 steps and more rounds cost about an eighth more and end no nearer."""
 USUAL_SPRINGS = 0.5
 """Stiffness of the springs, relative to an open gate's, that the preconditioner reckons with."""
 
