@@ -14,6 +14,7 @@ from scan2albedo.albedo.evidence import LightFound, LightSearch
 from scan2albedo.albedo.finishing import inpainted, rectified
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import block_side, median_value, usable_texels, value_channel
+from scan2albedo.albedo.light_search import LeastSquaresSearch
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.result import AlbedoEstimate, shade_image
@@ -83,7 +84,11 @@ def estimate_albedo(
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     if brdf == "spherical-harmonics":
         return _divide_harmonics(image, usable, view, options, meter)
-    search = LightSearch(image, usable, brdf, view, seed, options, meter)
+    search: LightSearch | LeastSquaresSearch
+    if options.refiner == "auto" and options.objective == "residual":
+        search = LeastSquaresSearch(image, usable, brdf, view, options, meter)
+    else:
+        search = LightSearch(image, usable, brdf, view, seed, options, meter)
     return _divide(image, search.run(count), usable, view, seed, options, meter)
 
 

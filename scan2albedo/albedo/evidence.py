@@ -13,9 +13,10 @@ from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Problem, Solution, Yardstick
 from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
+from scan2albedo.albedo.shadow_caster import shadow_caster
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
+from scan2albedo.lighting.shadow_map import VisibilityTable, cone_directions
 from scan2albedo.optimization import Meter
 from scan2albedo.optimization.plan import PlanStep
 
@@ -77,7 +78,8 @@ class LightSearch:
         """
         options = self.options
         directions = cone_directions(options.grid_directions, self.view, options.cone_rad)
-        caster, steps = self._occluder(directions)
+        level = build_level(self.image, self.usable, options.grid_size, options)
+        caster, step = shadow_caster(self.image, level, directions, options)
         coarse, middle, fine = (self._problem(size, caster) for size in (options.grid_size, *options.sizes))
         tables = coarse.table(directions), middle.table(directions)
         yardstick = Yardstick(fine)
@@ -90,7 +92,7 @@ class LightSearch:
         yardstick.record(solution)
         best = polish(fine, solution, 2 * options.polish_evaluations, traced=True)
         yardstick.record(best)
-        return LightFound(best, [*steps, *rows], caster)
+        return LightFound(best, [step, *rows], caster)
 
     def _model(self, lights: int) -> LightModel:
         position = self.image.position[self.image.mask]
@@ -109,30 +111,6 @@ class LightSearch:
             # A quarter of a cell of the unit sphere's image.
             direction_step=0.5 / size,
         )
-
-    def _occluder(self, directions: FloatArray) -> tuple[RayCaster | None, list[PlanStep]]:
-        """Return the shadow caster, or None where the surface hardly shades itself from anywhere."""
-        vertices, faces = self.image.occluder_mesh()
-        stage, asked = "albedo.shadows", self.options.shadows
-        if asked is False:
-            return None, [PlanStep(stage, False, "left out by the caller")]
-        if not len(faces):
-            return None, [PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")]
-        caster = RayCaster(vertices, faces)
-        level = build_level(self.image, self.usable, self.options.grid_size, self.options)
-        shadows = ShadowMap(caster, level.anchor, level.normal, self.options.shadow_offset_mm)
-        worst = 0.0
-        for direction in directions:
-            # At the terminator facets shade texels whose smooth normal still faces the light.
-            facing = level.normal @ direction > 0.2
-            if facing.any():
-                worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
-        evidence = f"at most {100 * worst:.1f} % of the texels facing a light lie in cast shadow"
-        if asked is None and worst < self.options.shadow_fraction:
-            return None, [PlanStep(stage, False, "the surface casts no shadow on itself", evidence)]
-        return caster, [
-            PlanStep(stage, True, "asked for" if asked else "the surface shades itself", evidence)
-        ]
 
     def _search(
         self,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.errors import LightingError
@@ -36,6 +38,14 @@ class Level:
     block_count : int
     unit : float
         Median V of the usable texels.
+    color : (N, 3) float64
+        Mean linear colour, divided by `unit`.
+    cell : (N, 2) int64
+        Row and column among the cells.
+    center : (N, 2) float64
+        Mean row and column of the cell's texels.
+    block_side : float
+        Side of a block in texels.
     """
 
     position: FloatArray
@@ -47,6 +57,10 @@ class Level:
     blocks: NDArray[np.int32]
     block_count: int
     unit: float
+    color: FloatArray
+    cell: NDArray[np.int64]
+    center: FloatArray
+    block_side: float
 
 
 def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
@@ -109,7 +123,7 @@ def build_level(
     factor = max(1, -(-max(image.shape) // size))
     rows, columns = np.nonzero(usable)
     width = -(-image.shape[1] // factor)
-    _, cell, count = np.unique(
+    key, cell, count = np.unique(
         (rows // factor) * width + columns // factor, return_inverse=True, return_counts=True
     )
 
@@ -123,7 +137,8 @@ def build_level(
     anchor = image.position[rows, columns][_closest_member(image.position[rows, columns], position, cell)]
     unit = max(float(np.median(field[usable])), 1e-12)
     center = np.stack([np.bincount(cell, axis) / count for axis in (rows, columns)], 1)
-    blocks, block_count = _blocks(center, block_side(image, options))
+    side = block_side(image, options)
+    blocks, block_count = partitions(center, side, ((0.0, 0.0), (0.5, 0.5)))
     return Level(
         position,
         _unit(mean(image.normal)),
@@ -134,6 +149,10 @@ def build_level(
         blocks,
         block_count,
         unit,
+        mean(image.texture_linear) / unit,
+        np.stack([key // width, key % width], 1),
+        center,
+        side,
     )
 
 
@@ -148,13 +167,28 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
-def _blocks(center: FloatArray, side: float) -> tuple[NDArray[np.int32], int]:
-    """Return two partitions (2, N) into squares of `side` texels, the second shifted by half a square."""
+def partitions(
+    center: FloatArray, side: float, shifts: Sequence[tuple[float, float]]
+) -> tuple[NDArray[np.int32], int]:
+    """Return (S, N) the squares of `side` texels that each cell lies in, and how many there are in all.
+
+    One partition for each of `shifts`, which are parts of a side by row and column.
+    """
     low = center.min(0)
-    partitions, total = [], 0
-    for shift in (0.0, 0.5):
-        row, column = (np.floor((center - low) / side + shift).astype(np.int64)).T
+    found, total = [], 0
+    for shift in shifts:
+        row, column = (np.floor((center - low) / side + np.asarray(shift)).astype(np.int64)).T
         _, index = np.unique(row * 100_000 + column, return_inverse=True)
-        partitions.append(index + total)
+        found.append(index + total)
         total += int(index.max()) + 1
-    return np.stack(partitions).astype(np.int32), total
+    return np.stack(found).astype(np.int32), total
+
+
+def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
+    """Return (N,) the weighted mean of `values` (N,) around each cell under a Gaussian of `sigma` cells."""
+    row, column = level.cell.T
+    total, mass = np.zeros((2, row.max() + 1, column.max() + 1))
+    total[row, column], mass[row, column] = values * level.weight, level.weight
+    top, bottom = (gaussian_filter(field, max(1.0, sigma), mode="constant") for field in (total, mass))
+    result: FloatArray = (top / np.maximum(bottom, 1e-12))[row, column]
+    return result

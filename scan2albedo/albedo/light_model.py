@@ -71,7 +71,9 @@ class LightModel:
             rows.append(("nearness", 0.1, 0.0, 0.6, 0.1))
         if self.rough:
             rows.append(
-                ("minnaert", 1.0, 0.3, 2.0, 0.2) if self.brdf == "minnaert" else ("sigma", 0.2, 0.0, 1.0, 0.2)
+                ("minnaert", 1.0, 0.3, 2.0, 0.2)
+                if self.brdf == "minnaert"
+                else ("variance", 0.04, 0.0, 1.0, 0.04)
             )
         if self.specular:
             rows.append(("specular", 0.05, 0.0, 2.0, 0.08))
@@ -117,6 +119,16 @@ class LightModel:
         part = math.sin(angle) / angle if angle > 1e-12 else 1.0
         return np.array([part * px, part * py, math.cos(angle)]) @ self._frame
 
+    def tangents(self, x: FloatArray) -> FloatArray:
+        """Return (L, 2, 3) the derivatives of each light's direction by p."""
+        step = 1e-5
+        found = np.empty((self.lights, 2, 3))
+        for k in range(self.lights):
+            px, py = x[3 * k : 3 * k + 2]
+            found[k, 0] = self.direction(px + step, py) - self.direction(px - step, py)
+            found[k, 1] = self.direction(px, py + step) - self.direction(px, py - step)
+        return found / (2 * step)
+
     def decode(self, x: FloatArray) -> Hypothesis:
         """Return the hypothesis that x stands for (x clipped to the bounds)."""
         x = np.clip(x, *self.bounds)
@@ -127,14 +139,36 @@ class LightModel:
             rows[k, :3] = self.direction(px, py)
             rows[k, 3] = tail.get("nearness", 0.0) / self.radius_mm
             rows[k, 4] = math.exp(log_intensity)
-        plain = 1.0 if self.brdf == "minnaert" else 0.0
+        minnaert = self.brdf == "minnaert"
         reflectance = Reflectance(
             self.brdf,
-            float(tail.get("minnaert", tail.get("sigma", plain))),
+            float(tail.get("minnaert", 1.0) if minnaert else math.sqrt(tail.get("variance", 0.0))),
             float(tail.get("specular", 0.0)),
             math.exp(tail.get("log_exponent", math.log(_DEFAULT_EXPONENT))),
         )
         return Hypothesis(rows, reflectance)
+
+    def position_of(self, part: str) -> int:
+        """Return where in x the parameter of "near", "rough" or "specular" (its strength) is.
+
+        Raises
+        ------
+        ValueError
+            When the part is not free.
+        """
+        names = {
+            "near": ("nearness",),
+            "rough": ("variance", "minnaert"),
+            "specular": ("specular",),
+        }[part]
+        for k, row in enumerate(self._tail):
+            if row[0] in names:
+                return 3 * self.lights + k
+        raise ValueError(f"{part!r} is not free in {self}")
+
+    def without_part(self, part: str) -> LightModel:
+        """Return the model with "near", "rough" or "specular" fixed at its plain value."""
+        return replace(self, **{part: False})  # type: ignore[arg-type]
 
     def with_part(self, part: str) -> LightModel:
         """Return the model with "near", "rough" or "specular" free."""

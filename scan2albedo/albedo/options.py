@@ -13,8 +13,8 @@ class EstimateOptions:
     """"residual": what lit block albedos leave of the image; "albedo-deviation": the paper's own, the
     deviation of the albedo from its block means."""
     refiner: str = "auto"
-    """"auto": simulated annealing where the polished starts disagree; "annealing": always;
-    "nelder-mead": never."""
+    """"auto": damped least squares from several starts (the paper's objective: annealing where the polished
+    starts disagree); "annealing": simulated annealing always; "nelder-mead": the same without annealing."""
     sizes: tuple[int, int] = (64, 128)
     """Longer sides, in cells, of the images searched and polished."""
     grid_size: int = 32
@@ -22,6 +22,30 @@ class EstimateOptions:
     block_area: float = 0.125
     """Area of one block of the objective as a fraction of the chart's; blocks have to be larger than the
     texture's grain."""
+    fit_block_area: float = 0.06
+    """The same for least squares, which divides out what colour tells of the texture."""
+    start_directions: int = 60
+    """Light directions of which least squares tries a step."""
+    descent_iterations: int = 12
+    """Evaluations of one descent by least squares."""
+    final_iterations: int = 8
+    """Evaluations of its last one, on the largest image."""
+    closer_look: float = 0.5
+    """One more light is tried on a larger image when it removes this part of `light_gain` on the smallest."""
+    specular_effect: float = 0.004
+    """Root mean square share of the image that a highlight has to have."""
+    specular_deviations: float = 6.0
+    """Standard deviations by which its strength has to differ from 0."""
+    specular_loss: float = 0.03
+    """Part of the cost that it may add where it takes colour away from the texture's guide."""
+    distance_effect: float = 0.014
+    """Root mean square change of the albedo that a finite distance of the lights has to make."""
+    distance_deviations: float = 12.0
+    """Standard deviations by which it has to differ from infinity."""
+    roughness_effect: float = 0.008
+    """Root mean square change of the albedo that roughness has to make."""
+    roughness_deviations: float = 4.0
+    """Standard deviations by which it has to differ from none."""
     grid_directions: int = 80
     """Light directions of the first search and of the visibility table."""
     cone_rad: float = 1.92
@@ -38,15 +62,17 @@ class EstimateOptions:
     """Evaluations of simulated annealing, where it runs."""
     maximal_lights: int = 3
     """Most lights that `lights="auto"` tries."""
-    light_gain: float = 0.04
+    light_gain: float = 0.025
     """Part of the cost that one more light has to remove."""
+    light_effect: float = 0.02
+    """Root mean square change of the albedo that one more light has to make."""
     light_share: float = 0.1
     """Intensity that every light has to have, as a part of the strongest one's."""
     distance_gain: float = 0.01
     """Part of the cost that a finite distance of the lights has to remove."""
     roughness_gain: float = 0.005
     """Part of the cost that roughness has to remove."""
-    specular_gain: float = 0.01
+    specular_gain: float = 0.05
     """Part of the cost that a highlight has to remove."""
     shadow_fraction: float = 0.01
     """Part of the texels facing some light that has to lie in cast shadow for shadow rays to be used."""

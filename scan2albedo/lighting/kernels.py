@@ -79,3 +79,140 @@ def shade(  # type: ignore[no-untyped-def]
                     gloss += energy * r_v**exponent
         light_out[i] = light
         specular_out[i] = specular * scale[i] * gloss
+
+
+@njit(cache=True, nogil=True)
+def shade_with_derivatives(  # type: ignore[no-untyped-def]
+    position,
+    normal,
+    visible,
+    visible_slope,
+    lights,
+    tangents,
+    radius,
+    view,
+    brdf,
+    roughness,
+    specular,
+    exponent,
+    scale,
+    near,
+    rough,
+    glossy,
+    light_out,
+    specular_out,
+    light_slope,
+    specular_slope,
+):
+    """Do as `shade`, and fill the derivatives of I and I_s by the parameters of the light.
+
+    The P parameters are, for each light, two coordinates of its direction and the logarithm of its intensity;
+    then, where free, `radius` / distance, sigma^2 (or Minnaert's exponent), strength of the highlight and
+    the logarithm of its exponent.
+
+    Parameters
+    ----------
+    position, normal, lights, view, brdf, roughness, specular, exponent, scale
+        As in `shade`.
+    visible : (L, N) float32
+        In [0, 1].
+    visible_slope : (L, 2, N) float32
+        Its derivatives by the direction's coordinates: an outline moves with the light.
+    tangents : (L, 2, 3) float64
+        Derivatives of each direction by its coordinates.
+    radius : float
+        Millimetres, unit of the distance's parameter.
+    near, rough, glossy : bool
+        Which of the common parameters are free.
+    light_out, specular_out : (N,) float64
+        Filled.
+    light_slope, specular_slope : (>= P, N) float64
+        Filled.
+    """
+    variance = roughness * roughness
+    a = 1.0 - 0.5 * variance / (variance + 0.33)
+    b = 0.45 * variance / (variance + 0.09)
+    a_slope = -0.5 * 0.33 / (variance + 0.33) ** 2
+    b_slope = 0.45 * 0.09 / (variance + 0.09) ** 2
+    count = 3 * lights.shape[0]
+    at_near, at_rough, at_gloss = count, count + int(near), count + int(near) + int(rough)
+    size = at_gloss + 2 * int(glossy)
+    for i in range(position.shape[0]):
+        for j in range(size):
+            light_slope[j, i] = 0.0
+            specular_slope[j, i] = 0.0
+        n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
+        n_v = n0 * view[0] + n1 * view[1] + n2 * view[2]
+        cos_r = max(n_v, 0.0)
+        floored = max(n_v, 1e-4)
+        strength = specular * scale[i]
+        light, gloss = 1.0, 0.0
+        for k in range(lights.shape[0]):
+            seen = visible[k, i]
+            if seen == 0.0 and visible_slope[k, 0, i] == 0.0 and visible_slope[k, 1, i] == 0.0:
+                continue
+            inverse = lights[k, 3]
+            l0 = lights[k, 0] - inverse * position[i, 0]
+            l1 = lights[k, 1] - inverse * position[i, 1]
+            l2 = lights[k, 2] - inverse * position[i, 2]
+            length = np.sqrt(max(l0 * l0 + l1 * l1 + l2 * l2, 1e-12))
+            n_l = (n0 * l0 + n1 * l1 + n2 * l2) / length
+            if n_l <= 0.0:
+                continue
+            l_v = (l0 * view[0] + l1 * view[1] + l2 * view[2]) / length
+            energy = lights[k, 4] / (length * length)
+            s = max(l_v - n_l * cos_r, 0.0)
+            larger = max(max(n_l, cos_r), 1e-4)
+            if brdf == MINNAERT:
+                diffuse = n_l**roughness * floored ** (roughness - 1.0)
+            else:
+                diffuse = n_l * (a + b * s / larger)
+            r_v, lobe = 0.0, 0.0
+            if glossy or specular > 0.0:
+                r_v = min(2.0 * n_l * n_v - l_v, 1.0)
+                if r_v > 0.0:
+                    lobe = r_v**exponent
+            light += seen * energy * diffuse
+            gloss += seen * energy * lobe
+            for q in range(3 if near else 2):
+                if q == 2:
+                    j = at_near
+                    t0, t1, t2 = (
+                        -position[i, 0] / radius,
+                        -position[i, 1] / radius,
+                        -position[i, 2] / radius,
+                    )
+                else:
+                    j = 3 * k + q
+                    t0, t1, t2 = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
+                stretch = (l0 * t0 + l1 * t1 + l2 * t2) / (length * length)
+                n_l_slope = (n0 * t0 + n1 * t1 + n2 * t2) / length - n_l * stretch
+                l_v_slope = (view[0] * t0 + view[1] * t1 + view[2] * t2) / length - l_v * stretch
+                if brdf == MINNAERT:
+                    turned = roughness * diffuse / n_l * n_l_slope
+                else:
+                    s_slope = l_v_slope - cos_r * n_l_slope if s > 0.0 else 0.0
+                    if n_l >= cos_r and n_l > 1e-4:
+                        turned = a * n_l_slope + b * s_slope
+                    else:
+                        turned = n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
+                light_slope[j, i] += seen * energy * (turned - 2.0 * diffuse * stretch)
+                if q < 2:
+                    light_slope[j, i] += visible_slope[k, q, i] * energy * diffuse
+                if r_v > 0.0:
+                    lobe_slope = exponent * lobe / max(r_v, 1e-9) * (2.0 * n_v * n_l_slope - l_v_slope)
+                    specular_slope[j, i] += strength * seen * energy * (lobe_slope - 2.0 * lobe * stretch)
+            light_slope[3 * k + 2, i] += seen * energy * diffuse
+            specular_slope[3 * k + 2, i] += strength * seen * energy * lobe
+            if rough:
+                if brdf == MINNAERT:
+                    light_slope[at_rough, i] += seen * energy * diffuse * np.log(n_l * floored)
+                else:
+                    light_slope[at_rough, i] += seen * energy * n_l * (a_slope + b_slope * s / larger)
+            if glossy and r_v > 0.0:
+                specular_slope[at_gloss, i] += scale[i] * seen * energy * lobe
+                specular_slope[at_gloss + 1, i] += (
+                    strength * seen * energy * lobe * exponent * np.log(max(r_v, 1e-12))
+                )
+        light_out[i] = light
+        specular_out[i] = strength * gloss

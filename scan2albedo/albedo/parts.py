@@ -1,0 +1,182 @@
+"""Which optional parts of the light's model a scene needs: those that are significant and matter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.optimization.plan import PlanStep
+
+FloatArray = NDArray[np.float64]
+Descent = Callable[[ResidualProblem, LightModel, FloatArray], Solution]
+
+STAGES = {
+    "rough": ("albedo.roughness", "surface roughness"),
+    "near": ("albedo.near_light", "a finite distance of the light"),
+    "specular": ("albedo.specular", "a highlight"),
+}
+"""Stage and name of the optional parts, in the order in which they are freed."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a part of the model does: `effect`, the root mean square change of the albedo without it as a
+    part; `deviations`, its parameter in standard deviations from nothing."""
+
+    effect: float
+    deviations: float
+
+
+@dataclass(frozen=True)
+class PartsDecided:
+    """The solution with the parts it needs, `specular` that was taken off the colours, the plan's rows."""
+
+    solution: Solution
+    problem: ResidualProblem
+    keeps_highlight: bool
+    steps: list[PlanStep]
+
+
+def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
+    """Return the parts that neither caller nor reflectance leaves out, in the order to free them."""
+    asked = _asked(options)
+    return [
+        part for part in STAGES if asked[part] is not False and not (part == "rough" and brdf == "lambert")
+    ]
+
+
+def decide_parts(
+    problem: ResidualProblem, full: Solution, options: EstimateOptions, descend: Descent
+) -> PartsDecided:
+    """Divide out what colour tells, then leave out the parts that the scene does not need.
+
+    Parameters
+    ----------
+    problem : ResidualProblem
+        Without guide.
+    full : Solution
+        An optimum of it with every allowed part free.
+    options : EstimateOptions
+    descend : callable
+        Returns the optimum of a problem near x.
+    """
+    asked, rows = _asked(options), list[PlanStep]()
+    current, chosen, glossy = _decide_highlight(problem, full, options, descend, rows)
+    for part in ("near", "rough"):
+        if not getattr(current.model, part) or chosen.meter.exhausted:
+            continue
+        if asked[part]:
+            rows.append(PlanStep(STAGES[part][0], True, "asked for"))
+            continue
+        without = _without(chosen, current, part, descend)
+        if not np.isfinite(without.cost):
+            break
+        need = _need(chosen, current, without, part)
+        least = options.distance_effect if part == "near" else options.roughness_effect
+        deviations = options.distance_deviations if part == "near" else options.roughness_deviations
+        enters = need.effect >= least and need.deviations >= deviations
+        rows.append(_row(part, enters, need, least, deviations))
+        if not enters:
+            current = without
+    rows += [
+        PlanStep(STAGES[part][0], False, "left out by the caller") for part in STAGES if asked[part] is False
+    ]
+    return PartsDecided(current, chosen, glossy, rows)
+
+
+def undecided(options: EstimateOptions) -> list[PlanStep]:
+    """Return the plan's rows of parts that a budget left undecided: all that are allowed stay."""
+    return [
+        PlanStep(STAGES[part][0], choice is not False, "the budget ended before it was judged", "not judged")
+        for part, choice in _asked(options).items()
+    ]
+
+
+def _asked(options: EstimateOptions) -> dict[str, bool | None]:
+    return {"rough": options.roughness, "near": options.near_light, "specular": options.specular}
+
+
+def _decide_highlight(
+    problem: ResidualProblem,
+    full: Solution,
+    options: EstimateOptions,
+    descend: Descent,
+    rows: list[PlanStep],
+) -> tuple[Solution, ResidualProblem, bool]:
+    """Return the optimum with or without highlight, the guided problem it belongs to, and which it is.
+
+    A highlight whitens what it covers, and so does a lighter pigment: each of the two hypotheses gets the
+    guide that follows from it.
+    """
+    plain_problem = problem.guided(None)
+    if problem.meter.exhausted:
+        return full, problem, False
+    if not full.model.specular:
+        return descend(plain_problem, full.model, full.x), plain_problem, False
+    highlight = problem.highlight(full.model, full.x)
+    deviations = _deviations(problem, full, "specular")
+    glossy_problem = problem.guided(highlight)
+    glossy = descend(glossy_problem, full.model, full.x)
+    stage, what = STAGES["specular"]
+    if options.specular:
+        rows.append(PlanStep(stage, True, "asked for"))
+        return glossy, glossy_problem, True
+    model = full.model.without_part("specular")
+    plain = descend(plain_problem, model, full.model.extend(full.x, model))
+    if not (np.isfinite(glossy.cost) and np.isfinite(plain.cost)):
+        return full, problem, False
+    gain = 1 - glossy.cost / plain.cost
+    share = glossy_problem.highlight(glossy.model, glossy.x) / problem.level.value
+    effect = float(np.sqrt(np.mean(share**2)))
+    enters = effect >= options.specular_effect and (
+        gain >= options.specular_gain
+        or (deviations >= options.specular_deviations and gain >= -options.specular_loss)
+    )
+    evidence = (
+        f"{100 * effect:.2f} % of the image ({100 * options.specular_effect:g} % asked), {deviations:.0f} "
+        f"standard deviations ({options.specular_deviations:g} asked), removes {100 * gain:.1f} % of the cost"
+    )
+    rows.append(PlanStep(stage, enters, f"{what} matters" if enters else f"{what} does not matter", evidence))
+    return (glossy, glossy_problem, True) if enters else (plain, plain_problem, False)
+
+
+def _without(problem: ResidualProblem, full: Solution, part: str, descend: Descent) -> Solution:
+    model = full.model.without_part(part)
+    return descend(problem, model, full.model.extend(full.x, model))
+
+
+def _need(problem: ResidualProblem, full: Solution, without: Solution, part: str) -> Need:
+    return Need(albedo_change(problem, full, without), _deviations(problem, full, part))
+
+
+def albedo_change(problem: ResidualProblem, first: Solution, second: Solution) -> float:
+    """Return by which part, root mean square, the albedos of two solutions differ, best scale removed."""
+    ratio = problem.light(first.model, first.x) / problem.light(second.model, second.x)
+    return float(np.std(ratio) / np.mean(ratio))
+
+
+def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> float:
+    """Return how many standard deviations the part's parameter is away from its plain value."""
+    k = solution.model.position_of(part)
+    plain = 1.0 if part == "rough" and solution.model.brdf == "minnaert" else 0.0
+    variance = float(problem.covariance(solution.model, solution.x)[k, k])
+    away = abs(float(solution.x[k]) - plain)
+    return away / max(np.sqrt(max(variance, 0.0)), 1e-9)
+
+
+def _row(part: str, enters: bool, need: Need, least: float, deviations: float) -> PlanStep:
+    stage, what = STAGES[part]
+    return PlanStep(
+        stage,
+        enters,
+        f"{what} matters" if enters else f"{what} does not matter",
+        f"changes the albedo by {100 * need.effect:.2f} % ({100 * least:g} % asked), "
+        f"{need.deviations:.0f} standard deviations from none ({deviations:g} asked)",
+    )

@@ -1,0 +1,49 @@
+"""Whether the surface shades itself, and the mesh that does."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.levels import Level
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.optimization.plan import PlanStep
+
+FloatArray = NDArray[np.float64]
+
+
+def shadow_caster(
+    image: GeometryImage, level: Level, directions: FloatArray, options: EstimateOptions
+) -> tuple[RayCaster | None, PlanStep]:
+    """Return the shadow caster, or None where the surface hardly shades itself, and the plan's row.
+
+    Parameters
+    ----------
+    image : GeometryImage
+    level : Level
+        Its cells are looked at.
+    directions : (D, 3) float64
+        Of distant lights that are tried.
+    options : EstimateOptions
+    """
+    vertices, faces = image.occluder_mesh()
+    stage, asked = "albedo.shadows", options.shadows
+    if asked is False:
+        return None, PlanStep(stage, False, "left out by the caller")
+    if not len(faces):
+        return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
+    caster = RayCaster(vertices, faces)
+    shadows = ShadowMap(caster, level.anchor, level.normal, options.shadow_offset_mm)
+    worst = 0.0
+    for direction in directions:
+        # At the terminator facets shade texels whose smooth normal still faces the light.
+        facing = level.normal @ direction > 0.2
+        if facing.any():
+            worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
+    evidence = f"at most {100 * worst:.1f} % of the texels facing a light lie in cast shadow"
+    if asked is None and worst < options.shadow_fraction:
+        return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
+    return caster, PlanStep(stage, True, "asked for" if asked else "the surface shades itself", evidence)
