@@ -141,7 +141,9 @@ def scenes(sizes: list[int], seeds: int) -> Iterator[tuple[str, SyntheticScene]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--sizes", type=int, nargs="+", default=[256, 512])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--out", type=Path, help="folder for pictures: left, ours, biharmonic, truth")
@@ -167,7 +169,9 @@ def _row(filled: Filled) -> str:
         [seam(image, filled) / seam(filled.truth, filled) for image in methods],
         [1000 * seconds / thousands for seconds in (filled.ours_s, filled.biharmonic_s)],
     ]
-    return f"{int(target.sum()):6d} {int(filled.lost.sum()):5d}  " + "  ".join(f"{ours:7.3f} {other:7.3f}" for ours, other in columns)
+    return f"{int(target.sum()):6d} {int(filled.lost.sum()):5d}  " + "  ".join(
+        f"{ours:7.3f} {other:7.3f}" for ours, other in columns
+    )
 
 
 def _picture(filled: Filled, path: Path) -> None:

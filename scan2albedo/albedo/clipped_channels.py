@@ -16,8 +16,8 @@ _ENOUGH = 64
 """Fewer sources than this do not make a regression."""
 _POOLED = 0.1
 """All sources together count as much as this part of a window full of sources."""
-_RIDGE = 1e-5
-"""Variance of log albedo below which channels are taken to keep their ratio: (0.3 %)^2."""
+_RIDGE = 2e-5
+"""Variance of log albedo below which channels are taken to keep their ratio: what 8 bits leave unsure."""
 _FLOOR = 1e-4
 """Albedo below this counts as this in logarithms."""
 
@@ -65,7 +65,15 @@ def restore_channels(albedo: FloatArray, lost: NDArray[np.bool_], source: BoolAr
     result = albedo.copy()
     inside = target[window]
     field = np.log(np.maximum(albedo[window], _FLOOR))
-    predicted = _predict(field, np.argwhere(inside), lost[window], origin[window], radius, _POOLED * (2 * radius + 1) ** 2, _RIDGE)
+    predicted = _predict(
+        field,
+        np.argwhere(inside),
+        lost[window],
+        origin[window],
+        radius,
+        _POOLED * (2 * radius + 1) ** 2,
+        _RIDGE,
+    )
     old = albedo[window][inside]
     result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
     return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
 
 from scan2albedo.albedo.clipped_channels import all_channels, any_channel, restore_channels
 from scan2albedo.albedo.inpainting import resynthesize
@@ -18,6 +18,10 @@ BoolArray = NDArray[np.bool_]
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are no highlight but over-exposure."""
+_ENOUGH = 64
+"""Fewer trustworthy texels than this do not tell a highlight from the albedo."""
+_LEAST_DEVIATION = 0.02
+"""Least standard deviation of log albedo that a highlight is measured in."""
 
 
 def rectified(
@@ -68,10 +72,44 @@ def inpainted(
     if not touched.any():
         reason = "the annotation forbids it" if saturated else "nothing is saturated"
         return albedo_linear, PlanStep(stage, False, reason, evidence)
-    source = usable & allowed & ~touched
-    result = restore_channels(albedo_linear.astype(np.float64), lost, source)
+    albedo = albedo_linear.astype(np.float64)
+    missed = missed_highlight(albedo, any_channel(clipped) & allowed, usable & allowed & ~touched, allowed)
+    wholly |= missed
+    partly &= ~missed
+    source = usable & allowed & ~touched & ~missed
+    result = restore_channels(albedo, lost & ~missed[..., None], source)
     if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not asked:
         evidence += "; too many for a highlight, left"
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
+
+
+def missed_highlight(
+    albedo_linear: FloatArray, clipped: BoolArray, source: BoolArray, allowed: BoolArray
+) -> BoolArray:
+    """Return (H, W) texels of highlights that the light model left in the albedo, grown from clipped texels.
+
+    White light lifts the darkest channel most, and that channel clips last. A clipped texel in which it lies
+    more than four (robust) standard deviations above the sources' median is such a highlight, with all
+    connected to it that lies two above: what survived there is not the albedo's.
+
+    Parameters
+    ----------
+    albedo_linear : (H, W, 3) float64
+        As divided.
+    clipped, source, allowed : (H, W) bool
+        Texels with a clipped channel; trustworthy texels; texels that may belong to the result.
+    """
+    nothing = np.zeros_like(clipped)
+    if int(source.sum()) < _ENOUGH:
+        return nothing
+    darkest = np.minimum(np.minimum(albedo_linear[..., 0], albedo_linear[..., 1]), albedo_linear[..., 2])
+    level = np.log(np.maximum(darkest, 1e-4))
+    middle = float(np.median(level[source]))
+    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), _LEAST_DEVIATION)
+    excess = (level - middle) / deviation
+    seeds = binary_opening(clipped & (excess > 4))
+    if not seeds.any():
+        return nothing
+    return binary_propagation(seeds, mask=allowed & (excess > 2))

@@ -198,7 +198,10 @@ def _fill(field, order, origin, context, offsets, jumps, precision, neighbours, 
                 attempt += 1
             else:
                 reach = min(2 * reach, height + width)
-                i, j = row + int(rng.integers(-reach, reach + 1)), column + int(rng.integers(-reach, reach + 1))
+                i, j = (
+                    row + int(rng.integers(-reach, reach + 1)),
+                    column + int(rng.integers(-reach, reach + 1)),
+                )
             if not (0 <= i < height and 0 <= j < width and origin[i, j]):
                 continue
             distance = np.float32(0)

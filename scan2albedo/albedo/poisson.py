@@ -54,7 +54,9 @@ def integrate_gradients(
         for sign, (here, there) in ((-1, ends), (1, ends[::-1])):
             chosen = joined & region[here]
             row = index[here][chosen]
-            pull = sign * wanted[chosen] + np.where(_like(region[there][chosen], field), 0.0, field[there][chosen])
+            pull = sign * wanted[chosen] + np.where(
+                _like(region[there][chosen], field), 0.0, field[there][chosen]
+            )
             # A texel has one neighbour on each side, so no row comes twice.
             diagonal[row] += 1
             right[row] += pull.reshape(len(row), -1)
