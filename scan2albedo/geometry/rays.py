@@ -54,6 +54,11 @@ class RayCaster:
         # The scene is committed by its first query, which must not happen in two threads at once.
         self._run(np.zeros((1, 3)), np.ones((1, 3)), "OCCLUDED")
 
+    @property
+    def size(self) -> float:
+        """Longest side of the mesh's bounding box, in the mesh's unit."""
+        return self._scale
+
     def _run(self, origins: FloatArray, directions: FloatArray, query: str):  # type: ignore[no-untyped-def]
         return self._scene.run(self.to_local(origins), _single(directions), query=query)
 

@@ -13,6 +13,9 @@ from scan2albedo.geometry.rays import RayCaster
 
 FloatArray = NDArray[np.float64]
 
+_OFFSETS = (1.5e-4, 5e-3)
+"""Least and largest offset of shadow rays as parts of the caster's size."""
+
 
 @dataclass(frozen=True)
 class ShadowMap:
@@ -28,7 +31,8 @@ class ShadowMap:
         Unit outward normals.
     offset_mm : float
         Rays start this far along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow
-        itself, more loses shadow at contacts.
+        itself, more loses shadow at contacts. It is kept between 0.015 % and 0.5 % of the caster's size, so
+        that a surface in another unit than millimetres neither shadows itself nor loses all its shadows.
     """
 
     caster: RayCaster | None
@@ -39,7 +43,8 @@ class ShadowMap:
 
     def __post_init__(self) -> None:
         if self.caster is not None:
-            start = self.position + self.offset_mm * self.normal
+            low, high = (part * self.caster.size for part in _OFFSETS)
+            start = self.position + min(max(self.offset_mm, low), high) * self.normal
             object.__setattr__(self, "_origin", self.caster.to_local(start))
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:

@@ -160,3 +160,11 @@ def test_a_symmetric_surface_lit_symmetrically(scenes):
     assert np.isfinite(albedo).all()
     assert albedo_error(albedo, frontal.albedo, frontal.image.mask).mse_percent < 0.05
     assert albedo[..., 0] == pytest.approx(albedo[:, ::-1, 0], rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_cast_shadows_in_another_unit(scenes, scale):
+    scene = scenes.scene("bumps", "skin", [(45, 0, 2.0, FAR)], size=96)
+    estimate = estimate_albedo(_with(scene.image, position=scene.image.position * scale), 1)
+    assert estimate.plan.ran("albedo.shadows")
+    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.05
