@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
+from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.clipped_channels import all_channels, any_channel, restore_channels
 from scan2albedo.albedo.inpainting import resynthesize
@@ -60,8 +60,7 @@ def inpainted(
     allowed = image.mask if image.inpaint is None else image.mask & image.inpaint
     clipped = (image.texture_linear >= options.saturation_linear) & image.seen[..., None]
     # Texture lookup mixed the clipped values into their neighbours.
-    beside = np.stack([binary_dilation(clipped[..., c]) for c in range(3)], -1)
-    lost = beside & (image.seen & allowed)[..., None]
+    lost = _with_neighbours(clipped) & (image.seen & allowed)[..., None]
     touched, wholly = any_channel(lost), all_channels(lost)
     partly = touched & ~wholly
     saturated, white = int(any_channel(clipped).sum()), int(all_channels(clipped).sum())
@@ -83,6 +82,16 @@ def inpainted(
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
+
+
+def _with_neighbours(chosen: BoolArray) -> BoolArray:
+    """Return `chosen` (H, W, C) and the four texels beside each (many times as fast as scipy's dilation)."""
+    grown = chosen.copy()
+    grown[1:] |= chosen[:-1]
+    grown[:-1] |= chosen[1:]
+    grown[:, 1:] |= chosen[:, :-1]
+    grown[:, :-1] |= chosen[:, 1:]
+    return grown
 
 
 def missed_highlight(
