@@ -15,7 +15,7 @@ _ANCHOR = 1e-9
 
 
 def forward_differences(field: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return f[i, j + 1] - f[i, j] (H, W - 1) and f[i + 1, j] - f[i, j] (H - 1, W)."""
+    """Return f[i, j + 1] - f[i, j] (H, W - 1, ...) and f[i + 1, j] - f[i, j] (H - 1, W, ...)."""
     return np.diff(field, axis=1), np.diff(field, axis=0)
 
 
@@ -29,10 +29,11 @@ def integrate_gradients(
 
     Parameters
     ----------
-    field : (H, W) float64
+    field : (H, W) or (H, W, C) float64
+        The channels share one factorisation.
     region, known : (H, W) bool
         Unknown texels; texels that keep their value.
-    across, down : (H, W - 1), (H - 1, W) float64
+    across, down : (H, W - 1), (H - 1, W) float64, or with C channels
         Wanted forward differences.
 
     References
@@ -41,32 +42,41 @@ def integrate_gradients(
     """
     if not region.any():
         return field
-    index = np.full(field.shape, -1, np.int64)
-    index[region] = np.arange(int(region.sum()))
-    flat_index, flat_field = index.ravel(), field.ravel()
-    usable = (region | (known & ~region)).ravel()
-    grid = np.arange(field.size).reshape(field.shape)
-    first = np.concatenate([grid[:, :-1].ravel(), grid[:-1].ravel()])
-    second = np.concatenate([grid[:, 1:].ravel(), grid[1:].ravel()])
-    wanted = np.concatenate([across.ravel(), down.ravel()])
-    chosen = usable[first] & usable[second] & ((flat_index[first] >= 0) | (flat_index[second] >= 0))
-    first, second, wanted = first[chosen], second[chosen], wanted[chosen]
-
     count = int(region.sum())
-    right = _ANCHOR * field[region]
-    diagonal = np.full(count, _ANCHOR)
-    for here, there, gradient in ((first, second, -wanted), (second, first, wanted)):
-        inside = flat_index[here] >= 0
-        row = flat_index[here][inside]
-        outside = flat_index[there][inside] < 0
-        diagonal += np.bincount(row, minlength=count)
-        right += np.bincount(row, gradient[inside] + outside * flat_field[there][inside], count)
-    both = (flat_index[first] >= 0) & (flat_index[second] >= 0)
-    a, b = flat_index[first][both], flat_index[second][both]
-    rows = np.concatenate([a, b, np.arange(count)])
-    columns = np.concatenate([b, a, np.arange(count)])
+    index = np.full(field.shape[:2], -1, np.int64)
+    index[region] = np.arange(count)
+    usable = region | known
+    diagonal, right = np.full(count, _ANCHOR), _ANCHOR * field[region].reshape(count, -1)
+    links = []
+    for axis, wanted in ((1, across), (0, down)):
+        ends = [tuple(_side(a == axis, end) for a in (0, 1)) for end in (0, 1)]
+        joined = usable[ends[0]] & usable[ends[1]]
+        for sign, (here, there) in ((-1, ends), (1, ends[::-1])):
+            chosen = joined & region[here]
+            row = index[here][chosen]
+            pull = sign * wanted[chosen] + np.where(
+                _like(region[there][chosen], field), 0.0, field[there][chosen]
+            )
+            # A texel has one neighbour on each side, so no row comes twice.
+            diagonal[row] += 1
+            right[row] += pull.reshape(len(row), -1)
+        both = region[ends[0]] & region[ends[1]]
+        links.append((index[ends[0]][both], index[ends[1]][both]))
+    a, b = (np.concatenate(side) for side in zip(*links, strict=True))
+    rows = np.concatenate([b, a, np.arange(count)])
+    columns = np.concatenate([a, b, np.arange(count)])
     entries = np.concatenate([-np.ones(2 * len(a)), diagonal])
     system = csr_matrix((entries, (rows, columns)), shape=(count, count)).tocsc()
     result = field.copy()
-    result[region] = splu(system).solve(right)
+    result[region] = splu(system).solve(right).reshape(result[region].shape)
     return result
+
+
+def _side(along: bool, end: int) -> slice:
+    """Return the slice of all first (0) or second (1) texels of the pairs along an axis."""
+    return (slice(1, None) if end else slice(None, -1)) if along else slice(None)
+
+
+def _like(chosen: BoolArray, field: FloatArray) -> BoolArray:
+    """Return `chosen` (N,) ready to broadcast with values (N, ...) of `field`."""
+    return chosen.reshape(-1, *[1] * (field.ndim - 2))

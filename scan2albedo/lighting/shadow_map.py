@@ -6,11 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.geometry.rays import RayCaster
 
 FloatArray = NDArray[np.float64]
+
+_OFFSETS = (1.5e-4, 5e-3)
+"""Least and largest offset of shadow rays as parts of the caster's size."""
 
 
 @dataclass(frozen=True)
@@ -27,17 +31,21 @@ class ShadowMap:
         Unit outward normals.
     offset_mm : float
         Rays start this far along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow
-        itself, more loses shadow at contacts.
+        itself, more loses shadow at contacts. It is kept between 0.015 % and 0.5 % of the caster's size, so
+        that a surface in another unit than millimetres neither shadows itself nor loses all its shadows.
     """
 
     caster: RayCaster | None
     position: FloatArray
     normal: FloatArray
     offset_mm: float = 0.2
-    _origin: FloatArray = field(init=False, repr=False)
+    _origin: NDArray[np.float32] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_origin", self.position + self.offset_mm * self.normal)
+        if self.caster is not None:
+            low, high = (part * self.caster.size for part in _OFFSETS)
+            start = self.position + min(max(self.offset_mm, low), high) * self.normal
+            object.__setattr__(self, "_origin", self.caster.to_local(start))
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
         """Return (N,) uint8, 1 where a light reaches the point.
@@ -52,21 +60,55 @@ class ShadowMap:
             Of the light from the origin; ``inf`` for a distant one.
         """
         toward = np.asarray(direction, np.float64)
-        if math.isinf(distance_mm):
-            rays = np.broadcast_to(toward, self.position.shape)
-        else:
-            rays = distance_mm * toward - self.position
-        lit = np.flatnonzero(np.einsum("ij,ij->i", self.normal, rays) > 0)
+        inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
         result = np.zeros(len(self.position), np.uint8)
-        result[lit] = 1
-        if self.caster is not None and len(lit):
-            result[lit[self.caster.occluded(self._origin[lit], rays[lit])]] = 0
+        if self.caster is None:
+            _facing(self.position, self.normal, toward, inverse, result)
+            return result
+        lit, origin, ray = _lit_rays(self.position, self.normal, self._origin, toward, inverse, result)
+        hidden = self.caster.occluded_local(origin, ray if inverse else toward)
+        result[lit] = ~hidden
         return result
 
     def table(self, directions: ArrayLike) -> VisibilityTable:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""
         toward = np.asarray(directions, np.float64)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
+
+
+@njit(cache=True, nogil=True)
+def _facing(position, normal, toward, inverse, lit):  # type: ignore[no-untyped-def]
+    """Set `lit` (N,) uint8 to 1 where n . (toward - inverse position) > 0; return how often it is."""
+    count = 0
+    for i in range(position.shape[0]):
+        cosine = 0.0
+        for k in range(3):
+            cosine += normal[i, k] * (toward[k] - inverse * position[i, k])
+        lit[i] = cosine > 0
+        count += lit[i]
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _lit_rays(position, normal, origin, toward, inverse, lit):  # type: ignore[no-untyped-def]
+    """Fill `lit` as `_facing` does; return indices (M,), origins and rays (M, 3) float32 of the lit points.
+
+    There are no rays for a distant light (`inverse` 0): all are `toward`.
+    """
+    count = _facing(position, normal, toward, inverse, lit)
+    index = np.empty(count, np.int64)
+    start = np.empty((count, 3), np.float32)
+    ray = np.empty((count if inverse != 0 else 0, 3), np.float32)
+    m = 0
+    for i in range(len(lit)):
+        if lit[i]:
+            index[m] = i
+            for k in range(3):
+                start[m, k] = origin[i, k]
+                if inverse != 0:
+                    ray[m, k] = toward[k] - inverse * position[i, k]
+            m += 1
+    return index, start, ray
 
 
 @dataclass(frozen=True)

@@ -97,3 +97,74 @@ def test_specular_scale_of_the_annotation_multiplies_the_highlight(plain):
     scale = np.where(np.arange(64)[:, None] < 32, 0, 1) * np.ones((64, 64))
     estimate = estimate_albedo(_with(plain.image, specular_scale=scale), 1, options=options)
     assert np.all(estimate.specular[:32] == 0)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0])
+def test_roughness_at_both_ends(scenes, sigma):
+    scene = scenes.scene("hemisphere", "skin", [(30, 0, 2.0, FAR)], size=64, sigma=sigma)
+    estimate = estimate_albedo(scene.image, 1)
+    assert np.isfinite(estimate.albedo_linear).all()
+    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.1
+
+
+@pytest.mark.parametrize("depth", ["16 bits", "float"])
+def test_finer_quantisation_is_no_worse_than_8_bits(scenes, depth):
+    lights = [(30, 0, 2.0, FAR)]
+    coarse = scenes.scene("hemisphere", "skin", lights, size=64)
+    fine = scenes.scene("hemisphere", "skin", lights, size=64, quantize=False)
+    image = fine.image
+    if depth == "16 bits":
+        texture = np.round(image.texture_linear.astype(np.float64) * 65535) / 65535
+        image = _with(image, texture_linear=texture.astype(np.float32))
+    errors = [
+        albedo_error(estimate_albedo(one, 1).albedo_linear, coarse.albedo, image.mask).relative_rmse
+        for one in (image, coarse.image)
+    ]
+    # The search ends a little elsewhere on any change of its input: 5 % are granted to it.
+    assert errors[0] <= 1.05 * errors[1]
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_the_unit_of_length_matters_to_shadow_offsets_and_lamp_distances_alone(plain, scale):
+    scaled = _with(plain.image, position=plain.image.position * scale)
+    options = EstimateOptions(near_light=False, shadows=False)
+    here, there = (estimate_albedo(image, 1, options=options) for image in (plain.image, scaled))
+    assert there.albedo_linear == pytest.approx(here.albedo_linear, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_surfaces_in_another_unit_stay_finite(plain, scale):
+    scaled = _with(plain.image, position=plain.image.position * scale)
+    estimate = estimate_albedo(scaled, 1)
+    assert np.isfinite(estimate.albedo_linear).all()
+    error = albedo_error(estimate.albedo_linear, plain.albedo, plain.image.mask)
+    assert error.mse_percent < 0.05
+
+
+def test_texels_of_no_area(plain):
+    position = plain.image.position.copy()
+    position[28:36, 28:36] = position[32, 32]
+    estimate = estimate_albedo(_with(plain.image, position=position), 1)
+    assert np.isfinite(estimate.albedo_linear).all()
+    assert albedo_error(estimate.albedo_linear, plain.albedo, plain.image.mask).mse_percent < 0.05
+
+
+def test_a_symmetric_surface_lit_symmetrically(scenes):
+    """Light and its mirror image explain such a picture alike; the albedo must not care."""
+    geometry = scenes.bumps_geometry(96)
+    frontal = scenes.scene("bumps", "plain", [(0, 0, 2.0, FAR)], size=96)
+    assert np.array_equal(geometry[2], geometry[2][:, ::-1])
+    assert frontal.image.texture_linear == pytest.approx(frontal.image.texture_linear[:, ::-1], abs=1e-6)
+    estimate = estimate_albedo(frontal.image)
+    albedo = estimate.albedo_linear
+    assert np.isfinite(albedo).all()
+    assert albedo_error(albedo, frontal.albedo, frontal.image.mask).mse_percent < 0.05
+    assert albedo[..., 0] == pytest.approx(albedo[:, ::-1, 0], rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_cast_shadows_in_another_unit(scenes, scale):
+    scene = scenes.scene("bumps", "skin", [(45, 0, 2.0, FAR)], size=96)
+    estimate = estimate_albedo(_with(scene.image, position=scene.image.position * scale), 1)
+    assert estimate.plan.ran("albedo.shadows")
+    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.05

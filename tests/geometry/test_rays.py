@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rays import RayCaster, _each
 from scan2albedo.geometry.rigid import random_rotation
 
 
@@ -85,3 +85,33 @@ def test_many_rays_across_threads_equal_few():
     many = caster.occluded(origins, [0, 0, -1.0])
     few = np.concatenate([caster.occluded(part, [0, 0, -1.0]) for part in np.array_split(origins, 50)])
     assert (many == few).all()
+
+
+def test_prepared_origins_and_one_common_direction_give_the_same_answers():
+    caster = RayCaster(*sphere(10.0, [1e4, 0, 0], level=3))
+    rng = np.random.default_rng(4)
+    origins = np.column_stack(
+        [1e4 + rng.uniform(-12, 12, 30_000), rng.uniform(-12, 12, 30_000), np.full(30_000, 20.0)]
+    )
+    each = caster.occluded(origins, np.tile([0, 0, -1.0], (30_000, 1)))
+    assert np.array_equal(caster.occluded(origins, [0, 0, -1.0]), each)
+    assert np.array_equal(caster.occluded_local(caster.to_local(origins), [0, 0, -1.0]), each)
+    assert each.mean() == pytest.approx(np.pi * 100 / 24**2, rel=0.02)
+
+
+def test_no_rays_no_answers():
+    assert RayCaster(*sphere(1.0, level=1)).occluded(np.zeros((0, 3)), [0, 0, 1.0]).shape == (0,)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9])
+def test_every_block_is_worked_on_once_and_errors_come_through(count):
+    blocks = [slice(i, i + 1) for i in range(count)]
+    done = []
+    _each(lambda block: done.append(block.start), blocks)
+    assert sorted(done) == list(range(count))
+
+    def fail(block):
+        raise RuntimeError(f"block {block.start}")
+
+    with pytest.raises(RuntimeError, match="block"):
+        _each(fail, blocks)

@@ -114,3 +114,43 @@ def test_harmonic_shading_takes_27_parameters():
     shading = spherical_harmonics_shading(normal, coefficients)
     assert shading.shape == (2, 3)
     assert shading[:, 1] == pytest.approx(spherical_harmonics_shading(normal, coefficients[:, 1]))
+
+
+def test_a_light_behind_the_surface_leaves_the_ambient_term():
+    normal = np.tile([0.0, 0.0, 1.0], (50, 1))
+    position = np.random.default_rng(0).uniform(-80, 80, (50, 3)) * [1, 1, 0]
+    for toward, distance in (((0, 0, -1), math.inf), ((0.3, 0, -0.5), 300.0), ((1, 0, -0.01), math.inf)):
+        for reflectance in (Reflectance("oren-nayar", 1.0, 0.5, 0.1), Reflectance("minnaert", 0.5, 0.5, 2.0)):
+            shading = shade_points(
+                position, normal, (light_from_direction(toward, distance, 5.0),), reflectance
+            )
+            assert np.all(shading.light == 1)
+            assert np.all(shading.specular == 0)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0])
+def test_grazing_light_is_small_and_finite(sigma):
+    """At 89.9 degrees Oren-Nayar's tan(beta) is 573; what reaches the texel is below a hundredth."""
+    angle = math.radians(89.9)
+    light = light_from_direction((math.sin(angle), 0, math.cos(angle)), math.inf, 1.0)
+    shading = shade_points(
+        np.zeros((1, 3)), np.array([[0.0, 0, 1]]), (light,), Reflectance("oren-nayar", sigma)
+    )
+    assert 1 < shading.light[0] < 1.01
+
+
+@pytest.mark.parametrize("exponent", [0.1, 1.0, 1e4])
+def test_highlights_peak_in_the_mirror_direction_for_any_exponent(exponent):
+    light = light_from_direction((0, 0.6, 0.8), math.inf, 2.0)
+    normals = np.array([[0, math.sin(t), math.cos(t)] for t in np.linspace(-1.5, 1.5, 401)])
+    gloss = shade_points(
+        np.zeros((401, 3)),
+        normals,
+        (light,),
+        Reflectance("oren-nayar", 0.2, 0.3, exponent),
+        view_direction=(0.0, 0.0, 1.0),
+    ).specular
+    half_angle = math.atan2(0.6, 0.8) / 2
+    assert abs(np.linspace(-1.5, 1.5, 401)[np.argmax(gloss)] - half_angle) < 0.01
+    assert gloss.max() == pytest.approx(0.6, rel=0.3)
+    assert np.isfinite(gloss).all()

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions, view_frame
@@ -12,7 +13,6 @@ RADIUS, HEIGHT = 20.0, 60.0
 
 
 def _sphere_over_plane():
-    import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
     sphere.apply_translation([0, 0, HEIGHT])
@@ -82,3 +82,17 @@ def test_frames_are_right_handed_and_cones_keep_their_angle(axis):
 
 def test_the_frame_of_plus_z_is_the_identity():
     assert view_frame((0, 0, 3)) == pytest.approx(np.eye(3))
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_shadows_do_not_depend_on_the_unit_of_length(scale):
+    """At 1e6 an offset of 0.2 would let the plane shadow itself, at 1e-6 it would lie above the sphere."""
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    vertices = np.concatenate([mesh.vertices + [0, 0, HEIGHT], [[-90, -90, 0], [90, -90, 0], [0, 120, 0.0]]])
+    faces = np.concatenate([mesh.faces, [len(mesh.vertices) + np.arange(3)]])
+    points, normals = _plane_points()
+    direction = np.array([0.4, 0.1, 1.0]) / np.linalg.norm([0.4, 0.1, 1.0])
+    here = ShadowMap(RayCaster(vertices, faces), points, normals).visible(direction)
+    there = ShadowMap(RayCaster(scale * vertices, faces), scale * points, normals).visible(direction)
+    assert np.mean(here != there) < 0.005
+    assert 100 < np.sum(there == 0) < 2000

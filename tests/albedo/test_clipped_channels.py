@@ -1,0 +1,86 @@
+"""Clipped channels rebuilt from surviving ones."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.albedo.clipped_channels import restore_channels
+from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, smooth_noise
+
+SIZE = 96
+
+
+@pytest.fixture(scope="module")
+def pigments():
+    """Two pigments over one tone, a disc of texels, and the source around it."""
+    axis = (np.arange(SIZE) + 0.5) / SIZE
+    uv = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    rng = np.random.default_rng(0)
+    melanin, blood = 0.1 * smooth_noise(uv, (30, 30), rng), 0.1 * smooth_noise(uv, (12, 12), rng)
+    absorbed = melanin[:, None] * MELANIN + blood[:, None] * HEMOGLOBIN
+    albedo = (np.array([0.6, 0.36, 0.25]) * np.exp(-absorbed)).reshape(SIZE, SIZE, 3)
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    return albedo, np.hypot(rows - 40, columns - 50) < 12
+
+
+def _broken(albedo, disc, channels):
+    lost = disc[..., None] & np.isin(np.arange(3), channels)
+    return np.where(lost, 0.7 * albedo, albedo), lost
+
+
+def test_two_survivors_tell_a_third_of_two_pigments(pigments):
+    albedo, disc = pigments
+    broken, lost = _broken(albedo, disc, [0])
+    restored = restore_channels(broken, lost, ~disc)
+    relative = (restored / albedo)[disc][:, 0] - 1
+    assert np.sqrt(np.mean(relative**2)) < 0.002
+    assert np.sqrt(np.mean(relative**2)) < 0.05 * (albedo[disc].std(0) / albedo[disc].mean(0))[0]
+
+
+def test_one_survivor_tells_most_of_the_others(pigments):
+    albedo, disc = pigments
+    broken, lost = _broken(albedo, disc, [0, 1])
+    restored = restore_channels(broken, lost, ~disc)
+    left = np.abs(restored - albedo)[disc][:, :2].mean(0)
+    assert np.all(left < 0.2 * np.abs(broken - albedo)[disc][:, :2].mean(0))
+    assert np.all(left < 0.6 * albedo[disc][:, :2].std(0))
+
+
+def test_survivors_and_everything_outside_keep_their_bits(pigments):
+    albedo, disc = pigments
+    broken, lost = _broken(albedo, disc, [0])
+    before = broken.copy()
+    restored = restore_channels(broken, lost, ~disc)
+    assert np.array_equal(restored[~lost], broken[~lost])
+    assert np.array_equal(broken, before)
+
+
+def test_the_clipped_value_is_a_lower_bound(pigments):
+    albedo, disc = pigments
+    _, lost = _broken(albedo, disc, [0])
+    bounded = np.where(lost, 2 * albedo, albedo)
+    assert np.all(restore_channels(bounded, lost, ~disc)[lost] >= bounded[lost])
+
+
+def test_a_texel_without_survivors_is_left(pigments):
+    albedo, disc = pigments
+    broken, lost = _broken(albedo, disc, [0, 1, 2])
+    assert restore_channels(broken, lost, ~disc) is broken
+
+
+def test_too_few_sources_change_nothing(pigments):
+    albedo, disc = pigments
+    broken, lost = _broken(albedo, disc, [0])
+    few = np.zeros_like(disc)
+    few[:5, :5] = True
+    assert restore_channels(broken, lost, few) is broken
+
+
+def test_constant_colour_keeps_its_ratio():
+    albedo = np.ones((40, 40, 3)) * [0.5, 0.4, 0.3]
+    lost = np.zeros((40, 40, 3), bool)
+    lost[18:22, 18:22, 0] = True
+    broken = np.where(lost, 0.1, albedo)
+    broken[20, 20, 1:] *= 1.2
+    restored = restore_channels(broken, lost, ~lost.any(-1))
+    assert restored[18, 18, 0] == pytest.approx(0.5, rel=1e-9)
+    assert restored[20, 20, 0] == pytest.approx(0.6, rel=1e-9)
