@@ -135,7 +135,9 @@ def _divide(
         value, light, specular, mask, usable, shrink=options.shrink, block_side=block_side(image, options)
     )
     albedo, rectification = rectified(division.albedo, light, cast, usable, options)
-    color = recolor(image.texture_linear, value, albedo)
+    # A highlight is white: what remains below it has the albedo's hue.
+    below = np.maximum(image.texture_linear - specular[..., None], 0)
+    color = recolor(below, below.max(-1), albedo)
     color, inpainting = inpainted(color, image, specular, usable, options, seed)
     return AlbedoEstimate(
         albedo_linear=color,
