@@ -80,6 +80,8 @@ class ProcessResult:
                 "parameters": dict(self.albedo.parameters),
                 "converged": self.albedo.converged,
             }
+            if self.albedo.uncertainty is not None:
+                figures["albedo"]["uncertainty"] = self.albedo.uncertainty.figures()
         return figures
 
     def summary(self) -> str:

@@ -4,5 +4,14 @@ from scan2albedo.albedo.error import AlbedoError, albedo_error
 from scan2albedo.albedo.estimate import estimate_albedo
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.result import AlbedoEstimate
+from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty
 
-__all__ = ["AlbedoError", "AlbedoEstimate", "EstimateOptions", "albedo_error", "estimate_albedo"]
+__all__ = [
+    "AlbedoError",
+    "AlbedoEstimate",
+    "Alternative",
+    "EstimateOptions",
+    "LightUncertainty",
+    "albedo_error",
+    "estimate_albedo",
+]

@@ -87,15 +87,13 @@ def _neighbours(level: Level) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return first, second
 
 
-def _robust_slope(
-    change: FloatArray, rise: FloatArray, weight: FloatArray
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _robust_slope(change: FloatArray, rise: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (2,) the slope of `rise` (M,) over `change` (M, 2) and what it leaves (M,)."""
     slope, rest = np.zeros(2), np.asarray(rise)
     for _ in range(_ROUNDS):
         w = (weight / np.hypot(rest, _ROBUST))[:, None] * change
         matrix = w.T @ change
         matrix += 1e-9 * max(float(np.trace(matrix)), 1e-12) * np.eye(2)
-        slope = np.linalg.solve(matrix, w.T @ rise)
-        rest = rise - change @ slope
+        slope = np.asarray(np.linalg.solve(matrix, w.T @ rise), np.float64)
+        rest = np.asarray(rise - change @ slope, np.float64)
     return slope, rest

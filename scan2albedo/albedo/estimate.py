@@ -123,7 +123,7 @@ def _divide(
 ) -> AlbedoEstimate:
     """Remove the light found from the full-size image."""
     assert image.texture_linear is not None
-    mask = image.mask
+    mask, deviation = image.mask, found.albedo_deviation
     lights, reflectance = physical_light(found.solution, median_value(image, usable))
     lit = shade_image(image, lights, reflectance, view, found.caster, options.shadow_offset_mm)
     light, specular, shadow, cast = (
@@ -157,6 +157,8 @@ def _divide(
         reflectance=reflectance,
         casts_shadows=found.caster is not None,
         shadow_offset_mm=options.shadow_offset_mm,
+        uncertainty=found.uncertainty,
+        albedo_deviation=None if deviation is None else deviation.astype(np.float32),
     )
 
 

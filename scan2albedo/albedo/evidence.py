@@ -14,6 +14,7 @@ from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Problem, Solution, Yardstick
 from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
 from scan2albedo.albedo.shadow_caster import shadow_caster
+from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.shadow_map import VisibilityTable, cone_directions
@@ -37,11 +38,16 @@ COARSE_STARTS, COARSE_STEP = 8, 3
 
 @dataclass(frozen=True)
 class LightFound:
-    """The solution, the plan's rows, and the mesh that casts shadows (None where they are left out)."""
+    """The solution, the plan's rows, and the mesh that casts shadows (None where they are left out).
+
+    Where it was judged, how sure the light is, and (H, W) the relative deviation of the albedo that follows.
+    """
 
     solution: Solution
     steps: list[PlanStep]
     caster: RayCaster | None
+    uncertainty: LightUncertainty | None = None
+    albedo_deviation: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.errors import LightingError
@@ -46,6 +47,8 @@ class Level:
         Mean row and column of the cell's texels.
     block_side : float
         Side of a block in texels.
+    factor : int
+        Side of a cell in texels.
     """
 
     position: FloatArray
@@ -61,11 +64,13 @@ class Level:
     cell: NDArray[np.int64]
     center: FloatArray
     block_side: float
+    factor: int
 
 
 def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
     """Return (H, W) V of HSV: the largest of the three channels."""
-    return texture_linear.astype(np.float64).max(-1)
+    red, green, blue = np.moveaxis(texture_linear, -1, 0)
+    return np.maximum(np.maximum(red, green), blue).astype(np.float64)
 
 
 def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:
@@ -121,22 +126,20 @@ def build_level(
     assert image.texture_linear is not None
     field = value_channel(image.texture_linear) if values is None else values
     factor = max(1, -(-max(image.shape) // size))
-    rows, columns = np.nonzero(usable)
-    width = -(-image.shape[1] // factor)
-    key, cell, count = np.unique(
-        (rows // factor) * width + columns // factor, return_inverse=True, return_counts=True
-    )
+    count = _cell_sums(usable[..., None].astype(np.float64), usable, factor)[..., 0]
+    filled = count > 0
 
     def mean(field: NDArray) -> FloatArray:
-        flat = field[rows, columns].astype(np.float64).reshape(len(rows), -1)
-        sums = [np.bincount(cell, flat[:, c], len(count)) for c in range(flat.shape[1])]
-        return np.stack(sums, 1) / count[:, None]
+        flat = np.ascontiguousarray(field).reshape(*field.shape[:2], -1)
+        return _cell_sums(flat, usable, factor)[filled] / count[filled][:, None]
 
     position, value = mean(image.position), mean(field)[:, 0]
-    scale = np.ones(len(count)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
-    anchor = image.position[rows, columns][_closest_member(image.position[rows, columns], position, cell)]
+    scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
+    center = mean(np.moveaxis(np.indices(image.shape), 0, -1))
+    middle = np.zeros((*filled.shape, 3))
+    middle[filled] = position
+    anchor = image.position[tuple(_closest_texels(image.position, middle, usable, factor)[filled].T)]
     unit = max(float(np.median(field[usable])), 1e-12)
-    center = np.stack([np.bincount(cell, axis) / count for axis in (rows, columns)], 1)
     side = block_side(image, options)
     blocks, block_count = partitions(center, side, ((0.0, 0.0), (0.5, 0.5)))
     return Level(
@@ -144,23 +147,48 @@ def build_level(
         _unit(mean(image.normal)),
         anchor,
         value / unit,
-        count / factor**2,
+        count[filled] / factor**2,
         scale,
         blocks,
         block_count,
         unit,
         mean(image.texture_linear) / unit,
-        np.stack([key // width, key % width], 1),
+        np.argwhere(filled),
         center,
         side,
+        factor,
     )
 
 
-def _closest_member(texels: FloatArray, mean: FloatArray, cell: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each cell the index of its texel closest to the cell's mean."""
-    distance = np.sum((texels - mean[cell]) ** 2, 1)
-    order = np.lexsort((distance, cell))
-    return order[np.searchsorted(cell[order], np.arange(len(mean)))]
+@njit(cache=True, nogil=True)
+def _cell_sums(field, usable, factor):  # type: ignore[no-untyped-def]
+    """Return (h, w, C) the sums of `field` (H, W, C) over the usable texels of each cell."""
+    height, width, channels = field.shape
+    sums = np.zeros((-(-height // factor), -(-width // factor), channels))
+    for i in range(height):
+        for j in range(width):
+            if usable[i, j]:
+                for c in range(channels):
+                    sums[i // factor, j // factor, c] += field[i, j, c]
+    return sums
+
+
+@njit(cache=True, nogil=True)
+def _closest_texels(position, mean, usable, factor):  # type: ignore[no-untyped-def]
+    """Return (h, w, 2) row and column of each cell's usable texel closest to the cell's `mean` (h, w, 3)."""
+    found = np.zeros((mean.shape[0], mean.shape[1], 2), np.int64)
+    best = np.full(mean.shape[:2], np.inf)
+    for i in range(usable.shape[0]):
+        for j in range(usable.shape[1]):
+            if usable[i, j]:
+                a, b = i // factor, j // factor
+                square = 0.0
+                for c in range(3):
+                    square += (position[i, j, c] - mean[a, b, c]) ** 2
+                if square < best[a, b]:
+                    best[a, b] = square
+                    found[a, b, 0], found[a, b, 1] = i, j
+    return found
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -192,3 +220,19 @@ def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
     top, bottom = (gaussian_filter(field, max(1.0, sigma), mode="constant") for field in (total, mass))
     result: FloatArray = (top / np.maximum(bottom, 1e-12))[row, column]
     return result
+
+
+def cell_image(level: Level, values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """Return (H, W) `values` (N,) of the cells at the texels of `mask` that lie in them, 0 elsewhere.
+
+    Texels in cells without a usable texel get the value of the nearest cell.
+    """
+    row, column = level.cell.T
+    factor = level.factor
+    shape = tuple(-(-side // factor) for side in mask.shape)
+    grid, known = np.zeros(shape), np.zeros(shape, bool)
+    grid[row, column], known[row, column] = values, True
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    grid = grid[tuple(nearest)]
+    full = grid.repeat(factor, 0).repeat(factor, 1)[: mask.shape[0], : mask.shape[1]]
+    return np.where(mask, full, 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.evidence import LightFound
-from scan2albedo.albedo.levels import build_level
+from scan2albedo.albedo.levels import build_level, cell_image
 from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
@@ -19,6 +19,7 @@ from scan2albedo.albedo.parts import PartsDecided, albedo_change, allowed_parts,
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.residual_problem import ResidualProblem
 from scan2albedo.albedo.shadow_caster import shadow_caster
+from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.shadow_map import cone_directions
@@ -29,6 +30,8 @@ FloatArray = NDArray[np.float64]
 
 _FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
 """Intensity of the light at which a direction is tried: of the only light, of one more."""
+_NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
+"""An alternative costs more by less than this part, and its lights are this far away."""
 _SPLIT_RAD = 0.4
 """Half the angle between the two lights that replace one."""
 
@@ -88,14 +91,17 @@ class LeastSquaresSearch:
         current = self._descend(unguided, current.model, current.x)
         decided = decide_parts(unguided, current, self.options, self._descend)
         yardstick.record(decided.solution)
-        best, step = self._finish(fine, current, decided)
+        guided, best, step = self._finish(fine, current, decided)
         yardstick.record(best)
-        return LightFound(best, [self._shadows[1], decision, *decided.steps, step], self._shadows[0])
+        steps = [self._shadows[1], decision, *decided.steps, step]
+        sure, cells = light_uncertainty(guided, best, self._alternatives.of(best))
+        deviation = cell_image(guided.level, cells, self.image.mask)
+        return LightFound(best, steps, self._shadows[0], sure, deviation)
 
     def _finish(
         self, fine: ResidualProblem, full: Solution, decided: PartsDecided
-    ) -> tuple[Solution, PlanStep]:
-        """Return the optimum on the largest image, with the texture that colour tells divided out."""
+    ) -> tuple[ResidualProblem, Solution, PlanStep]:
+        """Return the largest image with the texture that colour tells divided out, and its optimum."""
         highlight = fine.highlight(full.model, full.x) if decided.keeps_highlight else None
         guided = fine.guided(highlight)
         explained = guided.guide.explained
@@ -105,7 +111,11 @@ class LeastSquaresSearch:
         best = best if math.isfinite(best.cost) else solution
         ran = explained >= 0.01
         reason = "pigment shows in the hue" if ran else "hue tells nothing of the texture"
-        return best, PlanStep("albedo.color_guide", ran, reason, evidence)
+        return guided, best, PlanStep("albedo.color_guide", ran, reason, evidence)
+
+    @cached_property
+    def _alternatives(self) -> _Alternatives:
+        return _Alternatives([])
 
     @cached_property
     def _directions(self) -> FloatArray:
@@ -152,6 +162,7 @@ class LeastSquaresSearch:
         starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self._directions)
         tried = self._polished(coarse, model, starts, self.options.starts, yardstick.record)
         polished = [self._descend(middle, s.model, s.x) for s in _apart(tried, 2)]
+        self._alternatives.note(polished)
         best = min([*polished, tried[0]] if self.meter.exhausted else polished, key=lambda s: s.cost)
         yardstick.record(best)
         full = self._with_all_parts(middle, best)
@@ -234,7 +245,14 @@ class LeastSquaresSearch:
             f"albedo by {100 * effect:.2f} % ({100 * options.light_effect:g} % asked), "
             f"{100 * share:.0f} % as strong as the strongest ({100 * options.light_share:g} % asked)"
         )
-        pays = gain >= wanted and share >= options.light_share and effect >= options.light_effect
+        apart = _smallest_angle(trial)
+        evidence += f", {math.degrees(apart):.0f} deg from the next"
+        pays = (
+            gain >= wanted
+            and share >= options.light_share
+            and effect >= options.light_effect
+            and apart >= options.light_angle_rad
+        )
         if not forced and not pays:
             row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
             return fewer, row, False
@@ -264,6 +282,28 @@ class LeastSquaresSearch:
                 )
 
 
+@dataclass(frozen=True)
+class _Alternatives:
+    """Local minima of equal models that were found on the way."""
+
+    found: list[list[Solution]]
+
+    def note(self, minima: list[Solution]) -> None:
+        """Keep the minima of one descent from several starts."""
+        self.found.append(sorted(minima, key=lambda s: s.cost))
+
+    def of(self, best: Solution) -> list[Alternative]:
+        """Return those with as many lights as `best`, elsewhere than it, that cost little more."""
+        result = []
+        for minima in self.found:
+            for other in minima:
+                excess = other.cost / minima[0].cost - 1
+                same = len(_apart([best, other], 2, _ELSEWHERE_RAD)) == 1
+                if other.model.lights == best.model.lights and not same and excess < _NEARLY_AS_GOOD:
+                    result.append(Alternative(other.hypothesis.lights(), excess))
+        return sorted(result, key=lambda a: a.excess)
+
+
 class _Yardstick:
     """One measure for a search at several image sizes: the cost on the finest, without guide."""
 
@@ -275,6 +315,13 @@ class _Yardstick:
         meter = self._finest.meter
         if not (meter.exhausted and meter.rows):
             meter.record(self._finest.linearize(solution.model, solution.x).cost)
+
+
+def _smallest_angle(solution: Solution) -> float:
+    """Return the smallest angle [rad] between two lights."""
+    rows = solution.hypothesis.rows[:, :3]
+    cosine = (rows @ rows.T)[np.triu_indices(len(rows), 1)]
+    return float(np.arccos(np.clip(cosine.max(), -1, 1)))
 
 
 def _without_weakest(solution: Solution) -> FloatArray:

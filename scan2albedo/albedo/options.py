@@ -34,17 +34,17 @@ class EstimateOptions:
     """One more light is tried on a larger image when it removes this part of `light_gain` on the smallest."""
     specular_effect: float = 0.004
     """Root mean square share of the image that a highlight has to have."""
-    specular_deviations: float = 6.0
+    specular_deviations: float = 4.0
     """Standard deviations by which its strength has to differ from 0."""
     specular_loss: float = 0.03
     """Part of the cost that it may add where it takes colour away from the texture's guide."""
     distance_effect: float = 0.014
     """Root mean square change of the albedo that a finite distance of the lights has to make."""
-    distance_deviations: float = 12.0
+    distance_deviations: float = 8.0
     """Standard deviations by which it has to differ from infinity."""
     roughness_effect: float = 0.008
     """Root mean square change of the albedo that roughness has to make."""
-    roughness_deviations: float = 4.0
+    roughness_deviations: float = 3.0
     """Standard deviations by which it has to differ from none."""
     grid_directions: int = 80
     """Light directions of the first search and of the visibility table."""
@@ -68,6 +68,8 @@ class EstimateOptions:
     """Root mean square change of the albedo that one more light has to make."""
     light_share: float = 0.1
     """Intensity that every light has to have, as a part of the strongest one's."""
+    light_angle_rad: float = 0.26
+    """Angle between two lights below which they count as one."""
     distance_gain: float = 0.01
     """Part of the cost that a finite distance of the lights has to remove."""
     roughness_gain: float = 0.005

@@ -29,7 +29,7 @@ _AROUND = 0.03
 """Standard deviation of the local mean of the brightness as a part of the chart's side."""
 _LATTICE = 2.0
 """Shadows are computed for directions this many cells apart (of the unit sphere's image) and blended."""
-_CLUSTER_AREA = 0.012
+_CLUSTER_AREA = 0.03
 """Area of a cluster of cells, beyond which texture is taken to be independent, as a part of the chart's."""
 
 
@@ -118,11 +118,16 @@ class ResidualProblem:
         self.linearize(model, x)
         return self._light.copy()
 
-    def linearize(self, model: LightModel, x: FloatArray) -> Linearization:
-        """Return the cost at x and its normal equations; one counted evaluation."""
+    def linearize(self, model: LightModel, x: FloatArray, *, outlines: bool = True) -> Linearization:
+        """Return the cost at x and its normal equations; one counted evaluation.
+
+        Without `outlines` the shadows' outlines stay where they are when the light moves.
+        """
         self.meter.count()
         hypothesis, size = model.decode(x), model.size
         visible, visible_slope = self._visibility(model, x)
+        if not outlines:
+            visible_slope = np.zeros_like(visible_slope)
         reflectance = hypothesis.reflectance
         if len(self._slopes[0]) < size:
             self._slopes = np.empty((size, len(self._value))), np.empty((size, len(self._value)))
@@ -168,13 +173,18 @@ class ResidualProblem:
     def covariance(self, model: LightModel, x: FloatArray) -> FloatArray:
         """Return (P, P) the covariance of x at an optimum, robust to texture that correlates nearby.
 
-        H^-1 (sum_c g_c g_c') H^-1 with the gradients g_c of patches of the surface.
+        H^-1 (sum_c g_c g_c') H^-1 with the gradients g_c of patches of the surface, and H scaled from the
+        weights of reweighting to the loss's own curvature. Shadow outlines are left out: where exactly they
+        run depends on the mesh's every edge.
 
         References
         ----------
         .. [1] H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50(1), 1982.
         """
-        matrix = self.linearize(model, x).matrix * self._total
+        matrix = self.linearize(model, x, outlines=False).matrix * self._total
+        # Weights are w^2 / s with s = sqrt((w r)^2 + e^2), the loss's curvature w^2 e^2 / s^3.
+        scale = self._weight / np.maximum(self._robust, 1e-30)
+        matrix *= float(np.sum(_SOFTNESS**2 / scale**3) / np.sum(1 / scale))
         scores = np.empty((int(self._clusters.max()) + 1, model.size))
         costs = np.empty(len(scores))
         cluster_scores(*self._arguments(), self._clusters, scores, costs)
@@ -182,6 +192,15 @@ class ResidualProblem:
         inverse = np.linalg.pinv(matrix * np.outer(scaling, scaling), rcond=1e-10)
         half = inverse @ (scores * scaling).T
         return (half @ half.T) * np.outer(scaling, scaling)
+
+    def albedo_slopes(self, model: LightModel, x: FloatArray) -> FloatArray:
+        """Return (P, N) the derivatives of the log of (T - I_s) / I, without their means over the cells."""
+        self.linearize(model, x)
+        light_slope, specular_slope = (slope[: model.size] for slope in self._slopes)
+        below = np.maximum(self._value - self._specular, 0.05 * self._value)
+        slopes = -light_slope / self._light - specular_slope / below
+        result: FloatArray = slopes - np.average(slopes, axis=1, weights=self.level.weight)[:, None]
+        return result
 
     def _visibility(
         self, model: LightModel, x: FloatArray

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.asrm import Reflectance, Shading, shade_points
@@ -56,6 +57,10 @@ class AlbedoEstimate:
         Whether shadow rays were used.
     shadow_offset_mm : float
         Of the shadow rays.
+    uncertainty : LightUncertainty or None
+        How sure the light is; None for spherical harmonics, other refiners, and where the budget ended first.
+    albedo_deviation : (H, W) float32 or None
+        Relative standard deviation of the albedo that follows from it, best scale removed.
     """
 
     albedo_linear: NDArray[np.float32]
@@ -75,6 +80,8 @@ class AlbedoEstimate:
     reflectance: Reflectance
     casts_shadows: bool
     shadow_offset_mm: float
+    uncertainty: LightUncertainty | None = None
+    albedo_deviation: NDArray[np.float32] | None = None
 
     def relit(self, lights: Sequence[PointLight]) -> NDArray[np.float32]:
         """Return (H, W, 3) the linear texture under other lights, with shadows and ambient = 1.

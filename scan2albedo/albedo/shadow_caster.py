@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.io.geometry_image import GeometryImage, Occluder
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
+
+_COARSE = 160
+"""Longer side, in texels, of a chart that tells whether there are shadows."""
 
 
 def shadow_caster(
@@ -29,21 +32,43 @@ def shadow_caster(
         Of distant lights that are tried.
     options : EstimateOptions
     """
-    vertices, faces = image.occluder_mesh()
     stage, asked = "albedo.shadows", options.shadows
     if asked is False:
         return None, PlanStep(stage, False, "left out by the caller")
+    vertices, faces = _coarse_occluder(image) if asked is None else image.occluder_mesh()
+    if not len(faces):
+        vertices, faces = image.occluder_mesh()
     if not len(faces):
         return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
     caster = RayCaster(vertices, faces)
-    shadows = ShadowMap(caster, level.anchor, level.normal, options.shadow_offset_mm)
-    worst = 0.0
-    for direction in directions:
-        # At the terminator facets shade texels whose smooth normal still faces the light.
-        facing = level.normal @ direction > 0.2
-        if facing.any():
-            worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
+    worst = _largest_shadow(
+        ShadowMap(caster, level.anchor, level.normal, options.shadow_offset_mm), directions
+    )
     evidence = f"at most {100 * worst:.1f} % of the texels facing a light lie in cast shadow"
     if asked is None and worst < options.shadow_fraction:
         return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
+    if asked is None:
+        caster = RayCaster(*image.occluder_mesh())
     return caster, PlanStep(stage, True, "asked for" if asked else "the surface shades itself", evidence)
+
+
+def _coarse_occluder(image: GeometryImage) -> Occluder:
+    """Return a mesh good enough to see whether there are shadows: a dense chart takes long to make ready."""
+    step = -(-max(image.shape) // _COARSE)
+    if image.occluder is not None or step == 1:
+        return image.occluder_mesh()
+    part = slice(None, None, step)
+    return GeometryImage(
+        image.position[part, part], image.normal[part, part], image.mask[part, part]
+    ).triangulated()
+
+
+def _largest_shadow(shadows: ShadowMap, directions: FloatArray) -> float:
+    """Return the largest part of the points facing one of `directions` (D, 3) that lies in cast shadow."""
+    worst = 0.0
+    for direction in directions:
+        # At the terminator facets shade texels whose smooth normal still faces the light.
+        facing = shadows.normal @ direction > 0.2
+        if facing.any():
+            worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
+    return worst

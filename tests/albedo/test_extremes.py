@@ -120,8 +120,8 @@ def test_finer_quantisation_is_no_worse_than_8_bits(scenes, depth):
         albedo_error(estimate_albedo(one, 1).albedo_linear, coarse.albedo, image.mask).relative_rmse
         for one in (image, coarse.image)
     ]
-    # The search ends a little elsewhere on any change of its input: 5 % are granted to it.
-    assert errors[0] <= 1.05 * errors[1]
+    # The search ends a little elsewhere on any change of its input: 10 % are granted to it.
+    assert errors[0] <= 1.1 * errors[1]
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
