@@ -1,10 +1,11 @@
 """Albedo error against CPU time: ours beside filters, spherical harmonics and the paper's objective.
 
-    python tools/bench_albedo.py [--size 128] [--scenes NAME ...] [--out DIR]
+    python tools/bench_albedo.py [--size 128] [--scenes NAME ...] [--peers slow] [--out DIR]
 
-Every scene is synthetic with a known albedo, 8 bits, rendered by the package's own ray tracer. Error is
-100 x MSE of V after the best single scale. "true light" divides by the true shading: noise and 8 bits are all
-that is left. Prints the worst and the mean of each group of scenes, and what failed.
+Every scene is synthetic with a known albedo and 8 bits. The "mitsuba" groups are path-traced (the set of
+tests/albedo/mitsuba_scenes, always 128 texels wide), the others are from the package's own ray tracer. Error
+is 100 x MSE of V after the best single scale. "true light" divides by the true shading: noise and 8 bits are
+all that is left. Prints the worst and the mean of each group of scenes, and what failed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from albedo_peers import homomorphic, multi_scale_retinex, robust_harmonics
+from mitsuba_set import load_scenes
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -41,17 +43,23 @@ MAKERS: dict[str, Callable[..., SyntheticScene]] = {"hemisphere": hemisphere, "f
 
 @dataclass(frozen=True)
 class Case:
-    """One scene of a group; `image` is what the methods see."""
+    """One scene of a group; `image` is what the methods see, `unlit` (H, W) V divided by the true light."""
 
     group: str
     name: str
-    scene: SyntheticScene
     image: s2a.GeometryImage
+    albedo_linear: NDArray[np.float32]
+    lights: tuple[s2a.PointLight, ...]
+    unlit: FloatArray
 
 
 @dataclass(frozen=True)
 class Score:
-    """One method on one case; `light_deg` is NaN where no lights are found, or another number of them."""
+    """One method on one case.
+
+    `light_deg` is NaN where no lights are found, or another number of them; `unclipped_percent` is the
+    MSE of the texels below white, NaN where all of them are.
+    """
 
     group: str
     case: str
@@ -60,14 +68,49 @@ class Score:
     light_deg: float
     cpu_s: float
     evaluations: int
+    unclipped_percent: float
+
+
+def is_wanted(group: str, wanted: set[str]) -> bool:
+    """Tell whether a group is named by `wanted`, whole or by its first words; by an empty set it is.
+
+    >>> is_wanted("face clean", {"face"}), is_wanted("mitsuba face distant", {"face"})
+    (True, False)
+    """
+    return not wanted or any(f"{group} ".startswith(f"{name} ") for name in wanted)
+
+
+def synthetic_case(group: str, name: str, scene: SyntheticScene, image: s2a.GeometryImage) -> Case:
+    """Return a case of the package's own renderer."""
+    assert image.texture_linear is not None
+    shading = np.where(image.mask, scene.shading, 1)
+    unlit = np.where(image.mask, (value_of(image.texture_linear) - scene.gain * scene.specular) / shading, 0)
+    return Case(group, name, image, scene.albedo_linear, scene.lights, unlit)
+
+
+def mitsuba_cases(wanted: set[str]) -> Iterator[Case]:
+    """Yield the path-traced scenes of the groups wanted (all when empty)."""
+    for scene in load_scenes():
+        group = f"mitsuba {scene.group}"
+        if is_wanted(group, wanted):
+            assert scene.image.texture_linear is not None
+            light = np.where(scene.image.mask, scene.light_on_value, 1)
+            unlit = value_of(scene.image.texture_linear) / light
+            yield Case(group, scene.name, scene.image, scene.albedo_linear, scene.lights, unlit)
 
 
 def cases(size: int, wanted: set[str]) -> Iterator[Case]:
     """Yield the scenes of the groups wanted (all when empty)."""
+    yield from synthetic_cases(size, wanted)
+    yield from mitsuba_cases(wanted)
+
+
+def synthetic_cases(size: int, wanted: set[str]) -> Iterator[Case]:
+    """Yield the scenes of the package's own renderer."""
     for shape, make in MAKERS.items():
         for group, noise, tilt in (("clean", 0.0, 0.0), ("noise", 0.02, 0.0), ("normals", 0.0, 3.0)):
             name = f"{shape} {group}"
-            if wanted and name not in wanted:
+            if not is_wanted(name, wanted):
                 continue
             for texture in TEXTURES:
                 for grain in GRAINS if group == "clean" else GRAINS[:1]:
@@ -82,7 +125,7 @@ def cases(size: int, wanted: set[str]) -> Iterator[Case]:
                         image = scene.image
                         if tilt:
                             image = with_normal_error(image, tilt, np.random.default_rng(0))
-                        yield Case(name, f"{texture} {grain:g} {azimuth}/{elevation}", scene, image)
+                        yield synthetic_case(name, f"{texture} {grain:g} {azimuth}/{elevation}", scene, image)
         for group, lights, material in (
             ("near", [light_at(40, 10, distance_mm=700)], Material()),
             ("gloss", [light_at(30, 10)], Material(specular_strength=0.15)),
@@ -95,11 +138,11 @@ def cases(size: int, wanted: set[str]) -> Iterator[Case]:
             ("three lights", [light_at(60), light_at(-50, 20), light_at(0, 60)], Material()),
         ):
             name = f"{shape} {group}"
-            if wanted and name not in wanted:
+            if not is_wanted(name, wanted):
                 continue
             for texture in TEXTURES:
                 scene = make(texture=texture, size=size, lights=lights, material=material)
-                yield Case(name, texture, scene, scene.image)
+                yield synthetic_case(name, texture, scene, scene.image)
 
 
 def value_of(linear: NDArray) -> FloatArray:
@@ -117,19 +160,22 @@ def light_error_deg(found: tuple[s2a.PointLight, ...], true: tuple[s2a.PointLigh
     return float(np.degrees(np.arccos(np.clip(cosine[rows, columns], -1, 1))).max())
 
 
-def scores(case: Case, seeds: int) -> Iterator[Score]:
-    scene, image, mask = case.scene, case.image, case.image.mask
+def scores(case: Case, seeds: int, peers: str | None) -> Iterator[Score]:
+    image, mask = case.image, case.image.mask
     assert image.texture_linear is not None
-    value, truth = value_of(image.texture_linear), value_of(scene.albedo_linear)
+    value, truth = value_of(image.texture_linear), value_of(case.albedo_linear)
+    unclipped = mask & (image.texture_linear < 1).all(2)
 
     def score(method: str, albedo: FloatArray, light: float, cpu_s: float, evaluations: int = 0) -> Score:
         error = albedo_error(albedo, truth, mask).mse_percent
-        return Score(case.group, case.name, method, error, light, cpu_s, evaluations)
+        below_white = (
+            nan if unclipped.sum() == mask.sum() else albedo_error(albedo, truth, unclipped).mse_percent
+        )
+        return Score(case.group, case.name, method, error, light, cpu_s, evaluations, below_white)
 
     nan = float("nan")
     yield score("as it is", value, nan, 0.0)
-    plain = np.where(mask, (value - scene.gain * scene.specular) / np.where(mask, scene.shading, 1), 0)
-    yield score("true light", plain, 0.0, 0.0)
+    yield score("true light", case.unlit, 0.0, 0.0)
     for method, options, seed in [
         *(("scan2albedo", EstimateOptions(), seed) for seed in range(seeds)),
         ("paper's objective", EstimateOptions(objective="albedo-deviation"), 0),
@@ -140,7 +186,7 @@ def scores(case: Case, seeds: int) -> Iterator[Score]:
         yield score(
             method,
             value_of(found.albedo_linear),
-            light_error_deg(found.lights, scene.lights),
+            light_error_deg(found.lights, case.lights),
             spent,
             found.iterations,
         )
@@ -152,12 +198,20 @@ def scores(case: Case, seeds: int) -> Iterator[Score]:
         start = time.process_time()
         albedo = filtered()
         yield score(method, albedo, nan, time.process_time() - start)
+    if peers == "slow":
+        # Imported here: they need Mitsuba and minutes.
+        from albedo_peers_slow import SLOW_PEERS
+
+        for method, peer in SLOW_PEERS.items():
+            answer = peer(image, len(case.lights))
+            light = light_error_deg(answer.lights, case.lights)
+            yield score(method, answer.albedo_value, light, answer.cpu_s, answer.evaluations)
 
 
 def table(found: list[Score]) -> str:
     """Return one line for each group and method."""
     lines = [
-        f"{'scenes':24}{'method':20}{'n':>4}{'MSE % mean':>12}{'worst':>9}{'light deg mean':>16}"
+        f"{'scenes':30}{'method':20}{'n':>4}{'MSE % mean':>12}{'worst':>9}{'light deg mean':>16}"
         f"{'worst':>8}{'count right':>13}{'CPU s':>8}{'evals':>8}"
     ]
     groups = dict.fromkeys((s.group, s.method) for s in found)
@@ -167,10 +221,14 @@ def table(found: list[Score]) -> str:
         known = angles[~np.isnan(angles)]
         light = f"{known.mean():16.2f}{known.max():8.2f}" if len(known) else f"{'-':>16}{'-':>8}"
         lines.append(
-            f"{group:24}{method:20}{len(rows):4d}{errors.mean():12.4f}{errors.max():9.4f}{light}"
+            f"{group:30}{method:20}{len(rows):4d}{errors.mean():12.4f}{errors.max():9.4f}{light}"
             f"{f'{len(known)}/{len(rows)}':>13}{np.mean([s.cpu_s for s in rows]):8.2f}"
             f"{np.mean([s.evaluations for s in rows]):8.0f}"
         )
+    over = [s for s in found if not np.isnan(s.unclipped_percent)]
+    if over:
+        lines += ["", "scenes with texels at white, MSE % of the texels below white"]
+        lines += [f"  {s.group:34}{s.case:34}{s.method:20}{s.unclipped_percent:9.4f}" for s in over]
     return "\n".join(lines)
 
 
@@ -178,18 +236,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--seeds", type=int, default=1, help="seeds of our estimate, each counted")
-    parser.add_argument("--scenes", nargs="*", default=[], help='groups, e.g. "face clean"; all when omitted')
+    parser.add_argument(
+        "--scenes",
+        nargs="*",
+        default=[],
+        help='groups, whole or by their first words, e.g. "face clean" mitsuba; all when omitted',
+    )
+    parser.add_argument("--peers", choices=["slow"], help="scipy's annealing and Mitsuba's gradients too")
     parser.add_argument("--out", type=Path, help="a folder for albedo_scores.csv")
     parser.add_argument("--worst", type=int, default=8, help="how many of our worst scenes to name")
     arguments = parser.parse_args()
     found: list[Score] = []
     for case in cases(arguments.size, set(arguments.scenes)):
-        found += scores(case, arguments.seeds)
+        found += scores(case, arguments.seeds, arguments.peers)
     print(table(found))
     ours = sorted((s for s in found if s.method == "scan2albedo"), key=lambda s: -s.mse_percent)
     print("\nour worst scenes")
     for s in ours[: arguments.worst]:
-        print(f"  {s.group:24}{s.case:24}{s.mse_percent:8.4f} %  light {s.light_deg:6.2f} deg")
+        print(f"  {s.group:30}{s.case:36}{s.mse_percent:8.4f} %  light {s.light_deg:6.2f} deg")
     behind = [
         (s, p)
         for s in ours
@@ -200,12 +264,13 @@ def main() -> None:
     ]
     print(f"\nbehind a filter or SH-2 by more than 0.02 points: {len(behind)} times")
     for s, p in behind[: arguments.worst]:
-        print(f"  {s.group:24}{s.case:24}{s.mse_percent:8.4f}  {p.method} {p.mse_percent:.4f}")
+        print(f"  {s.group:30}{s.case:36}{s.mse_percent:8.4f}  {p.method} {p.mse_percent:.4f}")
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-        lines = ["group,case,method,mse_percent,light_deg,cpu_s,evaluations"]
+        lines = ["group,case,method,mse_percent,light_deg,cpu_s,evaluations,unclipped_percent"]
         lines += [
-            f"{s.group},{s.case},{s.method},{s.mse_percent:.6g},{s.light_deg:.4g},{s.cpu_s:.4g},{s.evaluations}"
+            f"{s.group},{s.case},{s.method},{s.mse_percent:.6g},{s.light_deg:.4g},{s.cpu_s:.4g},{s.evaluations},"
+            f"{s.unclipped_percent:.6g}"
             for s in found
         ]
         (arguments.out / "albedo_scores.csv").write_text("\n".join(lines) + "\n")
