@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.optimize import nnls
 
+from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -16,6 +18,10 @@ _WINDOW = 3
 _STATISTICS_WINDOW = 17
 _NOISE_GROUPS = 12
 _DIM = 0.15
+_SHARP, _BESIDE = 0.3, 9
+"""Fall of log light between neighbours that makes a sharp outline; window of the means beside it."""
+_TAKEN_OVER = 0.9
+"""Light is continued into texels that keep less than this part of their own quotient."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +41,15 @@ def divide_light(
     usable: BoolArray,
     *,
     shrink: bool = True,
-    block_side: float = 64.0,
 ) -> Division:
     """Return (V - I_s) / I, drawn toward the neighbourhood's albedo where noise outweighs it.
 
     With noise of standard deviation s in V the quotient has variance s^2 / I^2. Against a local variance t
     of the albedo the best linear estimate keeps the part c = t / (t + s^2 / I^2) of the texel's own
     deviation from the local mean (Wiener's filter). Where the light is less than about a seventh of its
-    median, what errs is the light itself: there the albedo is drawn on toward its block's mean by
-    the part 1 / (1 + (I / (0.15 median I))^6). The product of the two is the confidence.
+    median, what errs is the light itself, for surfaces around send some that no lamp does: there log I is
+    continued smoothly (harmonically) from where there is more, and the quotient by it takes over by the part
+    1 / (1 + (I / (0.15 median I))^6). The product of the two is the confidence.
 
     Parameters
     ----------
@@ -53,8 +59,6 @@ def divide_light(
         The surface; the texels with a trustworthy value. The others get confidence 0.
     shrink : bool
         Draw toward the means; the confidence is reported in any case.
-    block_side : float
-        Side of a block in texels.
     """
     divisor = np.where(light > 0, light, 1.0)
     quotient = np.where(mask, np.maximum(value - specular, 0.0) / divisor, 0.0)
@@ -70,10 +74,37 @@ def divide_light(
     kept = np.where(usable, mean + own * (quotient - mean), quotient)
     typical = float(np.median(light[usable])) if usable.any() else 1.0
     lit = 1 / (1 + (_DIM * typical / divisor) ** 6)
-    block = _local_mean(quotient, weight, 2 * round(block_side / 2) + 1)
-    kept = block + lit * (kept - block) if shrink else quotient
+    if shrink:
+        continued = np.maximum(value - specular, 0.0) / _continued_light(
+            value, light, lit < _TAKEN_OVER, mask, usable
+        )
+        kept = continued + lit * (kept - continued)
+    else:
+        kept = quotient
     albedo = np.where(mask, np.maximum(kept, 0.0), 0.0)
     return Division(albedo, np.where(usable, own * lit, 0.0), noise)
+
+
+def _continued_light(
+    value: FloatArray, light: FloatArray, dim: BoolArray, mask: BoolArray, usable: BoolArray
+) -> FloatArray:
+    """Return `light` with its logarithm continued harmonically into `dim`; > 0 everywhere.
+
+    Across a shadow's sharp outline the light falls by as much as `value` does on average: not the light
+    but the albedo goes on there.
+    """
+    log_light = np.log(np.where(light > 0, light, 1.0))
+    region, known = dim & mask, mask & ~dim
+    if not (region.any() and known.any()):
+        return np.exp(log_light)
+    inside, outside = (_local_mean(value, (side & usable).astype(float), _BESIDE) for side in (region, known))
+    around = np.log(np.maximum(np.where(region, inside, outside), 1e-6))
+    falls = []
+    differences = zip(forward_differences(log_light), forward_differences(around), strict=True)
+    for axis, (fall, observed) in zip((1, 0), differences, strict=True):
+        outline = (np.diff(region.astype(int), axis=axis) != 0) & (np.abs(fall) > _SHARP)
+        falls.append(np.where(outline, observed, 0.0))
+    return np.exp(integrate_gradients(log_light, region, known, *falls))
 
 
 def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:

@@ -13,7 +13,7 @@ from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.evidence import LightFound, LightSearch
 from scan2albedo.albedo.finishing import inpainted, rectified
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import block_side, median_value, usable_texels, value_channel
+from scan2albedo.albedo.levels import median_value, usable_texels, value_channel
 from scan2albedo.albedo.light_search import LeastSquaresSearch
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
@@ -131,9 +131,7 @@ def _divide(
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
     value = value_channel(image.texture_linear)
-    division = divide_light(
-        value, light, specular, mask, usable, shrink=options.shrink, block_side=block_side(image, options)
-    )
+    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
     albedo, rectification = rectified(division.albedo, light, cast, usable, options)
     # A highlight is white: what remains below it has the albedo's hue.
     below = np.maximum(image.texture_linear - specular[..., None], 0)
@@ -216,7 +214,6 @@ def _divide_harmonics(
             image.mask,
             usable,
             shrink=options.shrink,
-            block_side=block_side(image, options),
         )
         for c in range(3)
     ]

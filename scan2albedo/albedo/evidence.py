@@ -30,6 +30,8 @@ _PARTS = {
 }
 
 
+_PAYS = {"near": 0.01, "specular": 0.01, "rough": 0.005}
+"""Part of the cost that each part has to remove."""
 CLOSER_LOOK = 0.75
 """A third light is tried when it removes this part of what is asked on the smallest image."""
 COARSE_STARTS, COARSE_STEP = 8, 3
@@ -239,9 +241,9 @@ class LightSearch:
             if choice and not getattr(current.model, part):
                 current = self._free(problem, current, part)
         pay = {
-            "near": options.distance_gain,
-            "specular": options.specular_gain,
-            "rough": options.roughness_gain,
+            "near": _PAYS["near"],
+            "specular": _PAYS["specular"],
+            "rough": _PAYS["rough"],
         }
         wanted = {
             part: pay[part]

@@ -38,10 +38,12 @@ class EstimateOptions:
     """Standard deviations by which its strength has to differ from 0."""
     specular_loss: float = 0.03
     """Part of the cost that it may add where it takes colour away from the texture's guide."""
+    specular_beyond: float = 0.02
+    """Part of the cells on which it may exceed the darkest channel: it is white."""
     distance_effect: float = 0.014
     """Root mean square change of the albedo that a finite distance of the lights has to make."""
     distance_deviations: float = 8.0
-    """Standard deviations by which it has to differ from infinity."""
+    """Standard deviations by which it has to differ from infinity; `distance_gain` serves as well."""
     roughness_effect: float = 0.008
     """Root mean square change of the albedo that roughness has to make."""
     roughness_deviations: float = 3.0
@@ -62,7 +64,7 @@ class EstimateOptions:
     """Evaluations of simulated annealing, where it runs."""
     maximal_lights: int = 3
     """Most lights that `lights="auto"` tries."""
-    light_gain: float = 0.025
+    light_gain: float = 0.04
     """Part of the cost that one more light has to remove."""
     light_effect: float = 0.02
     """Root mean square change of the albedo that one more light has to make."""
@@ -70,9 +72,9 @@ class EstimateOptions:
     """Intensity that every light has to have, as a part of the strongest one's."""
     light_angle_rad: float = 0.26
     """Angle between two lights below which they count as one."""
-    distance_gain: float = 0.01
+    distance_gain: float = 0.04
     """Part of the cost that a finite distance of the lights has to remove."""
-    roughness_gain: float = 0.005
+    roughness_gain: float = 0.04
     """Part of the cost that roughness has to remove."""
     specular_gain: float = 0.05
     """Part of the cost that a highlight has to remove."""

@@ -27,11 +27,15 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Need:
-    """What a part of the model does: `effect`, the root mean square change of the albedo without it as a
-    part; `deviations`, its parameter in standard deviations from nothing."""
+    """What a part of the model does.
+
+    `effect` is the root mean square change of the albedo without it, as a part; `deviations` its parameter in
+    standard deviations from nothing; `gain` the part of the cost that it removes.
+    """
 
     effect: float
     deviations: float
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,9 @@ def decide_parts(
         need = _need(chosen, current, without, part)
         least = options.distance_effect if part == "near" else options.roughness_effect
         deviations = options.distance_deviations if part == "near" else options.roughness_deviations
-        enters = need.effect >= least and need.deviations >= deviations
-        rows.append(_row(part, enters, need, least, deviations))
+        gain = options.distance_gain if part == "near" else options.roughness_gain
+        enters = need.effect >= least and (need.deviations >= deviations or need.gain >= gain)
+        rows.append(_row(part, enters, need, least, deviations, gain))
         if not enters:
             current = without
     rows += [
@@ -133,15 +138,22 @@ def _decide_highlight(
     if not (np.isfinite(glossy.cost) and np.isfinite(plain.cost)):
         return full, problem, False
     gain = 1 - glossy.cost / plain.cost
-    share = glossy_problem.highlight(glossy.model, glossy.x) / problem.level.value
-    effect = float(np.sqrt(np.mean(share**2)))
-    enters = effect >= options.specular_effect and (
-        gain >= options.specular_gain
-        or (deviations >= options.specular_deviations and gain >= -options.specular_loss)
+    found = glossy_problem.highlight(glossy.model, glossy.x)
+    effect = float(np.sqrt(np.mean((found / problem.level.value) ** 2)))
+    # A white highlight leaves something of every channel.
+    beyond = float(np.mean(found > problem.level.color.min(1)))
+    enters = (
+        effect >= options.specular_effect
+        and beyond <= options.specular_beyond
+        and (
+            gain >= options.specular_gain
+            or (deviations >= options.specular_deviations and gain >= -options.specular_loss)
+        )
     )
     evidence = (
         f"{100 * effect:.2f} % of the image ({100 * options.specular_effect:g} % asked), {deviations:.0f} "
-        f"standard deviations ({options.specular_deviations:g} asked), removes {100 * gain:.1f} % of the cost"
+        f"standard deviations ({options.specular_deviations:g} asked), removes {100 * gain:.1f} % of the "
+        f"cost, brighter than a channel on {100 * beyond:.1f} % of the cells"
     )
     rows.append(PlanStep(stage, enters, f"{what} matters" if enters else f"{what} does not matter", evidence))
     return (glossy, glossy_problem, True) if enters else (plain, plain_problem, False)
@@ -153,7 +165,8 @@ def _without(problem: ResidualProblem, full: Solution, part: str, descend: Desce
 
 
 def _need(problem: ResidualProblem, full: Solution, without: Solution, part: str) -> Need:
-    return Need(albedo_change(problem, full, without), _deviations(problem, full, part))
+    change, gain = albedo_change(problem, full, without), 1 - full.cost / without.cost
+    return Need(change, _deviations(problem, full, part), gain)
 
 
 def albedo_change(problem: ResidualProblem, first: Solution, second: Solution) -> float:
@@ -171,12 +184,13 @@ def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> floa
     return away / max(np.sqrt(max(variance, 0.0)), 1e-9)
 
 
-def _row(part: str, enters: bool, need: Need, least: float, deviations: float) -> PlanStep:
+def _row(part: str, enters: bool, need: Need, least: float, deviations: float, gain: float) -> PlanStep:
     stage, what = STAGES[part]
     return PlanStep(
         stage,
         enters,
         f"{what} matters" if enters else f"{what} does not matter",
         f"changes the albedo by {100 * need.effect:.2f} % ({100 * least:g} % asked), "
-        f"{need.deviations:.0f} standard deviations from none ({deviations:g} asked)",
+        f"{need.deviations:.0f} standard deviations from none ({deviations:g} asked), "
+        f"removes {100 * need.gain:.1f} % of the cost ({100 * gain:g} %)",
     )

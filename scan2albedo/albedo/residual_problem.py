@@ -23,8 +23,9 @@ FloatArray = NDArray[np.float64]
 _SHIFTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 _SOFTNESS = 0.02
 """Residuals, as parts of the local brightness, beyond which they count as outliers do."""
-_DARK = 0.02
-"""Brightness, as a part of the median, at which noise and texture are taken to be alike."""
+_DARK = 0.3
+"""Brightness, as a part of the median, below which cells count less: noise, hair and light from the
+surroundings matter more there than the texture."""
 _AROUND = 0.03
 """Standard deviation of the local mean of the brightness as a part of the chart's side."""
 _LATTICE = 2.0

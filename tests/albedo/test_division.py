@@ -71,7 +71,7 @@ def test_a_highlight_stronger_than_the_texel_leaves_black_not_negative():
     assert np.all(division.albedo == 0)
 
 
-def test_hardly_lit_texels_are_drawn_toward_their_block():
+def test_albedo_goes_on_across_the_outline_of_a_deep_shadow():
     rng = np.random.default_rng(2)
     albedo = 0.5 + 0.02 * rng.standard_normal((SIZE, SIZE))
     light = np.full((SIZE, SIZE), 20.0)
@@ -84,3 +84,17 @@ def test_hardly_lit_texels_are_drawn_toward_their_block():
     assert division.albedo[dark] == pytest.approx(albedo[dark], abs=0.1)
     assert division.confidence[dark].max() < 0.05
     assert _everywhere(albedo * wrong, light, shrink=False).albedo[dark].mean() > 0.9
+
+
+def test_light_is_continued_where_it_fades_out():
+    """Stray light fills what a lamp does not reach: the albedo there is not that many times too bright."""
+    rng = np.random.default_rng(2)
+    albedo = 0.5 + 0.02 * rng.standard_normal((SIZE, SIZE))
+    across = np.linspace(0, 1, SIZE)[None] * np.ones((SIZE, 1))
+    light = 1 + 19 * np.maximum(0, 1 - 1.4 * across)
+    division = _everywhere(albedo * (light + 2), light)
+    far = np.s_[:, -20:]
+    plain = _everywhere(albedo * (light + 2), light, shrink=False)
+    assert plain.albedo[far].mean() == pytest.approx(1.5, rel=0.02)
+    assert division.albedo[far].mean() < 1.25
+    assert np.corrcoef(division.albedo[far].ravel(), albedo[far].ravel())[0, 1] > 0.9
