@@ -1,0 +1,192 @@
+"""The search for the light: error against evaluations, number of lights, parts left out, speed.
+
+    python tools/bench_light_search.py [budget] [count] [speed] [--size 128]
+
+Every scene is synthetic with a known albedo, 8 bits. Error is 100 x MSE of V after the best single scale.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from bench_albedo import light_error_deg, value_of
+
+import scan2albedo as s2a
+from scan2albedo.albedo import EstimateOptions, albedo_error
+from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.problem import Problem
+from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.shadow_map import cone_directions
+from scan2albedo.optimization import Budget, Meter
+from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
+
+MAKERS = {"hemisphere": hemisphere, "face": face}
+TEXTURES = ("wood", "skin", "plain")
+BUDGETS = (100, 200, 400, 800, 2000)
+APART_DEG = 25.0
+PARTS = {"specular": "albedo.specular", "near": "albedo.near_light", "rough": "albedo.roughness"}
+
+
+def error_percent(scene: SyntheticScene, found: s2a.AlbedoEstimate) -> float:
+    truth = value_of(scene.albedo_linear)
+    return albedo_error(value_of(found.albedo_linear), truth, scene.image.mask).mse_percent
+
+
+def budget_scenes(size: int) -> Iterator[tuple[str, SyntheticScene]]:
+    for shape, make in MAKERS.items():
+        for texture in TEXTURES:
+            for azimuth, elevation in ((0, 0), (30, 15), (60, -10)):
+                lights = [light_at(azimuth, elevation)]
+                yield f"{shape}, one light", make(texture=texture, size=size, lights=lights)
+            two = [light_at(50, 10), light_at(-40, 5, intensity=2)]
+            yield f"{shape}, two lights", make(texture=texture, size=size, lights=two)
+
+
+def print_budgets(size: int) -> None:
+    """Print the error reached within numbers of evaluations."""
+    print(f"{'MSE % mean (worst) within evaluations':28}" + "".join(f"{b:>18}" for b in (*BUDGETS, "all")))
+    errors: dict[str, list[list[float]]] = {}
+    used: dict[str, list[int]] = {}
+    for name, scene in budget_scenes(size):
+        row = []
+        for budget in (*BUDGETS, None):
+            found = s2a.estimate_albedo(
+                scene.image, budget=None if budget is None else Budget(evaluations=budget)
+            )
+            row.append(error_percent(scene, found))
+        errors.setdefault(name, []).append(row)
+        used.setdefault(name, []).append(found.iterations)
+    for name, rows in errors.items():
+        table = np.array(rows)
+        cells = "".join(f"{m:9.4f} ({w:.4f})" for m, w in zip(table.mean(0), table.max(0), strict=True))
+        print(f"{name:28}{cells}   at most {max(used[name])} used")
+
+
+def count_scenes(size: int, noise: float) -> Iterator[tuple[str, SyntheticScene]]:
+    """Yield 60 scenes of one to three lights at least 25 degrees apart."""
+    rng = np.random.default_rng(5)
+    for k in range(60):
+        count = 1 + k % 3
+        lights = spread_lights(rng, count)
+        make = (hemisphere, face)[k // 3 % 2]
+        texture = TEXTURES[k // 6 % 3]
+        gloss = 0.1 if k % 4 == 3 else 0.0
+        scene = make(
+            texture=texture,  # type: ignore[arg-type]
+            grain=(1, 2.5)[k % 2],
+            size=size,
+            lights=lights,
+            noise=noise,
+            material=Material(sigma_rad=(0.0, 0.3)[k // 2 % 2], specular_strength=gloss),
+        )
+        yield f"{make.__name__} {texture} {k}", scene
+
+
+def spread_lights(rng: np.random.Generator, count: int) -> list[s2a.PointLight]:
+    """Return lights in front of the face, no two closer than `APART_DEG`."""
+    while True:
+        angles = np.stack([rng.uniform(-70, 70, count), rng.uniform(-40, 50, count)], 1)
+        lights = [light_at(a, e, intensity=float(rng.uniform(1, 3))) for a, e in angles]
+        directions = np.array([light.direction for light in lights])
+        cosine = (directions @ directions.T)[np.triu_indices(count, 1)]
+        if count == 1 or cosine.max() < np.cos(np.radians(APART_DEG)):
+            return lights
+
+
+def print_counts(size: int) -> None:
+    """Print how often the number of lights is right, and how often absent parts are left out."""
+    for noise in (0.0, 0.01):
+        right, absent, left_out, errors, angles = 0, 0, 0, [], []
+        wrong = []
+        for name, scene in count_scenes(size, noise):
+            found = s2a.estimate_albedo(scene.image)
+            same = len(found.lights) == len(scene.lights)
+            right += same
+            errors.append(error_percent(scene, found))
+            angles.append(light_error_deg(found.lights, scene.lights))
+            material = scene.parameters.material
+            lacks = {
+                "near": True,
+                "rough": material.sigma_rad == 0,
+                "specular": material.specular_strength == 0,
+            }
+            for part, lacking in lacks.items():
+                absent += lacking
+                left_out += lacking and not found.plan.ran(PARTS[part])
+            if not same:
+                wrong.append(f"{name}: {len(found.lights)} for {len(scene.lights)}, {errors[-1]:.4f} %")
+        print(
+            f"noise {noise:.2f}: number of lights right in {right} of 60; absent parts left out "
+            f"{left_out} of {absent}; MSE % mean {np.mean(errors):.4f} worst {np.max(errors):.4f}; "
+            f"light deg median {np.nanmedian(angles):.2f} worst {np.nanmax(angles):.2f}"
+        )
+        for line in wrong:
+            print(f"  {line}")
+
+
+def per_second(work, seconds: float = 1.0) -> float:  # type: ignore[no-untyped-def]
+    """Return how often `work` runs in a CPU second."""
+    work()
+    start, runs = time.process_time(), 0
+    while time.process_time() - start < seconds:
+        work()
+        runs += 1
+    return runs / (time.process_time() - start)
+
+
+def print_speed() -> None:
+    """Print evaluations a CPU second at 128 x 128 and the CPU seconds of whole estimates at 512 x 512."""
+    scene = face(size=128, lights=[light_at(40, 10)])
+    options, view = EstimateOptions(), (0.0, 0.0, 1.0)
+    level = build_level(scene.image, usable_texels(scene.image, options), 128, options)
+    caster = RayCaster(*scene.image.occluder_mesh())
+    plain = Problem(level, caster, np.array(view), "residual", 0.2, Meter("m", "u"), 0.5 / 128)
+    table = plain.table(cone_directions(120, view, options.cone_rad))
+    model = LightModel(1, "oren-nayar", view, 100.0, rough=True, specular=True)
+    x = model.from_lights(np.array([[0.6, 0.2, 0.77]]), np.array([2.0]))
+    hypothesis = model.decode(x)
+    visible = table.nearest(hypothesis.rows[0, :3])[None]
+    slopes = ResidualProblem(level, caster, np.array(view), 0.2, 0.5, Meter("m", "u"))
+    tabled = per_second(lambda: plain.evaluate(hypothesis, visible))
+    sloped = per_second(lambda: slopes.linearize(model, x))
+    print(
+        f"evaluations a CPU second at 128 x 128: {tabled:.0f} with the visibility table, {sloped:.0f} with "
+        "derivatives"
+    )
+    for name, make, lights in (
+        ("hemisphere, one light", hemisphere, [light_at(30)]),
+        ("face, one light", face, [light_at(40, 10)]),
+        ("face, two lights", face, [light_at(50, 10), light_at(-40, 5, intensity=2)]),
+    ):
+        scene = make(size=512, texture="skin", lights=lights)
+        spent = []
+        for _ in range(3):
+            start = time.process_time()
+            found = s2a.estimate_albedo(scene.image)
+            spent.append(time.process_time() - start)
+        print(
+            f"512 x 512, {name}: {np.median(spent):.2f} s CPU, {found.iterations} evaluations, "
+            f"{error_percent(scene, found):.4f} %"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", nargs="*", default=["budget", "count", "speed"])
+    parser.add_argument("--size", type=int, default=128)
+    arguments = parser.parse_args()
+    if "speed" in arguments.what:
+        print_speed()
+    if "budget" in arguments.what:
+        print_budgets(arguments.size)
+    if "count" in arguments.what:
+        print_counts(arguments.size)
+
+
+if __name__ == "__main__":
+    main()
