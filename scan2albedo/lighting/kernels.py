@@ -8,6 +8,41 @@ from numba import njit
 OREN_NAYAR, MINNAERT = 0, 1
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shade_distant(  # type: ignore[no-untyped-def]
+    normal, visible, lights, view, roughness, specular, exponent, scale, light_out, specular_out
+):
+    """Do as `shade` for Oren-Nayar under distant lights: one direction for all, a loop that vectorises."""
+    variance = roughness * roughness
+    a = 1.0 - 0.5 * variance / (variance + 0.33)
+    b = 0.45 * variance / (variance + 0.09)
+    light_out[:] = 1.0
+    specular_out[:] = 0.0
+    for k in range(lights.shape[0]):
+        square = lights[k, 0] ** 2 + lights[k, 1] ** 2 + lights[k, 2] ** 2
+        length = np.sqrt(max(square, 1e-12))
+        l0, l1, l2 = lights[k, 0] / length, lights[k, 1] / length, lights[k, 2] / length
+        energy = lights[k, 4] / max(square, 1e-12)
+        l_v = l0 * view[0] + l1 * view[1] + l2 * view[2]
+        for i in range(normal.shape[0]):
+            n_l = max(normal[i, 0] * l0 + normal[i, 1] * l1 + normal[i, 2] * l2, 0.0)
+            n_v = normal[i, 0] * view[0] + normal[i, 1] * view[1] + normal[i, 2] * view[2]
+            cos_r = max(n_v, 0.0)
+            s = max(l_v - n_l * cos_r, 0.0)
+            light_out[i] += visible[k, i] * energy * n_l * (a + b * s / max(max(n_l, cos_r), 1e-4))
+        if specular > 0.0:
+            for i in range(normal.shape[0]):
+                n_l = normal[i, 0] * l0 + normal[i, 1] * l1 + normal[i, 2] * l2
+                if n_l > 0.0 and visible[k, i] > 0:
+                    n_v = normal[i, 0] * view[0] + normal[i, 1] * view[1] + normal[i, 2] * view[2]
+                    r_v = min(2.0 * n_l * n_v - l_v, 1.0)
+                    if r_v > 0.0:
+                        specular_out[i] += energy * visible[k, i] * np.exp(exponent * np.log(r_v))
+    if specular > 0.0:
+        for i in range(normal.shape[0]):
+            specular_out[i] *= specular * scale[i]
+
+
 @njit(cache=True, nogil=True)
 def shade(  # type: ignore[no-untyped-def]
     position,
@@ -46,6 +81,11 @@ def shade(  # type: ignore[no-untyped-def]
     light_out, specular_out : (N,) float64
         Filled.
     """
+    if brdf == OREN_NAYAR and np.all(lights[:, 3] == 0.0):
+        _shade_distant(
+            normal, visible, lights, view, roughness, specular, exponent, scale, light_out, specular_out
+        )
+        return
     variance = roughness * roughness
     a = 1.0 - 0.5 * variance / (variance + 0.33)
     b = 0.45 * variance / (variance + 0.09)
