@@ -99,8 +99,8 @@ class EstimateOptions:
     rectification: bool | None = None
     """Repair of the albedo along shadow outlines."""
     inpainting: bool | None = None
-    """Repair of saturated texels: channels told by surviving ones, texture resynthesised where none did and the
-    annotation permits."""
+    """Repair of saturated texels: channels told by surviving ones, texture resynthesised where none did and
+    the annotation permits."""
 
     def __post_init__(self) -> None:
         if self.objective not in ("residual", "albedo-deviation"):
