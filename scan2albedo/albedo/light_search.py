@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.evidence import LightFound
-from scan2albedo.albedo.levels import build_level, cell_image
+from scan2albedo.albedo.levels import Level, build_level, cell_image
 from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
@@ -83,7 +83,9 @@ class LeastSquaresSearch:
                 break
             yardstick.record(current)
         if lights is not None:
-            decision = PlanStep("albedo.lights", True, f"{lights} asked for")
+            found = current.model.lights
+            short = "" if found == lights else f", {found} found before the budget ended"
+            decision = PlanStep("albedo.lights", True, f"{lights} asked for{short}")
         if self.meter.exhausted:
             return LightFound(
                 current, [self._shadows[1], decision, *undecided(self.options)], self._shadows[0]
@@ -122,7 +124,7 @@ class LeastSquaresSearch:
         return cone_directions(self.options.start_directions, self.view, self.options.cone_rad)
 
     @cached_property
-    def _coarse_level(self):  # type: ignore[no-untyped-def]
+    def _coarse_level(self) -> Level:
         return build_level(self.image, self.usable, self.options.grid_size, self.options)
 
     @cached_property
