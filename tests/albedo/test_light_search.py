@@ -10,7 +10,7 @@ from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.levels import build_level, usable_texels
 from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
-from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.albedo.residual_problem import Linearization, ResidualProblem
 from scan2albedo.lighting.shadow_map import cone_directions
 from scan2albedo.optimization import Budget, Meter
 from scan2albedo.synthetic import face, hemisphere, light_at
@@ -89,6 +89,41 @@ def test_descent_stays_in_bounds_and_rests_on_them(scenes):
     # A distant lamp on a matte surface: nearness and highlight end at none.
     assert solution.x[3] == pytest.approx(0, abs=0.01)
     assert solution.hypothesis.reflectance.specular_strength == pytest.approx(0, abs=0.01)
+
+
+class _Bowl:
+    """A quadratic cost whose parameters trade for one another, least at `bottom`."""
+
+    def __init__(self, bottom):
+        self.meter, self.bottom = Meter("albedo", "", Budget()), np.asarray(bottom)
+        self.matrix = np.array([[2.0, 0.5, 1.2], [0.5, 1.0, 0.6], [1.2, 0.6, 1.0]])
+
+    def cost(self, x):
+        return 1 + 0.5 * (x - self.bottom) @ self.matrix @ (x - self.bottom)
+
+    def linearize(self, _, x):
+        self.meter.count()
+        return Linearization(self.cost(x), self.matrix, -self.matrix @ (x - self.bottom))
+
+
+def test_descent_along_a_bound_ends_at_the_least_cost_on_it():
+    """A parameter that rests on its bound must not pull the others along where it would go."""
+    bowl = _Bowl([0.3, 0.2, MODEL.bounds[1][2] + 1.5])
+    bounds = list(zip(*MODEL.bounds, strict=True))
+    peer = minimize(bowl.cost, np.zeros(3), bounds=bounds)
+    assert peer.x[2] == MODEL.bounds[1][2]
+    solution = descend(bowl, MODEL, np.zeros(3), 30)
+    assert solution.cost == pytest.approx(peer.fun, rel=1e-5)
+    assert solution.x == pytest.approx(peer.x, abs=0.01)
+
+
+def test_promise_is_the_cost_at_the_step_where_that_is_quadratic():
+    bowl = _Bowl([0.3, -0.2, 0.4])
+    start = np.array([0.1, 0.1, 0.1])
+    promised, ahead = promise(bowl, MODEL, start)
+    assert promised == pytest.approx(bowl.cost(ahead), rel=1e-12)
+    assert promised - 1 < 0.2 * (bowl.cost(start) - 1)
+    assert bowl.meter.evaluations == 1
 
 
 def test_descent_costs_no_more_evaluations_than_allowed(skin):

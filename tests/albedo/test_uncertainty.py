@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions, estimate_albedo
-from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty
+from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty, light_uncertainty
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.point_light import PointLight
-from scan2albedo.optimization import Budget
+from scan2albedo.optimization import Budget, Meter
 from scan2albedo.synthetic import face, light_at
 
 FAR = math.inf
@@ -155,6 +159,23 @@ def test_deviations_stand_in_the_order_of_the_lights(scenes):
     assert len(sure.direction_rad) == len(sure.intensity) == 2
     # A lamp of a fifth of the strength moves the image a fifth as far.
     assert sure.direction_rad[1] > 1.5 * sure.direction_rad[0]
+
+
+def test_the_order_in_which_the_search_holds_the_lights_does_not_matter(scenes):
+    image = scenes.scene("hemisphere", "skin", [(-50, 0, 0.6, FAR), (50, 0, 3.0, FAR)], size=64).image
+    options = EstimateOptions()
+    level = build_level(image, usable_texels(image, options), 64, options)
+    model = LightModel(2, "lambert", (0.0, 0.0, 1.0), 80.0)
+    problem = ResidualProblem(level, None, np.array(model.view), 0.2, 0.5, Meter("albedo", ""))
+    x = model.from_lights(np.array([scenes.direction(-50), scenes.direction(50)]), np.array([0.6, 3.0]))
+    for _ in range(20):
+        problem.linearize(model, x)
+    weak_first, strong_first = (
+        light_uncertainty(problem, Solution(model, y, 0.0))[0] for y in (x, x[[3, 4, 5, 0, 1, 2]])
+    )
+    assert weak_first.direction_rad == pytest.approx(strong_first.direction_rad, rel=1e-3)
+    assert weak_first.intensity == pytest.approx(strong_first.intensity, rel=1e-3)
+    assert weak_first.direction_rad[1] > 1.5 * weak_first.direction_rad[0]
 
 
 @pytest.mark.parametrize(
