@@ -94,9 +94,10 @@ class LeastSquaresSearch:
         decided = decide_parts(unguided, current, self.options, self._descend)
         yardstick.record(decided.solution)
         guided, best, step = self._finish(fine, current, decided)
-        yardstick.record(best)
         steps = [self._shadows[1], decision, *decided.steps, step]
         sure, cells = light_uncertainty(guided, best, self._alternatives.of(best))
+        # Last, so that the trace ends with all evaluations spent.
+        yardstick.record(best)
         deviation = cell_image(guided.level, cells, self.image.mask)
         return LightFound(best, steps, self._shadows[0], sure, deviation)
 

@@ -242,6 +242,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                 if r_v > 0.0:
                     lobe_slope = exponent * lobe / max(r_v, 1e-9) * (2.0 * n_v * n_l_slope - l_v_slope)
                     specular_slope[j, i] += strength * seen * energy * (lobe_slope - 2.0 * lobe * stretch)
+                    if q < 2:
+                        specular_slope[j, i] += strength * visible_slope[k, q, i] * energy * lobe
             light_slope[3 * k + 2, i] += seen * energy * diffuse
             specular_slope[3 * k + 2, i] += strength * seen * energy * lobe
             if rough:

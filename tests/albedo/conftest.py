@@ -178,5 +178,6 @@ def scenes():
         hemisphere_geometry=hemisphere_geometry,
         bumps_geometry=bumps_geometry,
         texture=texture,
+        render=render,
         direction=direction,
     )

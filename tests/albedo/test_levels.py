@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions
-from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.albedo.levels import build_level, cell_image, usable_texels
 from scan2albedo.errors import LightingError
 from scan2albedo.io.geometry_image import GeometryImage
 
@@ -77,3 +77,37 @@ def test_hidden_black_and_saturated_texels_do_not_vote(make_image):
 def test_images_that_tell_nothing_are_refused_with_the_reason(make_image, fields, message):
     with pytest.raises(LightingError, match=message):
         usable_texels(make_image(**fields), OPTIONS)
+
+
+def test_cell_image_gives_every_texel_the_value_of_its_cell(make_image):
+    texture = np.full((62, 64, 3), 0.5, np.float32)
+    whole = make_image()
+    image = GeometryImage(*(field[:62] for field in (whole.position, whole.normal, whole.mask)),
+                          texture_linear=texture)  # fmt: skip
+    level = build_level(image, usable_texels(image, OPTIONS), 16, OPTIONS)
+    values = np.random.default_rng(0).uniform(1, 2, len(level.value))
+    full = cell_image(level, values, image.mask)
+    assert full.shape == (62, 64)
+    assert np.all(full[~image.mask] == 0)
+    for (row, column), value in zip(level.cell, values, strict=True):
+        cell = np.s_[4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
+        assert np.all(full[cell][image.mask[cell]] == value)
+
+
+def test_cell_image_fills_texels_that_did_not_vote_from_the_nearest_cell(make_image):
+    texture = np.full((64, 64, 3), 0.5, np.float32)
+    texture[24:40, 28:36] = 0
+    image = make_image(texture_linear=texture)
+    usable = usable_texels(image, OPTIONS)
+    level = build_level(image, usable, 16, OPTIONS)
+    full = cell_image(level, level.position[:, 0], image.mask)
+    assert np.all(full[image.mask] != 0)
+    # The hole is two cells wide: each side takes its neighbour's, which lies on its own side.
+    assert np.array_equal(full[30, 28:36], np.repeat(full[30, [27, 36]], 4))
+
+
+def test_cell_image_at_full_size_is_the_values_themselves(make_image):
+    image = make_image()
+    usable = usable_texels(image, OPTIONS)
+    level = build_level(image, usable, 64, OPTIONS)
+    assert np.array_equal(cell_image(level, level.value, image.mask)[usable], level.value)

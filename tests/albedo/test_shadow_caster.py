@@ -1,0 +1,125 @@
+"""Whether a surface shades itself is decided by rays, and on a dense chart by rays at a coarser mesh."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.albedo import EstimateOptions
+from scan2albedo.albedo.levels import build_level
+from scan2albedo.albedo.shadow_caster import shadow_caster
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.shadow_map import cone_directions
+
+OPTIONS = EstimateOptions()
+DIRECTIONS = cone_directions(60, (0, 0, 1), OPTIONS.cone_rad)
+
+
+@pytest.fixture(scope="module")
+def make_image(scenes):
+    def make(shape, size=64):
+        geometry = {"hemisphere": scenes.hemisphere_geometry, "bumps": scenes.bumps_geometry}[shape](size)
+        return GeometryImage(*geometry, texture_linear=np.full((size, size, 3), 0.5, np.float32))
+
+    return make
+
+
+def _decide(image, directions=DIRECTIONS, **options):
+    chosen = EstimateOptions(**options)
+    level = build_level(image, image.mask, 32, chosen)
+    caster, step = shadow_caster(image, level, directions, chosen)
+    assert (caster is not None) == step.ran
+    assert step.stage == "albedo.shadows"
+    return caster, step
+
+
+def _percent(step):
+    return float(re.search(r"at most ([\d.]+) %", step.evidence)[1])
+
+
+def test_a_hemisphere_casts_no_shadow_on_itself(make_image):
+    _, step = _decide(make_image("hemisphere"))
+    assert not step.ran
+    assert _percent(step) < 100 * OPTIONS.shadow_fraction
+
+
+def test_hills_shade_one_another(make_image):
+    _, step = _decide(make_image("bumps"))
+    assert step.ran
+    assert 2 < _percent(step) < 50
+
+
+def test_the_figure_is_that_of_the_worst_direction(make_image):
+    image = make_image("bumps")
+    each = [_percent(_decide(image, direction[None])[1]) for direction in DIRECTIONS[:30]]
+    assert each[0] == 0
+    assert _percent(_decide(image, DIRECTIONS[:30])[1]) == max(each) > 1
+
+
+def test_the_fraction_that_has_to_lie_in_shadow_decides(make_image):
+    image = make_image("bumps")
+    worst = _percent(_decide(image)[1]) / 100
+    assert _decide(image, shadow_fraction=0.9 * worst)[1].ran
+    assert not _decide(image, shadow_fraction=1.1 * worst)[1].ran
+
+
+@pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
+def test_the_caller_forces_shadows_and_leaves_them_out(make_image, shape):
+    image = make_image(shape)
+    _, forced = _decide(image, shadows=True)
+    assert (forced.ran, forced.reason) == (True, "asked for")
+    assert forced.evidence == _decide(image)[1].evidence
+    _, without = _decide(image, shadows=False)
+    assert (without.ran, without.reason) == (False, "left out by the caller")
+
+
+@pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
+def test_a_dense_chart_decides_as_its_full_mesh_does(make_image, shape):
+    image = make_image(shape, 256)
+    _, ours = _decide(image)
+    _, full = _decide(replace(image, occluder=image.triangulated()))
+    assert ours.ran == full.ran == (shape == "bumps")
+    # An outline runs through another row of cells at most.
+    assert _percent(ours) == pytest.approx(_percent(full), abs=1)
+
+
+def test_a_dense_chart_casts_its_shadows_with_every_texel(make_image):
+    """A spike of one texel between those that the decision looks at."""
+    image = make_image("bumps", 256)
+    position = image.position.copy()
+    position[129, 129, 2] += 30
+    caster, _ = _decide(replace(image, position=position))
+    beside = position[129, 128] + [0, 0, 15]
+    along = position[129, 129] - position[129, 128]
+    along[2] = 0
+    assert caster.occluded(beside[None], (along / np.linalg.norm(along))[None]).tolist() == [True]
+
+
+def test_an_occluder_beyond_the_chart_counts(make_image):
+    image = make_image("hemisphere")
+    vertices, faces = image.triangulated()
+    roof = np.array([[60.0, -60, 60], [60, 60, 60], [60, 60, 120], [60, -60, 120]])
+    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])])
+    _, step = _decide(replace(image, occluder=both))
+    assert step.ran
+
+
+def test_a_surface_without_triangles_casts_none(make_image):
+    image = make_image("hemisphere")
+    lone = np.zeros_like(image.mask)
+    lone[::2, ::2] = image.mask[::2, ::2]
+    for shadows in (None, True):
+        caster, step = _decide(replace(image, mask=lone), shadows=shadows)
+        assert caster is None
+        assert step.evidence == "0 faces"
+
+
+def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own(make_image):
+    """Strips of two texels fall between the texels that the decision looks at."""
+    image = make_image("bumps", 256)
+    strips = np.zeros_like(image.mask)
+    for row in range(1, 255, 4):
+        strips[row : row + 2] = True
+    _, step = _decide(replace(image, mask=strips))
+    assert step.evidence != "0 faces"

@@ -1,0 +1,195 @@
+"""How sure the light is: calibrated against the truth, larger where less is known, and told in JSON."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from scan2albedo.albedo import EstimateOptions, estimate_albedo
+from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty, light_uncertainty
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.optimization import Budget, Meter
+from scan2albedo.synthetic import face, light_at
+
+FAR = math.inf
+LIGHT = (35, 15, 2.0, FAR)
+
+
+@pytest.fixture(scope="module")
+def contrasts(scenes):
+    """Estimates of one hemisphere whose grey texture has a quarter, a half and all of the contrast."""
+    geometry = scenes.hemisphere_geometry(96)
+    skin = scenes.texture("skin", 96)[..., :1]
+    found = []
+    for contrast in (0.25, 0.5, 1.0):
+        albedo = (0.55 + contrast * (skin - 0.55)) * np.ones(3)
+        color, _ = scenes.render(geometry, albedo, [LIGHT], quantize=False)
+        found.append(estimate_albedo(GeometryImage(*geometry, texture_linear=color), 1))
+    return found
+
+
+@pytest.fixture(scope="module")
+def noisy(scenes):
+    """Estimates of a plain hemisphere under growing noise."""
+    return [
+        estimate_albedo(scenes.scene("hemisphere", "plain", [LIGHT], size=96, noise=noise).image, 1)
+        for noise in (0.01, 0.03, 0.06)
+    ]
+
+
+def _direction_rad(estimate):
+    return estimate.uncertainty.direction_rad[0]
+
+
+def _away_rad(estimate, direction):
+    return math.acos(min(1.0, float(estimate.lights[0].direction @ direction)))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("azimuth_deg", [20, 60])
+@pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
+def test_the_true_direction_lies_within_five_deviations(scenes, shape, azimuth_deg, noise):
+    scene = scenes.scene(shape, "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
+    estimate = estimate_albedo(scene.image, 1)
+    away = _away_rad(estimate, scene.light_directions[0])
+    assert away < 5 * _direction_rad(estimate)
+    # A deviation of any size would do otherwise.
+    assert math.degrees(_direction_rad(estimate)) < 4
+
+
+def test_the_true_direction_lies_within_five_deviations_under_noise(noisy, scenes):
+    for estimate in noisy:
+        assert _away_rad(estimate, scenes.direction(*LIGHT[:2])) < 5 * _direction_rad(estimate)
+        assert math.degrees(_direction_rad(estimate)) < 0.5
+
+
+def test_the_true_direction_lies_within_five_deviations_on_a_face():
+    light = light_at(40, 10, intensity=2.0)
+    estimate = estimate_albedo(face(0, size=96, lights=(light,)).image, 1)
+    assert _away_rad(estimate, light.direction) < 5 * _direction_rad(estimate)
+    assert math.degrees(_direction_rad(estimate)) < 0.5
+
+
+@pytest.mark.parametrize("source", ["noisy", "contrasts"])
+def test_deviations_grow_with_noise_and_with_texture(source, request):
+    found = request.getfixturevalue(source)
+    for figures in (
+        [_direction_rad(e) for e in found],
+        [e.uncertainty.intensity[0] for e in found],
+        [e.uncertainty.albedo for e in found],
+    ):
+        # Noise or contrast at least doubles from one to the next.
+        assert np.all(np.divide(figures[1:], figures[:-1]) > 1.4)
+        assert figures[-1] < 20 * figures[0]
+
+
+def test_albedo_deviation_is_an_image_of_the_surface(contrasts):
+    estimate = contrasts[-1]
+    deviation, mask = estimate.albedo_deviation, estimate.image.mask
+    assert deviation.dtype == np.float32
+    assert deviation.shape == mask.shape
+    assert np.all(deviation[~mask] == 0)
+    assert np.isfinite(deviation).all()
+    assert np.all(deviation >= 0)
+    assert deviation[mask].max() > 0
+    rms = math.sqrt(float(np.mean(deviation[mask] ** 2)))
+    assert rms == pytest.approx(estimate.uncertainty.albedo, rel=0.1)
+
+
+def test_albedo_deviation_tells_how_far_the_albedo_is_off(contrasts, scenes):
+    skin = scenes.texture("skin", 96)[..., 0]
+    for estimate, contrast in zip(contrasts, (0.25, 0.5, 1.0), strict=True):
+        mask = estimate.image.mask
+        true = 0.55 + contrast * (skin - 0.55)
+        ratio = np.log(estimate.albedo_linear[mask, 0] / true[mask])
+        off = float(np.std(ratio))
+        assert 0.1 < off / estimate.uncertainty.albedo < 5
+
+
+def test_the_albedo_is_least_sure_where_the_light_is_weakest_known(contrasts):
+    """A turn of the light, a strength that is off: both change the light most, for its size, in the gloom."""
+    estimate = contrasts[-1]
+    mask = estimate.image.mask
+    cosine = estimate.image.normal[mask] @ estimate.lights[0].direction
+    deviation = estimate.albedo_deviation[mask]
+    # A cell of 1/96 of the chart spans 0.03 of cosine at most.
+    lit, gloom, shade = (
+        deviation[part] for part in (cosine > 0.6, (cosine > 0.03) & (cosine < 0.2), cosine < -0.05)
+    )
+    assert gloom.mean() > 1.5 * lit.mean()
+    # Ambient light alone lights the shade, and that is 1.
+    assert np.ptp(shade) < 1e-6
+
+
+def _light(azimuth_deg, intensity=2.0):
+    return PointLight(math.radians(azimuth_deg), 0.1, math.inf, intensity)
+
+
+def test_figures_are_json(contrasts):
+    alternative = Alternative((_light(30), _light(-40)), np.float64(0.0123456))
+    for found in (
+        contrasts[0].uncertainty,
+        LightUncertainty((0.01, 0.02), (0.1, 0.2), 0.003, (alternative,)),
+    ):
+        figures = found.figures()
+        assert json.loads(json.dumps(figures)) == figures
+    assert figures["direction_deviation_deg"] == [0.573, 1.1459]
+    assert figures["intensity_deviation"] == [0.1, 0.2]
+    assert figures["albedo_deviation"] == 0.003
+    assert figures["alternatives"] == [{"lights_deg": [[30.0, 5.73], [-40.0, 5.73]], "excess": 0.01235}]
+
+
+def test_it_is_ambiguous_where_there_are_alternatives(contrasts):
+    assert not LightUncertainty((0.1,), (0.1,), 0.1).ambiguous
+    assert LightUncertainty((0.1,), (0.1,), 0.1, (Alternative((_light(0),), 0.01),)).ambiguous
+    assert not any(e.uncertainty.ambiguous for e in contrasts)
+
+
+def test_deviations_stand_in_the_order_of_the_lights(scenes):
+    scene = scenes.scene("hemisphere", "plain", [(-50, 0, 0.6, FAR), (50, 0, 3.0, FAR)], size=64)
+    estimate = estimate_albedo(scene.image, 2)
+    assert estimate.lights[0].intensity > 3 * estimate.lights[1].intensity
+    sure = estimate.uncertainty
+    assert len(sure.direction_rad) == len(sure.intensity) == 2
+    # A lamp of a fifth of the strength moves the image a fifth as far.
+    assert sure.direction_rad[1] > 1.5 * sure.direction_rad[0]
+
+
+def test_the_order_in_which_the_search_holds_the_lights_does_not_matter(scenes):
+    image = scenes.scene("hemisphere", "skin", [(-50, 0, 0.6, FAR), (50, 0, 3.0, FAR)], size=64).image
+    options = EstimateOptions()
+    level = build_level(image, usable_texels(image, options), 64, options)
+    model = LightModel(2, "lambert", (0.0, 0.0, 1.0), 80.0)
+    problem = ResidualProblem(level, None, np.array(model.view), 0.2, 0.5, Meter("albedo", ""))
+    x = model.from_lights(np.array([scenes.direction(-50), scenes.direction(50)]), np.array([0.6, 3.0]))
+    for _ in range(20):
+        problem.linearize(model, x)
+    weak_first, strong_first = (
+        light_uncertainty(problem, Solution(model, y, 0.0))[0] for y in (x, x[[3, 4, 5, 0, 1, 2]])
+    )
+    assert weak_first.direction_rad == pytest.approx(strong_first.direction_rad, rel=1e-3)
+    assert weak_first.intensity == pytest.approx(strong_first.intensity, rel=1e-3)
+    assert weak_first.direction_rad[1] > 1.5 * weak_first.direction_rad[0]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"brdf": "spherical-harmonics"},
+        {"options": EstimateOptions(refiner="nelder-mead"), "budget": Budget(evaluations=100)},
+        {"options": EstimateOptions(objective="albedo-deviation")},
+        {"budget": Budget(evaluations=50)},
+    ],
+    ids=["spherical harmonics", "another refiner", "the paper's objective", "the budget ended first"],
+)
+def test_it_is_none_where_nothing_tells_it(scenes, arguments):
+    image = scenes.scene("hemisphere", "skin", [LIGHT], size=32).image
+    estimate = estimate_albedo(image, 1, **arguments)
+    assert estimate.uncertainty is None
+    assert estimate.albedo_deviation is None

@@ -1,0 +1,200 @@
+"""The kernel that least squares uses against `shade` and against central differences."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.lighting.kernels import shade, shade_with_derivatives
+
+RADIUS_MM = 80.0
+VIEW = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+DIRECTIONS = np.array([[0.5, 0.2, 0.8], [-0.7, 0.4, 0.5], [0.1, -0.9, 0.4]])
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+INTENSITIES = np.array([2.0, 0.7, 1.3])
+STEP = 1e-5
+NAMES = {"nearness": 0.2, "variance": 0.09, "minnaert": 0.8, "specular": 0.3, "log_exponent": np.log(12.0)}
+
+MODELS = pytest.mark.parametrize("near", [False, True], ids=["distant", "near"])
+BRDFS = pytest.mark.parametrize("brdf", ["oren-nayar", "minnaert"])
+LIGHTS = pytest.mark.parametrize("lights", [1, 2, 3])
+
+
+def _model(lights, brdf, near, rough=True, specular=True):
+    model = LightModel(lights, brdf, tuple(VIEW), RADIUS_MM, near, rough, specular)
+    x = model.from_lights(DIRECTIONS[:lights], INTENSITIES[:lights])
+    x[3 * lights :] = [NAMES[row[0]] for row in model._tail]
+    return model, x
+
+
+def _points(count=400, seed=3):
+    rng = np.random.default_rng(seed)
+    normal = rng.standard_normal((count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return RADIUS_MM * normal, normal, rng.uniform(0.5, 2, count)
+
+
+def _shade(model, x, points, visible=None, visible_slope=None):
+    position, normal, scale = points
+    count, found = len(position), model.decode(x)
+    lights = np.ones((model.lights, count), np.float32) if visible is None else visible.astype(np.float32)
+    slope = np.zeros((model.lights, 2, count)) if visible_slope is None else visible_slope
+    # One row too many, as when a problem's buffers served a larger model.
+    out = [np.full(count, np.nan), np.full(count, np.nan), *np.full((2, model.size + 1, count), np.nan)]
+    shade_with_derivatives(
+        position,
+        normal,
+        lights,
+        slope.astype(np.float32),
+        found.rows,
+        model.tangents(x),
+        model.radius_mm,
+        VIEW,
+        found.reflectance.kernel_brdf,
+        found.reflectance.roughness,
+        found.reflectance.specular_strength,
+        found.reflectance.exponent,
+        scale,
+        model.near,
+        model.rough,
+        model.specular,
+        *out,
+    )
+    return out[0], out[1], out[2][: model.size], out[3][: model.size]
+
+
+def _differences(model, x, points, visible_at=lambda x: None, step_length=STEP):
+    """Return (P, N) central differences of I and of I_s."""
+    light, specular = [], []
+    for j in range(model.size):
+        step = np.zeros(model.size)
+        step[j] = step_length
+        ahead, behind = (_shade(model, y, points, visible_at(y)) for y in (x + step, x - step))
+        light.append((ahead[0] - behind[0]) / (2 * step_length))
+        specular.append((ahead[1] - behind[1]) / (2 * step_length))
+    return np.array(light), np.array(specular)
+
+
+def _away_from_kinks(model, x, points, margin=0.01):
+    """Return the points where no maximum or clipping of the reflectance changes sides near x."""
+    position, normal, _ = points
+    n_v = normal @ VIEW
+    smooth = np.abs(n_v) > margin
+    for row in model.decode(x).rows:
+        toward = row[:3] - row[3] * position
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        n_l, l_v = np.sum(normal * toward, 1), toward @ VIEW
+        cos_r = np.maximum(n_v, 0)
+        for kink in (n_l, n_l - cos_r, l_v - n_l * cos_r, 2 * n_l * n_v - l_v):
+            smooth &= np.abs(kink) > margin
+    return tuple(part[smooth] for part in points)
+
+
+@MODELS
+@BRDFS
+@LIGHTS
+def test_light_and_highlight_equal_those_of_shade(lights, brdf, near):
+    model, x = _model(lights, brdf, near)
+    points = _points()
+    light, specular = np.empty((2, len(points[0])))
+    found = model.decode(x)
+    shade(
+        *points[:2],
+        np.ones((lights, len(light)), np.uint8),
+        found.rows,
+        VIEW,
+        found.reflectance.kernel_brdf,
+        found.reflectance.roughness,
+        found.reflectance.specular_strength,
+        found.reflectance.exponent,
+        points[2],
+        light,
+        specular,
+    )
+    ours = _shade(model, x, points)
+    assert specular.max() > 0.1
+    assert ours[0] == pytest.approx(light, rel=1e-13)
+    assert ours[1] == pytest.approx(specular, rel=1e-12, abs=1e-15)
+
+
+@MODELS
+@BRDFS
+@LIGHTS
+def test_every_derivative_equals_central_differences(lights, brdf, near):
+    model, x = _model(lights, brdf, near)
+    points = _away_from_kinks(model, x, _points())
+    assert len(points[0]) > 300
+    light_slope, specular_slope = _shade(model, x, points)[2:]
+    light, specular = _differences(model, x, points)
+    # Rounding of a difference over 2e-5 is some 1e-10; tangents are central differences themselves.
+    assert light_slope == pytest.approx(light, rel=1e-5, abs=1e-7)
+    assert specular_slope == pytest.approx(specular, rel=1e-5, abs=1e-7)
+    # Else the comparison of zeros would pass: highlights do not change I, the rest does.
+    changes_light = np.abs(light).max(1) > 0.01
+    assert changes_light.tolist() == [True] * (model.size - 2) + [False] * 2
+    changes_specular = np.abs(specular).max(1) > 0.01
+    assert changes_specular.tolist() == [j != model.size - 3 for j in range(model.size)]
+
+
+@pytest.mark.parametrize(
+    ("near", "rough", "specular"), [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 0)]
+)
+def test_derivatives_stand_where_the_model_has_its_parameters(near, rough, specular):
+    model, x = _model(2, "oren-nayar", bool(near), bool(rough), bool(specular))
+    points = _away_from_kinks(model, x, _points())
+    slopes = _shade(model, x, points)[2:]
+    for ours, expected in zip(slopes, _differences(model, x, points), strict=True):
+        assert ours == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+@BRDFS
+def test_a_shadow_that_moves_with_the_light_enters_the_derivatives_by_direction(brdf):
+    model, x = _model(2, brdf, near=True)
+    points = _away_from_kinks(model, x, _points())
+    rng = np.random.default_rng(0)
+    # Visibility is float32: sixteenths and 2^-13 of them are exact in it.
+    base = rng.integers(4, 12, (2, len(points[0]))) / 16
+    base[0, ::5] = 0
+    slope = rng.choice([-1, 1], (2, 2, len(points[0]))) / 16
+
+    def visible_at(y):
+        moved = (y - x)[:6].reshape(2, 3)[:, :2]
+        return base + np.einsum("kq,kqn->kn", moved, slope)
+
+    still, moving = _shade(model, x, points, base), _shade(model, x, points, base, slope)
+    light, specular = _differences(model, x, points, visible_at, 2.0**-13)
+    directions = [0, 1, 3, 4]
+    assert moving[2][directions] == pytest.approx(light[directions], rel=1e-4, abs=1e-5)
+    assert moving[3][directions] == pytest.approx(specular[directions], rel=1e-4, abs=1e-5)
+    others = [2, *range(5, model.size)]
+    assert np.array_equal(moving[2][others], still[2][others])
+    assert np.abs(moving[2] - still[2])[directions].max() > 0.05
+
+
+@BRDFS
+def test_what_a_light_does_not_reach_has_no_derivative_by_it(brdf):
+    model, x = _model(2, brdf, near=False)
+    points = _points()
+    visible = np.ones((2, len(points[0])))
+    visible[0] = 0
+    light, specular, light_slope, specular_slope = _shade(model, x, points, visible)
+    assert np.all(light_slope[:3] == 0)
+    assert np.all(specular_slope[:3] == 0)
+    assert np.abs(light_slope[3:6]).max() > 0.1
+    assert light.max() > 1.1
+    assert specular.max() > 0.01
+
+
+def test_roughness_and_highlight_have_derivatives_at_none_of_them():
+    """Least squares frees these parts where they are nothing: a zero derivative would keep them there."""
+    model, x = _model(1, "oren-nayar", near=True)
+    x[3:6] = 0
+    points = _away_from_kinks(model, x, _points())
+    light, specular, light_slope, specular_slope = _shade(model, x, points)
+    for j, (values, slopes) in {3: (light, light_slope), 4: (light, light_slope),
+                                5: (specular, specular_slope)}.items():  # fmt: skip
+        ahead = x.copy()
+        ahead[j] = 1e-6
+        moved = _shade(model, ahead, points)[int(j == 5)]
+        assert slopes[j] == pytest.approx((moved - values) / 1e-6, rel=1e-4, abs=1e-4)
+        assert np.abs(slopes[j]).max() > 0.1
+    assert np.all(np.isfinite(specular_slope))
