@@ -14,6 +14,8 @@ from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 
+_FEWEST = 0.05
+"""Part of the points that has to face a direction for its figure to mean something."""
 _COARSE = 160
 """Longer side, in texels, of a chart that tells whether there are shadows."""
 
@@ -69,6 +71,6 @@ def _largest_shadow(shadows: ShadowMap, directions: FloatArray) -> float:
     for direction in directions:
         # At the terminator facets shade texels whose smooth normal still faces the light.
         facing = shadows.normal @ direction > 0.2
-        if facing.any():
+        if facing.mean() >= _FEWEST:
             worst = max(worst, float(np.mean(shadows.visible(direction)[facing] == 0)))
     return worst

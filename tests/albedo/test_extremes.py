@@ -25,7 +25,7 @@ def _with(image, **fields):
 def test_no_light_at_all(scenes):
     scene = scenes.scene("hemisphere", "skin", [], size=64)
     estimate = estimate_albedo(scene.image, 1)
-    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.05
+    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.1
 
 
 @pytest.mark.parametrize("azimuth_deg", [89.9, 100.0], ids=["grazing", "behind"])
