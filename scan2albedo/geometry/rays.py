@@ -50,7 +50,7 @@ class RayCaster:
         self._scale = float(np.max(high - low)) or 1.0
         self._scene = rtcore_scene.EmbreeScene()
         local = ((xyz - self._center) / self._scale).astype(np.float32)
-        TriangleMesh(self._scene, local[index])
+        TriangleMesh(self._scene, local, index.astype(np.int32))
         # The scene is committed by its first query, which must not happen in two threads at once.
         self._run(np.zeros((1, 3)), np.ones((1, 3)), "OCCLUDED")
 
