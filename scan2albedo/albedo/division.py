@@ -15,9 +15,13 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _WINDOW = 3
+"""Side, in texels, of the neighbourhood toward whose mean a noisy texel is drawn."""
 _STATISTICS_WINDOW = 17
+"""Side, in texels, over which variances are estimated: some 300 texels give them to a tenth."""
 _NOISE_GROUPS = 12
+"""Groups of equal light over which noise is told from texture."""
 _DIM = 0.15
+"""Light, as a part of its median, below which it is not trusted."""
 _SHARP, _BESIDE = 0.3, 9
 """Fall of log light between neighbours that makes a sharp outline; window of the means beside it."""
 _TAKEN_OVER = 0.9

@@ -90,7 +90,7 @@ class LightSearch:
         caster, step = shadow_caster(self.image, level, directions, options)
         coarse, middle, fine = (self._problem(size, caster) for size in (options.grid_size, *options.sizes))
         tables = coarse.table(directions), middle.table(directions)
-        yardstick = Yardstick(fine)
+        yardstick = Yardstick(self.meter, lambda s: fine.cost(s.hypothesis))
         if lights is None:
             solution, rows = self._count_lights(coarse, middle, tables, yardstick)
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +14,16 @@ from scan2albedo.albedo.residual_problem import Linearization, ResidualProblem
 FloatArray = NDArray[np.float64]
 
 _DAMPING, _EASE, _BRAKE, _STUCK = 1e-3, 0.2, 8.0, 1e4
+"""First damping (of the matrix's diagonal), its factors after a better and a worse step, where to stop."""
+_CAUTION = 0.1
+"""Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
 _LONGEST = 4.0
 """Longest step as a multiple of the model's first steps."""
 _SETTLED = 1e-5
 """Part of the cost below which an improvement ends the descent."""
 
 
-def descend(
-    problem: ResidualProblem,
-    model: LightModel,
-    x: FloatArray,
-    iterations: int,
-    on_better: Callable[[Solution], None] | None = None,
-) -> Solution:
+def descend(problem: ResidualProblem, model: LightModel, x: FloatArray, iterations: int) -> Solution:
     """Return a local minimum near x within the bounds, after `iterations` evaluations at most.
 
     x itself with an infinite cost where the budget has already ended.
@@ -38,8 +34,6 @@ def descend(
     model : LightModel
     x : (P,) float64
     iterations : int
-    on_better : callable, optional
-        Called with every improved solution.
 
     References
     ----------
@@ -59,8 +53,6 @@ def descend(
         if there.cost < here.cost:
             gained = 1 - there.cost / here.cost
             x, here, damping = trial, there, max(damping * _EASE, 1e-7)
-            if on_better is not None:
-                on_better(Solution(model, x, here.cost))
             if gained < _SETTLED:
                 break
         else:
@@ -73,7 +65,7 @@ def descend(
 def promise(problem: ResidualProblem, model: LightModel, x: FloatArray) -> tuple[float, FloatArray]:
     """Return the cost that one damped step from x promises, and where it leads: ranks starts cheaply."""
     here = problem.linearize(model, x)
-    step = _step(here, model, x, 0.1)
+    step = _step(here, model, x, _CAUTION)
     gain = 2 * float(step @ here.gradient) - float(step @ here.matrix @ step)
     return here.cost - 0.5 * max(gain, 0.0), np.clip(x + step, *model.bounds)
 

@@ -16,7 +16,7 @@ from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.parts import PartsDecided, albedo_change, allowed_parts, decide_parts, undecided
-from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.problem import Solution, Yardstick
 from scan2albedo.albedo.residual_problem import ResidualProblem
 from scan2albedo.albedo.shadow_caster import shadow_caster
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
@@ -32,13 +32,15 @@ _FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
 """Intensity of the light at which a direction is tried: of the only light, of one more."""
 _NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
 """An alternative costs more by less than this part, and its lights are this far away."""
+_TELLING = 0.01
+"""Part of the local change of brightness that colour explains, below which the plan calls it nothing."""
 _SPLIT_RAD = 0.4
 """Half the angle between the two lights that replace one."""
 
 
 @dataclass(frozen=True)
 class LeastSquaresSearch:
-    """Everything the search for the light needs.
+    """Search by least squares; `evidence.LightSearch` is the former one, by simplex and annealing.
 
     Parameters
     ----------
@@ -66,11 +68,10 @@ class LeastSquaresSearch:
         lights : int or None
             How many; None lets the evidence decide.
         """
-        coarse = self._coarse
-        middle, fine = (self._problem(size) for size in self.options.sizes)
-        unguided = middle
-        coarse, middle = coarse.guided(None), middle.guided(None)
-        yardstick = _Yardstick(fine)
+        options = self.options
+        unguided, fine = (self._problem(size) for size in options.sizes)
+        coarse, middle = self._problem(options.grid_size).guided(None), unguided.guided(None)
+        yardstick = Yardstick(self.meter, lambda s: fine.linearize(s.model, s.x).cost)
         current = self._first_light(coarse, middle, yardstick)
         most = self.options.maximal_lights if lights is None else lights
         decision = PlanStep("albedo.lights", True, "one light", "no second one tried")
@@ -112,7 +113,7 @@ class LeastSquaresSearch:
         solution = decided.solution
         best = descend(guided, solution.model, solution.x, self.options.final_iterations)
         best = best if math.isfinite(best.cost) else solution
-        ran = explained >= 0.01
+        ran = explained >= _TELLING
         reason = "pigment shows in the hue" if ran else "hue tells nothing of the texture"
         return guided, best, PlanStep("albedo.color_guide", ran, reason, evidence)
 
@@ -131,10 +132,6 @@ class LeastSquaresSearch:
     @cached_property
     def _shadows(self) -> tuple[RayCaster | None, PlanStep]:
         return shadow_caster(self.image, self._coarse_level, self._directions, self.options)
-
-    @cached_property
-    def _coarse(self) -> ResidualProblem:
-        return self._problem(self.options.grid_size)
 
     def _problem(self, size: int) -> ResidualProblem:
         options = self.options
@@ -158,7 +155,7 @@ class LeastSquaresSearch:
         return LightModel(lights, self.brdf, self.view, radius)
 
     def _first_light(
-        self, coarse: ResidualProblem, middle: ResidualProblem, yardstick: _Yardstick
+        self, coarse: ResidualProblem, middle: ResidualProblem, yardstick: Yardstick
     ) -> Solution:
         """Return one light with every allowed part free."""
         model = self._model(1)
@@ -305,19 +302,6 @@ class _Alternatives:
                 if other.model.lights == best.model.lights and not same and excess < _NEARLY_AS_GOOD:
                     result.append(Alternative(other.hypothesis.lights(), excess))
         return sorted(result, key=lambda a: a.excess)
-
-
-class _Yardstick:
-    """One measure for a search at several image sizes: the cost on the finest, without guide."""
-
-    def __init__(self, finest: ResidualProblem) -> None:
-        self._finest = finest
-
-    def record(self, solution: Solution) -> None:
-        """Add a trace row with the cost of what would be the answer now, while the budget lasts."""
-        meter = self._finest.meter
-        if not (meter.exhausted and meter.rows):
-            meter.record(self._finest.linearize(solution.model, solution.x).cost)
 
 
 def _smallest_angle(solution: Solution) -> float:

@@ -40,10 +40,9 @@ class Need:
 
 @dataclass(frozen=True)
 class PartsDecided:
-    """The solution with the parts it needs, `specular` that was taken off the colours, the plan's rows."""
+    """The solution with the parts it needs, whether it has a highlight, and the plan's rows."""
 
     solution: Solution
-    problem: ResidualProblem
     keeps_highlight: bool
     steps: list[PlanStep]
 
@@ -93,7 +92,7 @@ def decide_parts(
     rows += [
         PlanStep(STAGES[part][0], False, "left out by the caller") for part in STAGES if asked[part] is False
     ]
-    return PartsDecided(current, chosen, glossy, rows)
+    return PartsDecided(current, glossy, rows)
 
 
 def undecided(options: EstimateOptions) -> list[PlanStep]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,6 +125,7 @@ class Problem:
         return self._shadows.table(directions)
 
 
+@dataclass(frozen=True)
 class Yardstick:
     """One measure for a search that works at several image sizes: the cost on the finest.
 
@@ -131,14 +133,15 @@ class Yardstick:
 
     Parameters
     ----------
-    finest : Problem
+    meter : Meter
+    cost : callable
+        Returns a solution's cost on the finest image and counts the evaluation.
     """
 
-    def __init__(self, finest: Problem) -> None:
-        self._finest = finest
+    meter: Meter
+    cost: Callable[[Solution], float]
 
     def record(self, solution: Solution) -> None:
         """Add a trace row with the cost of what would be the answer now, while the budget lasts."""
-        meter = self._finest.meter
-        if not (meter.exhausted and meter.rows):
-            meter.record(self._finest.cost(solution.hypothesis))
+        if not (self.meter.exhausted and self.meter.rows):
+            self.meter.record(self.cost(solution))
