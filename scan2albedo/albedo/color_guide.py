@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +15,23 @@ FloatArray = NDArray[np.float64]
 
 _ROUNDS = 8
 _ROBUST = 0.01
-"""Differences of log V beyond which a pair counts as an outlier."""
+"""Changes of log V beyond which a cell counts as an outlier."""
+_WIDEST = 1 / 32
+"""Standard deviation, as a part of the chart's side, of the widest Gaussian whose band tells the slope: in
+wider ones light changes too."""
 _LOWEST = 1 / 8
 """Hues are taken relative to their mean under a Gaussian of this part of the chart: slower changes may be
 coloured light."""
+_CLEAR = 0.8
+"""Part of the prediction's variance that is not noise, beyond which an octave's slope serves wider ones."""
 _LARGEST = 3.0
 """Bound of the predicted log albedo."""
 _LEFT_OF_HIGHLIGHT = 0.02
 """Part of a cell that at least remains below a highlight."""
+_BLACK = 1e-3
+"""Parts of the median below which logarithms are not taken."""
+_TELLING = 0.05
+"""Part of log V's local change that hue has to explain to be used."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +50,11 @@ class ColorGuide:
 def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     """Return what the hues of the cells tell about V of their albedo.
 
-    Between neighbouring cells the light is nearly the same, so there log V changes with the albedo alone. Its
-    dependence on the two log ratios of the channels is fitted to such pairs (robust, linear: exact where
-    one pigment of varying density colours the surface), and applied to the ratios' deviation from
-    their mean around.
+    Within a few cells the light is nearly the same, so there log V changes with the albedo alone. Its
+    dependence on the two log ratios of the channels (linear: exact where one pigment of varying density
+    colours the surface) is fitted robustly, octave by octave of the texture: noise hides the finest ones
+    first. Noise that V and the ratios share predicts nothing and is taken off, so each slope is the best
+    predictor from ratios as noisy as they are.
 
     Parameters
     ----------
@@ -55,45 +67,103 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     .. [1] B. Funt, M. Drew, M. Brockington, "Recovering shading from color images", ECCV 1992.
     .. [2] N. Tsumura, H. Haneishi, Y. Miyake, "Independent-component analysis of skin color image",
        JOSA A 16(9), 1999: log reflectance of skin is linear in two pigments.
+    .. [3] W. Fuller, "Measurement error models", Wiley 1987, chapter 2.
     """
     color, value = level.color, level.value
     if specular is not None:
         color = np.maximum(color - specular[:, None], _LEFT_OF_HIGHLIGHT * color)
         value = np.maximum(value - specular, _LEFT_OF_HIGHLIGHT * value)
-    log_color = np.log(np.maximum(color, 1e-5))
-    log_value = np.log(np.maximum(value, 1e-6))
-    ratios = log_color[:, 1:] - log_color[:, :1]
-    first, second = _neighbours(level)
-    rise, change = log_value[first] - log_value[second], ratios[first] - ratios[second]
-    brightness = np.minimum(value[first], value[second])
-    slope, rest = _robust_slope(change, rise, brightness)
-    before, after = (float(brightness @ np.abs(d)) for d in (rise, rest))
+    variance = _noise_variance(level, color)
+    least = max(math.sqrt(variance), _BLACK)
+    logs = np.log(np.maximum(np.column_stack([color, value]), least))
+    # The noise's variances in the log channels, and its covariances with log V, which is one of them.
+    noise = variance / (np.maximum(color, least) ** 2 * level.weight[:, None])
+    shared = np.where(np.arange(3) == np.abs(color - value[:, None]).argmin(1)[:, None], noise, 0.0)
+    predicted, slope, clear = np.zeros(len(value)), np.zeros(2), 0.0
+    local, local_prediction = np.zeros((2, len(value)))
+    side = float(level.cell.max() + 1)
+    for octave in _octaves(level, logs, _LOWEST * side):
+        narrow = octave.sigma <= max(_WIDEST * side, 1.0)
+        if narrow and clear < _CLEAR:
+            slope, clear = _robust_slope(octave, noise, shared, value)
+        predicted += octave.ratios @ slope
+        if narrow:
+            local, local_prediction = local + octave.value, predicted.copy()
+    before, after = (float(value @ np.abs(d)) for d in (local, local - local_prediction))
     explained = 1 - after / before if before > 0 else 0.0
-    sigma = _LOWEST * float(level.cell.max() + 1)
-    deviation = ratios - np.stack([local_mean(level, ratios[:, k], sigma) for k in range(2)], 1)
-    return ColorGuide(np.exp(np.clip(deviation @ slope, -_LARGEST, _LARGEST)), explained)
+    if explained < _TELLING:
+        return ColorGuide.none(len(value))
+    return ColorGuide(np.exp(np.clip(predicted, -_LARGEST, _LARGEST)), explained)
 
 
-def _neighbours(level: Level) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cells of each pair that lies side by side or one above the other."""
-    row, column = level.cell.T
-    index = np.full((row.max() + 1, column.max() + 1), -1)
-    index[row, column] = np.arange(len(row))
-    pairs = []
-    for a, b in ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:])):
-        both = (a >= 0) & (b >= 0)
-        pairs.append(np.stack([a[both], b[both]]))
-    first, second = np.concatenate(pairs, 1)
-    return first, second
+@dataclass(frozen=True)
+class _Octave:
+    """What lies between two Gaussians: log ratios (N, 2), log V (N,), the part of white noise's variance."""
+
+    sigma: float
+    ratios: FloatArray
+    value: FloatArray
+    noise: float
 
 
-def _robust_slope(change: FloatArray, rise: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (2,) the slope of `rise` (M,) over `change` (M, 2) and what it leaves (M,)."""
-    slope, rest = np.zeros(2), np.asarray(rise)
+def _octaves(level: Level, logs: FloatArray, widest: float) -> Iterator[_Octave]:
+    """Yield the octaves of log channels and log V (N, 4), up to a Gaussian of `widest` cells."""
+    widest = max(widest, 1.0)
+    sigma, smoothed, done = 1.0, 0.0, False
+    while not done:
+        sigma, done = min(sigma, widest), sigma >= widest
+        smooth = np.stack([local_mean(level, field, sigma) for field in logs.T], 1)
+        band, logs = logs - smooth, smooth
+        wider = math.hypot(smoothed, sigma)
+        yield _Octave(sigma, band[:, 1:3] - band[:, :1], band[:, 3], _noise_passed(smoothed, wider))
+        smoothed, sigma = wider, 2 * sigma
+
+
+def _noise_passed(inner: float, outer: float) -> float:
+    """Return the part of white noise's variance between Gaussians of two standard deviations [cells]."""
+    if inner == 0:
+        return 1 - 3 / (4 * math.pi * outer**2)
+    return (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * math.pi)
+
+
+def _noise_variance(level: Level, color: FloatArray) -> float:
+    """Return the variance of the noise of one channel of a cell.
+
+    One pigment, or two, leave a direction among the channels in which little but noise changes; and of what
+    changes there, noise is what differs as much from one cell to the next as over two.
+    """
+    grain = np.stack([channel - local_mean(level, channel, 1.0) for channel in color.T], 1)
+    least = np.linalg.eigh(grain.T @ grain)[1][:, 0]
+    field = np.full(level.cell.max(0) + 1, np.nan)
+    field[tuple(level.cell.T)] = color @ least
+    near, far = (_mean_difference(field, lag) ** 2 for lag in (1, 2))
+    # The mean of a Gaussian |difference|, squared, is 4 / pi of the variance of either side.
+    return max(2 * near - far, 0.0) * math.pi / 4
+
+
+def _mean_difference(field: FloatArray, lag: int) -> float:
+    """Return the mean of |difference| of known cells `lag` cells apart."""
+    across, along = field[:, lag:] - field[:, :-lag], field[lag:] - field[:-lag]
+    known = np.concatenate([np.abs(d[np.isfinite(d)]) for d in (across, along)])
+    return float(known.mean()) if len(known) else 0.0
+
+
+def _robust_slope(
+    octave: _Octave, noise: FloatArray, shared: FloatArray, brightness: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return (2,) the slope of log V over the log ratios, and the part of what it predicts that is not noise.
+
+    `noise`, `shared` (N, 3): variances of the noise in the log channels, covariances with log V.
+    """
+    ratios, value, passed = octave.ratios, octave.value, octave.noise
+    slope, rest, clear = np.zeros(2), value, 0.0
     for _ in range(_ROUNDS):
-        w = (weight / np.hypot(rest, _ROBUST))[:, None] * change
-        matrix = w.T @ change
+        weight = brightness / np.hypot(rest, _ROBUST)
+        own, common = passed * (weight @ noise), passed * (weight @ shared)
+        matrix = (weight[:, None] * ratios).T @ ratios
         matrix += 1e-9 * max(float(np.trace(matrix)), 1e-12) * np.eye(2)
-        slope = np.asarray(np.linalg.solve(matrix, w.T @ rise), np.float64)
-        rest = np.asarray(rise - change @ slope, np.float64)
-    return slope, rest
+        slope = np.linalg.solve(matrix, ratios.T @ (weight * value) - (common[1:] - common[0]))
+        rest = value - ratios @ slope
+        predicted = max(float(slope @ matrix @ slope), 1e-30)
+        clear = 1 - float(own[1:] @ slope**2 + own[0] * slope.sum() ** 2) / predicted
+    return np.asarray(slope, np.float64), clear

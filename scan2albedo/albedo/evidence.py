@@ -32,6 +32,8 @@ _PARTS = {
 
 _PAYS = {"near": 0.01, "specular": 0.01, "rough": 0.005}
 """Part of the cost that each part has to remove."""
+_LIGHT_GAIN = 0.04
+"""Part of the cost that one more light has to remove here, where no deviation of its direction is known."""
 CLOSER_LOOK = 0.75
 """A third light is tried when it removes this part of what is asked on the smallest image."""
 COARSE_STARTS, COARSE_STEP = 8, 3
@@ -177,8 +179,9 @@ class LightSearch:
         tables: tuple[VisibilityTable, VisibilityTable],
         yardstick: Yardstick,
     ) -> tuple[Solution, list[PlanStep]]:
-        """Add lights while each removes `light_gain` of the cost."""
+        """Add lights while each removes enough of the cost."""
         options, stage = self.options, "albedo.lights"
+        wanted = max(options.light_gain, _LIGHT_GAIN)
         plain = self._search(coarse, middle, tables, self._model(1), yardstick)
         current, rows = self._with_parts(middle, plain, yardstick)
         decision = PlanStep(stage, True, "one light", "no second one tried")
@@ -188,13 +191,13 @@ class LightSearch:
             each = options.polish_evaluations * lights
             if lights > 2:
                 glimpsed = self._coarse_gain(coarse, plain, tables[0], each)
-                if glimpsed < CLOSER_LOOK * options.light_gain:
+                if glimpsed < CLOSER_LOOK * wanted:
                     decision = PlanStep(
                         stage,
                         True,
                         f"{lights - 1} lights: one more does not pay",
                         f"light {lights} removes {100 * glimpsed:.1f} % of the cost of the smallest image "
-                        f"({100 * CLOSER_LOOK * options.light_gain:g} % asked for a closer look)",
+                        f"({100 * CLOSER_LOOK * wanted:g} % asked for a closer look)",
                     )
                     break
             plain = self._search(coarse, middle, tables, self._model(lights))
@@ -213,10 +216,10 @@ class LightSearch:
             intensities = trial.hypothesis.rows[:, 4]
             share = float(intensities.min() / intensities.max())
             evidence = (
-                f"light {lights} removes {100 * gain:.1f} % of the cost ({100 * options.light_gain:g} %"
+                f"light {lights} removes {100 * gain:.1f} % of the cost ({100 * wanted:g} %"
                 f" asked), {100 * share:.0f} % as strong as the strongest ({100 * options.light_share:g} %)"
             )
-            if gain < options.light_gain or share < options.light_share:
+            if gain < wanted or share < options.light_share:
                 decision = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
                 break
             current, rows = trial, trial_rows

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, uniform_filter
 
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.errors import LightingError
 from scan2albedo.io.geometry_image import GeometryImage
 
 FloatArray = NDArray[np.float64]
+
+_CHOICE_SIDE = 15
+"""Side [texels] of the square over which channels are compared."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,18 @@ def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
     return np.maximum(np.maximum(red, green), blue).astype(np.float64)
 
 
+def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.bool_]) -> FloatArray:
+    """Return (H, W) the channel that is the brightest on average around each texel.
+
+    V itself is the largest of three channels with noise, and so brighter than the surface: most where the
+    channels are alike and the light is poor. Averages choose, so noise does not.
+    """
+    known = usable[..., None] * texture_linear
+    means = np.stack([uniform_filter(known[..., c], _CHOICE_SIDE) for c in range(3)], -1)
+    chosen = means.argmax(-1)
+    return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
+
+
 def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:
     """Return the median V of the usable texels: the unit in which the search measures V."""
     assert image.texture_linear is not None
@@ -124,7 +139,7 @@ def build_level(
     `values` (H, W) replaces V of the texture.
     """
     assert image.texture_linear is not None
-    field = value_channel(image.texture_linear) if values is None else values
+    field = brightest_around(image.texture_linear, usable) if values is None else values
     factor = max(1, -(-max(image.shape) // size))
     count = _cell_sums(usable[..., None].astype(np.float64), usable, factor)[..., 0]
     filled = count > 0

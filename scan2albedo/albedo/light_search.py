@@ -32,8 +32,6 @@ _FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
 """Intensity of the light at which a direction is tried: of the only light, of one more."""
 _NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
 """An alternative costs more by less than this part, and its lights are this far away."""
-_TELLING = 0.01
-"""Part of the local change of brightness that colour explains, below which the plan calls it nothing."""
 _SPLIT_RAD = 0.4
 """Half the angle between the two lights that replace one."""
 
@@ -113,7 +111,7 @@ class LeastSquaresSearch:
         solution = decided.solution
         best = descend(guided, solution.model, solution.x, self.options.final_iterations)
         best = best if math.isfinite(best.cost) else solution
-        ran = explained >= _TELLING
+        ran = explained > 0
         reason = "pigment shows in the hue" if ran else "hue tells nothing of the texture"
         return guided, best, PlanStep("albedo.color_guide", ran, reason, evidence)
 
@@ -245,13 +243,17 @@ class LeastSquaresSearch:
             f"albedo by {100 * effect:.2f} % ({100 * options.light_effect:g} % asked), "
             f"{100 * share:.0f} % as strong as the strongest ({100 * options.light_share:g} % asked)"
         )
-        apart = _smallest_angle(trial)
-        evidence += f", {math.degrees(apart):.0f} deg from the next"
+        apart, spread = _smallest_angle(trial), _direction_deviation(middle, trial)
+        evidence += (
+            f", {math.degrees(apart):.0f} deg from the next, its direction known to "
+            f"{math.degrees(spread):.1f} deg ({math.degrees(options.light_direction_rad):.1f} asked)"
+        )
         pays = (
             gain >= wanted
             and share >= options.light_share
             and effect >= options.light_effect
             and apart >= options.light_angle_rad
+            and spread <= options.light_direction_rad
         )
         if not forced and not pays:
             row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
@@ -309,6 +311,13 @@ def _smallest_angle(solution: Solution) -> float:
     rows = solution.hypothesis.rows[:, :3]
     cosine = (rows @ rows.T)[np.triu_indices(len(rows), 1)]
     return float(np.arccos(np.clip(cosine.max(), -1, 1)))
+
+
+def _direction_deviation(problem: ResidualProblem, solution: Solution) -> float:
+    """Return the standard deviation [rad] of the weakest light's direction: what is no lamp has none."""
+    k = 3 * int(np.argmin(solution.hypothesis.rows[:, 4]))
+    variance = np.diag(problem.covariance(solution.model, solution.x))[k : k + 2]
+    return math.sqrt(max(float(variance.mean()), 0.0))
 
 
 def _without_weakest(solution: Solution) -> FloatArray:

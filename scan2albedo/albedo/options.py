@@ -64,7 +64,7 @@ class EstimateOptions:
     """Evaluations of simulated annealing, where it runs."""
     maximal_lights: int = 3
     """Most lights that `lights="auto"` tries."""
-    light_gain: float = 0.04
+    light_gain: float = 0.025
     """Part of the cost that one more light has to remove."""
     light_effect: float = 0.02
     """Root mean square change of the albedo that one more light has to make."""
@@ -72,6 +72,8 @@ class EstimateOptions:
     """Intensity that every light has to have, as a part of the strongest one's."""
     light_angle_rad: float = 0.26
     """Angle between two lights below which they count as one."""
+    light_direction_rad: float = 0.12
+    """Standard deviation that the direction of one more light may have; least squares asks for it."""
     distance_gain: float = 0.04
     """Part of the cost that a finite distance of the lights has to remove."""
     roughness_gain: float = 0.04

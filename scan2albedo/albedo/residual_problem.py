@@ -26,6 +26,8 @@ _SOFTNESS = 0.02
 _DARK = 0.3
 """Brightness, as a part of the median, below which cells count less: noise, hair and light from the
 surroundings matter more there than the texture."""
+_BLACK = 0.01
+"""Brightness below which relative deviations of the albedo are not told."""
 _AROUND = 0.03
 """Standard deviation of the local mean of the brightness as a part of the chart's side."""
 _LATTICE = 2.0
@@ -198,7 +200,7 @@ class ResidualProblem:
         """Return (P, N) the derivatives of the log of (T - I_s) / I, without their means over the cells."""
         self.linearize(model, x)
         light_slope, specular_slope = (slope[: model.size] for slope in self._slopes)
-        below = np.maximum(self._value - self._specular, 0.05 * self._value)
+        below = np.maximum(self._value - self._specular, 0.05 * np.maximum(self._value, _BLACK))
         slopes = -light_slope / self._light - specular_slope / below
         result: FloatArray = slopes - np.average(slopes, axis=1, weights=self.level.weight)[:, None]
         return result

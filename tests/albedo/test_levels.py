@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions
-from scan2albedo.albedo.levels import build_level, cell_image, usable_texels
+from scan2albedo.albedo.levels import (
+    brightest_around,
+    build_level,
+    cell_image,
+    usable_texels,
+    value_channel,
+)
 from scan2albedo.errors import LightingError
 from scan2albedo.io.geometry_image import GeometryImage
 
@@ -25,7 +31,7 @@ def test_means_equal_a_loop_over_cells(make_image):
     image = make_image()
     usable = usable_texels(image, OPTIONS)
     level = build_level(image, usable, 16, OPTIONS)
-    value, means, weights = image.texture_linear.max(-1), [], []
+    value, means, weights = brightest_around(image.texture_linear, usable), [], []
     for row in range(0, 64, 4):
         for column in range(0, 64, 4):
             chosen = usable[row : row + 4, column : column + 4]
@@ -111,3 +117,19 @@ def test_cell_image_at_full_size_is_the_values_themselves(make_image):
     usable = usable_texels(image, OPTIONS)
     level = build_level(image, usable, 64, OPTIONS)
     assert np.array_equal(cell_image(level, level.value, image.mask)[usable], level.value)
+
+
+def test_noise_does_not_brighten_the_value_that_the_search_sees():
+    rng = np.random.default_rng(0)
+    grey = np.float32(0.3 + 0.05 * rng.standard_normal((64, 64, 3)))
+    everywhere = np.ones((64, 64), bool)
+    assert value_channel(grey).mean() == pytest.approx(0.3 + 0.846 * 0.05, abs=0.002)
+    assert brightest_around(grey, everywhere).mean() == pytest.approx(0.3, abs=0.004)
+
+
+def test_the_value_follows_the_brightest_channel_and_leaves_unusable_texels_out():
+    texture = np.zeros((32, 32, 3), np.float32)
+    texture[:, :16], texture[:, 16:] = (0.2, 0.5, 0.1), (0.6, 0.3, 0.1)
+    usable = np.ones((32, 32), bool)
+    texture[4:12, :4, 2], usable[4:12, :4] = 1.0, False
+    assert brightest_around(texture, usable)[usable] == pytest.approx(value_channel(texture)[usable])
