@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,8 @@ _FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
 """Intensity of the light at which a direction is tried: of the only light, of one more."""
 _NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
 """An alternative costs more by less than this part, and its lights are this far away."""
-_SPLIT_RAD = 0.4
-"""Half the angle between the two lights that replace one."""
+_SPLIT_RAD = 0.2, 0.4
+"""Half the angles between the two lights that replace one."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class LeastSquaresSearch:
 
     @cached_property
     def _alternatives(self) -> _Alternatives:
-        return _Alternatives([])
+        return _Alternatives([], [])
 
     @cached_property
     def _directions(self) -> FloatArray:
@@ -252,9 +253,12 @@ class LeastSquaresSearch:
             gain >= wanted
             and share >= options.light_share
             and effect >= options.light_effect
-            and apart >= options.light_angle_rad
             and spread <= options.light_direction_rad
         )
+        if pays and apart < options.light_angle_rad:
+            # One broad light, or two: the picture does not tell, and the albedo depends on it.
+            pays = False
+            self._alternatives.split.append(Alternative(trial.hypothesis.lights(), -gain))
         if not forced and not pays:
             row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
             return fewer, row, False
@@ -276,8 +280,8 @@ class LeastSquaresSearch:
         for k in range(len(rows)):
             others = np.delete(rows, k, 0)
             p = fewer.x[3 * k : 3 * k + 2]
-            for angle in np.arange(4) * math.pi / 4:
-                shift = _SPLIT_RAD * np.array([math.cos(angle), math.sin(angle)])
+            for apart, angle in product(_SPLIT_RAD, np.arange(4) * math.pi / 4):
+                shift = apart * np.array([math.cos(angle), math.sin(angle)])
                 pair = np.stack([model.direction(*(p + shift)), model.direction(*(p - shift))])
                 yield start(
                     np.vstack([others[:, :3], pair]), np.append(others[:, 4], np.repeat(rows[k, 4] / 2, 2))
@@ -286,17 +290,18 @@ class LeastSquaresSearch:
 
 @dataclass(frozen=True)
 class _Alternatives:
-    """Local minima of equal models that were found on the way."""
+    """Local minima of equal models that were found on the way, and lights that may be two close ones."""
 
     found: list[list[Solution]]
+    split: list[Alternative]
 
     def note(self, minima: list[Solution]) -> None:
         """Keep the minima of one descent from several starts."""
         self.found.append(sorted(minima, key=lambda s: s.cost))
 
     def of(self, best: Solution) -> list[Alternative]:
-        """Return those with as many lights as `best`, elsewhere than it, that cost little more."""
-        result = []
+        """Return splits, and those with as many lights as `best`, elsewhere, that cost little more."""
+        result = list(self.split)
         for minima in self.found:
             for other in minima:
                 excess = other.cost / minima[0].cost - 1

@@ -20,7 +20,8 @@ FloatArray = NDArray[np.float64]
 class Alternative:
     """Other lights that explain the image nearly as well: a second minimum of the objective.
 
-    `excess` is by which part their cost is larger, before roughness and the like are freed.
+    `excess` is by which part their cost is larger, before roughness and the like are freed. It is negative
+    where one light found may be two close ones.
     """
 
     lights: tuple[PointLight, ...]
