@@ -160,7 +160,7 @@ def light_error_deg(found: tuple[s2a.PointLight, ...], true: tuple[s2a.PointLigh
     return float(np.degrees(np.arccos(np.clip(cosine[rows, columns], -1, 1))).max())
 
 
-def scores(case: Case, seeds: int, peers: str | None) -> Iterator[Score]:
+def scores(case: Case, peers: str | None) -> Iterator[Score]:
     image, mask = case.image, case.image.mask
     assert image.texture_linear is not None
     value, truth = value_of(image.texture_linear), value_of(case.albedo_linear)
@@ -176,12 +176,12 @@ def scores(case: Case, seeds: int, peers: str | None) -> Iterator[Score]:
     nan = float("nan")
     yield score("as it is", value, nan, 0.0)
     yield score("true light", case.unlit, 0.0, 0.0)
-    for method, options, seed in [
-        *(("scan2albedo", EstimateOptions(), seed) for seed in range(seeds)),
-        ("paper's objective", EstimateOptions(objective="albedo-deviation"), 0),
-    ]:
+    for method, options in (
+        ("scan2albedo", EstimateOptions()),
+        ("paper's objective", EstimateOptions(objective="albedo-deviation")),
+    ):
         start = time.process_time()
-        found = s2a.estimate_albedo(image, seed=seed, options=options)
+        found = s2a.estimate_albedo(image, options=options)
         spent = time.process_time() - start
         yield score(
             method,
@@ -235,7 +235,6 @@ def table(found: list[Score]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--size", type=int, default=128)
-    parser.add_argument("--seeds", type=int, default=1, help="seeds of our estimate, each counted")
     parser.add_argument(
         "--scenes",
         nargs="*",
@@ -248,7 +247,7 @@ def main() -> None:
     arguments = parser.parse_args()
     found: list[Score] = []
     for case in cases(arguments.size, set(arguments.scenes)):
-        found += scores(case, arguments.seeds, arguments.peers)
+        found += scores(case, arguments.peers)
     print(table(found))
     ours = sorted((s for s in found if s.method == "scan2albedo"), key=lambda s: -s.mse_percent)
     print("\nour worst scenes")

@@ -1,6 +1,6 @@
-"""The search for the light: error against evaluations, number of lights, parts left out, speed.
+"""The search for the light: error against evaluations, number of lights, parts left out, seeds, speed.
 
-    python tools/bench_light_search.py [budget] [count] [speed] [--size 128]
+    python tools/bench_light_search.py [budget] [count] [seeds] [speed] [--size 128]
 
 Every scene is synthetic with a known albedo, 8 bits. Error is 100 x MSE of V after the best single scale.
 """
@@ -11,9 +11,10 @@ import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
-from bench_albedo import light_error_deg, value_of
+from bench_albedo import light_error_deg, synthetic_case, value_of
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions, albedo_error
@@ -130,6 +131,34 @@ def print_counts(size: int) -> None:
             print(f"  {line}")
 
 
+def print_seeds(size: int, seeds: int = 20) -> None:
+    """Print the errors over seeds of texture and noise: the search itself draws nothing at random."""
+    two = [light_at(50, 10), light_at(-40, 5, intensity=2)]
+    for shape, make in MAKERS.items():
+        for name, lights, noise in (
+            ("one light", [light_at(30, 15)], 0.0),
+            ("one light, noise 0.02", [light_at(30, 15)], 0.02),
+            ("two lights", two, 0.0),
+            ("two lights, noise 0.02", two, 0.02),
+        ):
+            errors, angles, plain, right = [], [], [], 0
+            for seed, texture in product(range(seeds), TEXTURES):
+                scene = make(texture=texture, size=size, lights=lights, noise=noise, seed=seed)
+                found = s2a.estimate_albedo(scene.image)
+                errors.append(error_percent(scene, found))
+                angles.append(light_error_deg(found.lights, scene.lights))
+                right += len(found.lights) == len(lights)
+                unlit = synthetic_case(name, texture, scene, scene.image).unlit
+                truth = value_of(scene.albedo_linear)
+                plain.append(albedo_error(unlit, truth, scene.image.mask).mse_percent)
+            beyond = sum(error > own for error, own in zip(errors, plain, strict=True))
+            print(
+                f"{shape}, {name:24}MSE % mean {np.mean(errors):.4f} worst {np.max(errors):.4f} (division by the "
+                f"true light {np.mean(plain):.4f} and {np.max(plain):.4f}, better in {beyond} of {len(errors)}); "
+                f"light deg mean {np.nanmean(angles):.2f} worst {np.nanmax(angles):.2f}; number right {right}"
+            )
+
+
 def per_second(work, seconds: float = 1.0) -> float:  # type: ignore[no-untyped-def]
     """Return how often `work` runs in a CPU second."""
     work()
@@ -179,7 +208,7 @@ def print_speed() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", nargs="*", default=["budget", "count", "speed"])
+    parser.add_argument("what", nargs="*", default=["budget", "count", "seeds", "speed"])
     parser.add_argument("--size", type=int, default=128)
     arguments = parser.parse_args()
     if "speed" in arguments.what:
@@ -188,6 +217,8 @@ def main() -> None:
         print_budgets(arguments.size)
     if "count" in arguments.what:
         print_counts(arguments.size)
+    if "seeds" in arguments.what:
+        print_seeds(arguments.size)
 
 
 if __name__ == "__main__":
