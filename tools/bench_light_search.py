@@ -153,9 +153,10 @@ def print_seeds(size: int, seeds: int = 20) -> None:
                 plain.append(albedo_error(unlit, truth, scene.image.mask).mse_percent)
             beyond = sum(error > own for error, own in zip(errors, plain, strict=True))
             print(
-                f"{shape}, {name:24}MSE % mean {np.mean(errors):.4f} worst {np.max(errors):.4f} (division by the "
-                f"true light {np.mean(plain):.4f} and {np.max(plain):.4f}, better in {beyond} of {len(errors)}); "
-                f"light deg mean {np.nanmean(angles):.2f} worst {np.nanmax(angles):.2f}; number right {right}"
+                f"{shape}, {name:24}MSE % mean {np.mean(errors):.4f} worst {np.max(errors):.4f} (division by "
+                f"the true light {np.mean(plain):.4f} and {np.max(plain):.4f}, better in {beyond} of "
+                f"{len(errors)}); light deg mean {np.nanmean(angles):.2f} worst {np.nanmax(angles):.2f}; "
+                f"number right {right}"
             )
 
 
