@@ -87,9 +87,8 @@ class LeastSquaresSearch:
             short = "" if found == lights else f", {found} found before the budget ended"
             decision = PlanStep("albedo.lights", True, f"{lights} asked for{short}")
         if self.meter.exhausted:
-            return LightFound(
-                current, [self._shadows[1], decision, *undecided(self.options)], self._shadows[0]
-            )
+            rows = undecided(current.model, self.options)
+            return LightFound(current, [self._shadows[1], decision, *rows], self._shadows[0])
         current = self._descend(unguided, current.model, current.x)
         decided = decide_parts(unguided, current, self.options, self._descend)
         yardstick.record(decided.solution)

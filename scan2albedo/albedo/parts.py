@@ -89,18 +89,22 @@ def decide_parts(
         rows.append(_row(part, enters, need, least, deviations, gain))
         if not enters:
             current = without
-    rows += [
-        PlanStep(STAGES[part][0], False, "left out by the caller") for part in STAGES if asked[part] is False
-    ]
+    judged = {row.stage for row in rows}
+    rows += [row for row in undecided(current.model, options) if row.stage not in judged]
     return PartsDecided(current, glossy, rows)
 
 
-def undecided(options: EstimateOptions) -> list[PlanStep]:
-    """Return the plan's rows of parts that a budget left undecided: all that are allowed stay."""
-    return [
-        PlanStep(STAGES[part][0], choice is not False, "the budget ended before it was judged", "not judged")
-        for part, choice in _asked(options).items()
-    ]
+def undecided(model: LightModel, options: EstimateOptions) -> list[PlanStep]:
+    """Return the plan's rows of the parts that nobody judged: the caller, or the end of a budget, decides."""
+    rows = []
+    for part, choice in _asked(options).items():
+        stage = STAGES[part][0]
+        if choice is False:
+            rows.append(PlanStep(stage, False, "left out by the caller"))
+        elif not (part == "rough" and model.brdf == "lambert"):
+            reason = "the budget ended before it was judged"
+            rows.append(PlanStep(stage, getattr(model, part), reason, "not judged"))
+    return rows
 
 
 def _asked(options: EstimateOptions) -> dict[str, bool | None]:

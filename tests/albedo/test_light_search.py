@@ -258,3 +258,22 @@ def test_the_trace_never_counts_backwards_and_ends_with_the_best(one_light_scene
     assert counts == sorted(counts)
     assert rows[-1].error <= 1.02 * min(row.error for row in rows)
     assert rows[-1].error < 0.9 * rows[0].error
+
+
+@pytest.mark.parametrize("brdf", ["oren-nayar", "lambert"])
+def test_wherever_the_budget_ends_the_plan_has_a_row_for_every_part(skin, brdf):
+    whole = estimate_albedo(skin.image, 1, brdf=brdf)
+    stages = [step.stage for step in whole.plan]
+    for evaluations in range(1, whole.iterations, 23):
+        cut = estimate_albedo(skin.image, 1, brdf=brdf, budget=Budget(evaluations=evaluations))
+        rows = [step.stage for step in cut.plan]
+        assert len(rows) == len(set(rows))
+        assert set(stages) - set(rows) <= {"albedo.color_guide"}
+
+
+def test_a_part_the_caller_leaves_out_is_said_to_be(skin):
+    options = EstimateOptions(specular=False)
+    for budget in (None, Budget(evaluations=100)):
+        estimate = estimate_albedo(skin.image, 1, options=options, budget=budget)
+        row = next(step for step in estimate.plan if step.stage == "albedo.specular")
+        assert (row.ran, row.reason) == (False, "left out by the caller")
