@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,20 +78,20 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     # The noise's variances in the log channels, and its covariances with log V, which is one of them.
     noise = variance / (np.maximum(color, least) ** 2 * level.weight[:, None])
     shared = np.where(np.arange(3) == np.abs(color - value[:, None]).argmin(1)[:, None], noise, 0.0)
-    predicted, slope, clear = np.zeros(len(value)), np.zeros(2), 0.0
-    local, local_prediction = np.zeros((2, len(value)))
     side = float(level.cell.max() + 1)
-    for octave in _octaves(level, logs, _LOWEST * side):
-        narrow = octave.sigma <= max(_WIDEST * side, 1.0)
-        if narrow and clear < _CLEAR:
+    octaves, slow = _octaves(level, logs, _WIDEST * side)
+    predicted, slope, clear = np.zeros(len(value)), np.zeros(2), 0.0
+    for octave in octaves:
+        if clear < _CLEAR:
             slope, clear = _robust_slope(octave, noise, shared, value)
         predicted += octave.ratios @ slope
-        if narrow:
-            local, local_prediction = local + octave.value, predicted.copy()
-    before, after = (float(value @ np.abs(d)) for d in (local, local - local_prediction))
+    change = np.sum([octave.value for octave in octaves], 0)
+    before, after = (float(value @ np.abs(d)) for d in (change, change - predicted))
     explained = 1 - after / before if before > 0 else 0.0
     if explained < _TELLING:
         return ColorGuide.none(len(value))
+    wide = slow - local_mean(level, slow, _LOWEST * side)
+    predicted += (wide[:, 1:3] - wide[:, :1]) @ slope
     return ColorGuide(np.exp(np.clip(predicted, -_LARGEST, _LARGEST)), explained)
 
 
@@ -100,23 +99,20 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
 class _Octave:
     """What lies between two Gaussians: log ratios (N, 2), log V (N,), the part of white noise's variance."""
 
-    sigma: float
     ratios: FloatArray
     value: FloatArray
     noise: float
 
 
-def _octaves(level: Level, logs: FloatArray, widest: float) -> Iterator[_Octave]:
-    """Yield the octaves of log channels and log V (N, 4), up to a Gaussian of `widest` cells."""
-    widest = max(widest, 1.0)
-    sigma, smoothed, done = 1.0, 0.0, False
-    while not done:
-        sigma, done = min(sigma, widest), sigma >= widest
-        smooth = np.stack([local_mean(level, field, sigma) for field in logs.T], 1)
-        band, logs = logs - smooth, smooth
-        wider = math.hypot(smoothed, sigma)
-        yield _Octave(sigma, band[:, 1:3] - band[:, :1], band[:, 3], _noise_passed(smoothed, wider))
-        smoothed, sigma = wider, 2 * sigma
+def _octaves(level: Level, logs: FloatArray, widest: float) -> tuple[list[_Octave], FloatArray]:
+    """Return the octaves of log channels and log V (N, 4), finest first, and what is slower than `widest`."""
+    octaves, smoothed, sigma = [], 0.0, 1.0
+    while sigma <= max(widest, 1.0):
+        smooth, wider = local_mean(level, logs, sigma), math.hypot(smoothed, sigma)
+        band = logs - smooth
+        octaves.append(_Octave(band[:, 1:3] - band[:, :1], band[:, 3], _noise_passed(smoothed, wider)))
+        logs, smoothed, sigma = smooth, wider, 2 * sigma
+    return octaves, logs
 
 
 def _noise_passed(inner: float, outer: float) -> float:
@@ -132,7 +128,7 @@ def _noise_variance(level: Level, color: FloatArray) -> float:
     One pigment, or two, leave a direction among the channels in which little but noise changes; and of what
     changes there, noise is what differs as much from one cell to the next as over two.
     """
-    grain = np.stack([channel - local_mean(level, channel, 1.0) for channel in color.T], 1)
+    grain = color - local_mean(level, color, 1.0)
     least = np.linalg.eigh(grain.T @ grain)[1][:, 0]
     field = np.full(level.cell.max(0) + 1, np.nan)
     field[tuple(level.cell.T)] = color @ least

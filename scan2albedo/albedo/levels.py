@@ -228,13 +228,14 @@ def partitions(
 
 
 def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
-    """Return (N,) the weighted mean of `values` (N,) around each cell under a Gaussian of `sigma` cells."""
+    """Return the weighted means of `values` (N,) or (N, C) around each cell, Gaussians of `sigma` cells."""
     row, column = level.cell.T
-    total, mass = np.zeros((2, row.max() + 1, column.max() + 1))
-    total[row, column], mass[row, column] = values * level.weight, level.weight
-    top, bottom = (gaussian_filter(field, max(1.0, sigma), mode="constant") for field in (total, mass))
-    result: FloatArray = (top / np.maximum(bottom, 1e-12))[row, column]
-    return result
+    fields = np.column_stack([values, np.ones(len(row))]) * level.weight[:, None]
+    grids = np.zeros((fields.shape[1], row.max() + 1, column.max() + 1))
+    grids[:, row, column] = fields.T
+    sums = [gaussian_filter(grid, max(1.0, sigma), mode="constant")[row, column] for grid in grids]
+    means: FloatArray = np.stack(sums[:-1], 1) / np.maximum(sums[-1], 1e-12)[:, None]
+    return means.reshape(values.shape)
 
 
 def cell_image(level: Level, values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.evidence import LightFound
-from scan2albedo.albedo.levels import Level, build_level, cell_image
+from scan2albedo.albedo.levels import Level, brightest_around, build_level, cell_image
 from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
@@ -124,8 +124,16 @@ class LeastSquaresSearch:
         return cone_directions(self.options.start_directions, self.view, self.options.cone_rad)
 
     @cached_property
+    def _value(self) -> FloatArray:
+        assert self.image.texture_linear is not None
+        return brightest_around(self.image.texture_linear, self.usable)
+
+    @cached_property
     def _coarse_level(self) -> Level:
-        return build_level(self.image, self.usable, self.options.grid_size, self.options)
+        return self._level(self.options.grid_size)
+
+    def _level(self, size: int) -> Level:
+        return build_level(self.image, self.usable, size, self.options, self._value)
 
     @cached_property
     def _shadows(self) -> tuple[RayCaster | None, PlanStep]:
@@ -133,11 +141,7 @@ class LeastSquaresSearch:
 
     def _problem(self, size: int) -> ResidualProblem:
         options = self.options
-        level = (
-            self._coarse_level
-            if size == options.grid_size
-            else build_level(self.image, self.usable, size, options)
-        )
+        level = self._coarse_level if size == options.grid_size else self._level(size)
         return ResidualProblem(
             level,
             self._shadows[0],

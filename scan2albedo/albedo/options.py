@@ -35,9 +35,11 @@ class EstimateOptions:
     specular_effect: float = 0.004
     """Root mean square share of the image that a highlight has to have."""
     specular_deviations: float = 4.0
-    """Standard deviations by which its strength has to differ from 0."""
+    """Standard deviations by which its strength has to differ from 0; `specular_gain` serves as well."""
+    specular_certain: float = 12.0
+    """Standard deviations beyond which it may even add `specular_loss` to the cost."""
     specular_loss: float = 0.03
-    """Part of the cost that it may add where it takes colour away from the texture's guide."""
+    """Part of the cost that it may then add: it takes colour away from the texture's guide."""
     specular_beyond: float = 0.02
     """Part of the cells on which it may exceed the darkest channel: it is white."""
     distance_effect: float = 0.014

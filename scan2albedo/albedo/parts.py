@@ -150,7 +150,8 @@ def _decide_highlight(
         and beyond <= options.specular_beyond
         and (
             gain >= options.specular_gain
-            or (deviations >= options.specular_deviations and gain >= -options.specular_loss)
+            or (deviations >= options.specular_deviations and gain > 0)
+            or (deviations >= options.specular_certain and gain >= -options.specular_loss)
         )
     )
     evidence = (
