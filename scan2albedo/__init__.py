@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan2albedo import synthetic
+    from scan2albedo import eyeglasses, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
@@ -53,7 +53,7 @@ _HOMES = {
     "read_geometry_image": "io",
     "register": "registration",
 }
-_SUBPACKAGES = ("synthetic",)
+_SUBPACKAGES = ("eyeglasses", "synthetic")
 
 __all__ = [
     "AlbedoEstimate",
@@ -71,6 +71,7 @@ __all__ = [
     "__version__",
     "albedo_error",
     "estimate_albedo",
+    "eyeglasses",
     "fit",
     "geometry_image",
     "geometry_image_of_scan",

@@ -29,6 +29,10 @@ class LightingError(Scan2AlbedoError):
     """Light or albedo cannot be estimated from an image."""
 
 
+class EyeglassesError(Scan2AlbedoError):
+    """Eyeglasses cannot be weighted, deformed or registered."""
+
+
 class OutputError(Scan2AlbedoError):
     """Results cannot be written."""
 

@@ -1,0 +1,180 @@
+"""Meshes and key points that break other solvers: an answer, or an error that names the cause."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import bounded_biharmonic_weights, solve_weights
+
+SPACING = 3.0
+
+
+@pytest.fixture(scope="module")
+def plain(glasses):
+    return bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.handles, SPACING)
+
+
+def weights_of(vertices, faces, handles, spacing=SPACING):
+    weights = bounded_biharmonic_weights(vertices, faces, handles, spacing)
+    assert np.isfinite(weights).all()
+    assert np.abs(weights.sum(1) - 1).max() <= 1e-12
+    return weights
+
+
+def with_part(glasses, vertices, faces):
+    """The glasses with one more part."""
+    return np.vstack([glasses.vertices, vertices]), np.vstack([glasses.faces, faces + len(glasses.vertices)])
+
+
+def test_coincident_key_points_are_named(glasses):
+    handles = np.vstack([glasses.handles, glasses.handles[2]])
+    with pytest.raises(EyeglassesError, match=r"key points 2 and 7 coincide at \[-66"):
+        weights_of(glasses.vertices, glasses.faces, handles)
+
+
+def test_key_points_too_close_for_the_spacing_are_named(glasses):
+    handles = np.vstack([glasses.handles, glasses.handles[3] + [2, 0, 0]])
+    with pytest.raises(EyeglassesError, match=r"key points 3 and 7 are 2 apart .* spacing of 1 or less"):
+        weights_of(glasses.vertices, glasses.faces, handles)
+
+
+def test_a_key_point_far_off_the_mesh_is_named(glasses):
+    handles = glasses.handles.copy()
+    handles[4] = [66, 90, 0]
+    with pytest.raises(EyeglassesError, match=r"key point 4 at \[66.0, 90.0, 0.0\] is 88.* off the mesh"):
+        weights_of(glasses.vertices, glasses.faces, handles)
+
+
+def test_key_points_near_the_mesh_hold_it(glasses, plain):
+    """Five millimetres above the tube's axis, three above its skin."""
+    weights = weights_of(glasses.vertices, glasses.faces, glasses.handles + [0, 5, 0])
+    assert weights.max(0).min() > 0.9
+    assert np.abs(weights - plain).mean() < 0.03
+
+
+def test_one_key_point_takes_everything(glasses):
+    np.testing.assert_array_equal(
+        weights_of(glasses.vertices, glasses.faces, glasses.handles[:1]), np.ones((len(glasses.vertices), 1))
+    )
+
+
+@pytest.mark.parametrize("empty", ["vertices", "faces", "handles"])
+def test_nothing_to_work_on(glasses, empty):
+    given = {"vertices": glasses.vertices, "faces": glasses.faces, "handles": glasses.handles}
+    for nothing in (given[empty][:0], []):
+        with pytest.raises(EyeglassesError, match=f"{empty} is empty"):
+            bounded_biharmonic_weights(**{**given, empty: nothing})
+
+
+def test_a_mesh_shrunk_to_a_point(glasses):
+    with pytest.raises(EyeglassesError, match="no surface"):
+        bounded_biharmonic_weights(np.zeros_like(glasses.vertices), glasses.faces, [[0, 0, 0]])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_coordinates_that_are_not_finite_are_named(glasses, bad):
+    vertices, handles = glasses.vertices.copy(), glasses.handles.copy()
+    vertices[17, 1] = bad
+    with pytest.raises(EyeglassesError, match="vertex 17 is not finite"):
+        weights_of(vertices, glasses.faces, glasses.handles)
+    handles[3, 0] = bad
+    with pytest.raises(EyeglassesError, match="key point 3 is not finite"):
+        weights_of(glasses.vertices, glasses.faces, handles)
+
+
+def test_misuse_is_a_value_error(glasses):
+    with pytest.raises(ValueError, match=r"handles must have shape \(N, 3\)"):
+        bounded_biharmonic_weights(glasses.vertices, glasses.faces, [1.0, 2.0, 3.0])
+    with pytest.raises(ValueError, match="faces must hold 0 to"):
+        bounded_biharmonic_weights(glasses.vertices, glasses.faces + 1, glasses.handles)
+    with pytest.raises(ValueError, match="faces must hold integers"):
+        bounded_biharmonic_weights(glasses.vertices, glasses.faces.astype(float), glasses.handles)
+    for spacing in (0.0, -1.0, np.nan, "fine"):
+        with pytest.raises(ValueError, match="spacing must be"):
+            bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.handles, spacing)
+
+
+def test_inverted_duplicate_and_flat_faces_change_nothing(glasses, plain):
+    rng = np.random.default_rng(0)
+    faces = np.where(rng.random((len(glasses.faces), 1)) < 0.5, glasses.faces[:, ::-1], glasses.faces)
+    flat = np.column_stack([faces[::9, 0], faces[::9, 1], faces[::9, 0]])
+    weights = weights_of(glasses.vertices, np.vstack([faces, faces[::5], flat]), glasses.handles)
+    assert np.abs(weights - plain).max() <= 1e-9
+
+
+def test_torn_faces_and_holes(glasses, plain):
+    faces = glasses.faces[np.random.default_rng(1).random(len(glasses.faces)) > 0.2]
+    weights = weights_of(glasses.vertices, faces, glasses.handles)
+    assert np.abs(weights - plain).mean() < 0.02
+
+
+def test_every_face_a_part_of_its_own(glasses, plain):
+    corners = glasses.faces.ravel()
+    soup = weights_of(glasses.vertices[corners], np.arange(len(corners)).reshape(-1, 3), glasses.handles)
+    assert np.abs(soup - plain[corners]).max() <= 1e-9
+
+
+def test_unreferenced_vertices_do_not_move_the_lattice(glasses, plain):
+    strays = np.array([[1e5, 0, 0], [0, 0, 0], [-70, 1, -118]])
+    weights = weights_of(np.vstack([glasses.vertices, strays]), glasses.faces, glasses.handles)
+    np.testing.assert_array_equal(weights[: len(plain)], plain)
+    assert weights[-1, 0] > 0.9
+
+
+def test_a_part_within_reach_is_bridged(tube, glasses, plain):
+    """A nose pad 4 mm off the front, with no key point of its own, follows the front beside it."""
+    pad, faces = tube([[-12, 0, 8], [12, 0, 8]], radius=1.5, sides=6)
+    weights = weights_of(*with_part(glasses, pad, faces), glasses.handles)
+    assert weights[len(plain) :, 3].min() > 0.5
+    assert np.abs(weights[: len(plain)] - plain).max() < 0.1
+
+
+@pytest.mark.parametrize("distance", [60.0, 1e4])
+def test_a_floater_moves_in_one_piece_and_disturbs_nothing(tube, glasses, plain, distance):
+    dust, faces = tube([[-70, distance, -118], [-60, distance, -118]], radius=1.5, sides=6)
+    found = solve_weights(*with_part(glasses, dust, faces), glasses.handles, SPACING)
+    np.testing.assert_allclose(found.weights[: len(plain)], plain, atol=1e-12)
+    own = found.weights[len(plain) :]
+    assert np.abs(own - own[0]).max() == 0
+    assert own[0, 0] > 0.5
+    assert found.plan[1].evidence == f"1 parts, {len(dust)} vertices"
+
+
+def test_many_floaters(glasses):
+    rng = np.random.default_rng(0)
+    dust = np.repeat(rng.uniform(-300, 300, (400, 1, 3)), 3, 1) + rng.normal(0, 1, (400, 3, 3))
+    vertices, faces = with_part(glasses, dust.reshape(-1, 3), np.arange(1200).reshape(-1, 3))
+    for spacing in (SPACING, "auto"):
+        weights_of(vertices, faces, glasses.handles, spacing)
+
+
+def test_parts_closer_than_the_spacing_become_one(tube, glasses):
+    """Two temples 1 mm apart, one without a key point: it goes where the other goes."""
+    rod, faces = tube([[0, 0, 0], [0, 0, 60]])
+    vertices = np.vstack([rod, rod + [5, 0, 0]])
+    weights = weights_of(vertices, np.vstack([faces, faces + len(rod)]), [[0, 0, 2], [0, 0, 58]])
+    assert np.abs(weights[: len(rod)] - weights[len(rod) :]).max() < 0.25
+
+
+def test_parts_out_of_reach_with_key_points_of_their_own(tube, glasses):
+    """A pair whose temples lie in the box beside it: each part follows its own key points alone."""
+    rod, faces = tube([[0, 200, 0], [0, 200, 60]])
+    vertices, all_faces = with_part(glasses, rod, faces)
+    weights = weights_of(vertices, all_faces, np.vstack([glasses.handles, [[0, 200, 5], [0, 200, 55]]]))
+    assert weights[len(glasses.vertices) :, :7].max() == 0
+    assert weights[: len(glasses.vertices), 7:].max() == 0
+
+
+def test_a_spacing_far_too_fine_is_refused_at_once(glasses):
+    with pytest.raises(EyeglassesError, match=r"a spacing of 0\.001 makes more than 100000 lattice nodes"):
+        weights_of(glasses.vertices, glasses.faces, glasses.handles, 0.001)
+
+
+def test_a_mesh_far_larger_than_its_key_points_is_refused():
+    x, y = np.meshgrid(np.linspace(0, 1e4, 9), np.linspace(0, 1e4, 9), indexing="ij")
+    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(81)], 1)
+    i, j = np.meshgrid(np.arange(8), np.arange(8), indexing="ij")
+    a = (9 * i + j).ravel()
+    faces = np.concatenate([np.stack([a, a + 9, a + 1], 1), np.stack([a + 1, a + 9, a + 10], 1)])
+    with pytest.raises(EyeglassesError, match="no lattice of 10000 nodes"):
+        bounded_biharmonic_weights(sheet, faces, [[1.0, 1.0, 0.0], [3.0, 1.0, 0.0]])

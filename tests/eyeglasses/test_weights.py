@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.eyeglasses import bounded_biharmonic_weights, solve_weights
+
+
+@pytest.fixture(scope="module")
+def solved(glasses):
+    return solve_weights(glasses.vertices, glasses.faces, glasses.handles, 2.5)
+
+
+def moved(weights, glasses):
+    """Vertices with the temples spread and drooping and the bridge pushed back."""
+    shift = np.zeros((7, 3))
+    shift[[0, 1]] = [[-8, -3, 0], [-4, -1, 0]]
+    shift[[5, 6]] = [[4, -1, 0], [8, -3, 0]]
+    shift[3] = [0, 0, -2]
+    return glasses.vertices + weights @ shift
+
+
+def test_weights_are_shares(solved):
+    assert np.abs(solved.weights.sum(1) - 1).max() <= 1e-12
+    assert solved.weights.min() >= 0
+    assert solved.weights.max() <= 1
+
+
+def test_the_solver_says_how_it_ended(solved, glasses):
+    assert solved.converged
+    assert solved.residual.max() <= 1e-7
+    assert solved.spacing == 2.5
+    assert solved.iterations.shape == solved.energy.shape == (len(glasses.handles),)
+    assert (solved.energy > 0).all()
+    assert len(solved.trace) >= solved.iterations.sum()
+    assert solved.trace.rows[-1].error <= 1e-7
+    assert {row.stage for row in solved.trace} == {"eyeglasses.weights"}
+    assert [step.stage for step in solved.plan] == [
+        "eyeglasses.weights.spacing",
+        "eyeglasses.weights.rigid_parts",
+    ]
+
+
+def test_key_points_hold_what_lies_at_them(glasses):
+    """A vertex at a key point follows it alone, wherever in its cell it lies."""
+    chosen = np.linspace(0, len(glasses.vertices) - 1, 9).astype(int)
+    chosen = np.unique(chosen)[:-1]
+    weights = bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.vertices[chosen], 2.5)
+    np.testing.assert_allclose(weights[chosen], np.eye(len(chosen)), atol=1e-15)
+
+
+@pytest.mark.parametrize("spacing", ["auto", 2.5])
+@pytest.mark.parametrize("scale", [1e-3, 1e3], ids=["m", "um"])
+def test_units_do_not_matter(glasses, scale, spacing):
+    def weights(factor):
+        step = spacing if spacing == "auto" else spacing * factor
+        return bounded_biharmonic_weights(
+            factor * glasses.vertices, glasses.faces, factor * glasses.handles, step
+        )
+
+    assert np.abs(weights(scale) - weights(1.0)).max() <= 1e-9
+
+
+def test_place_does_not_matter(glasses, solved):
+    away = np.array([1e4, -2e4, 3e4])
+    weights = bounded_biharmonic_weights(glasses.vertices + away, glasses.faces, glasses.handles + away, 2.5)
+    assert np.abs(weights - solved.weights).max() <= 1e-7
+
+
+def test_order_does_not_matter(glasses, solved):
+    rng = np.random.default_rng(0)
+    points, order = rng.permutation(len(glasses.handles)), rng.permutation(len(glasses.faces))
+    weights = bounded_biharmonic_weights(glasses.vertices, glasses.faces[order], glasses.handles[points], 2.5)
+    assert np.abs(weights - solved.weights[:, points]).max() <= 1e-12
+
+
+def test_weights_fall_from_one_key_point_to_the_next(glasses, solved):
+    """Along the temple, between the first two key points, everything belongs to these and their next."""
+    temple = (glasses.vertices[:, 0] < -60) & (np.abs(glasses.vertices[:, 2] + 90) < 25)
+    assert solved.weights[temple][:, :2].sum(1).min() > 0.8
+    order = np.argsort(glasses.vertices[temple][:, 2])
+    assert np.corrcoef(solved.weights[temple][order, 0], np.arange(temple.sum()))[0, 1] < -0.95
+
+
+def test_deformations_agree_across_spacings(glasses, solved):
+    """Weights change with the lattice; what they do to the frame hardly does."""
+    coarse = bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.handles, 3.3)
+    fine = bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.handles, 1.7)
+    reference = moved(fine, glasses)
+    for weights in (coarse, solved.weights):
+        apart = np.linalg.norm(moved(weights, glasses) - reference, axis=1)
+        assert apart.max() <= 0.6
+        assert np.sqrt(np.mean(apart**2)) <= 0.25
+
+
+def test_nothing_tears_and_nothing_collapses(glasses, solved):
+    before = glasses.vertices[glasses.faces]
+    after = moved(solved.weights, glasses)[glasses.faces]
+    lengths = [np.linalg.norm(t[:, [0, 1, 2]] - t[:, [1, 2, 0]], axis=2) for t in (before, after)]
+    assert (lengths[1] / lengths[0]).max() < 1.35
+    assert (lengths[1] / lengths[0]).min() > 0.75
+    volume = [np.einsum("fi,fi->", t[:, 0], np.cross(t[:, 1], t[:, 2])) for t in (before, after)]
+    assert volume[1] / volume[0] == pytest.approx(1, abs=0.02)
+
+
+def test_a_budget_ends_with_usable_weights(glasses, solved):
+    seen = []
+    cut = solve_weights(
+        glasses.vertices,
+        glasses.faces,
+        glasses.handles,
+        2.5,
+        s2a.Budget(evaluations=3),
+        on_progress=seen.append,
+    )
+    assert not cut.converged
+    assert len(seen) == len(cut.trace) <= 5
+    assert np.abs(cut.weights.sum(1) - 1).max() <= 1e-12
+    apart = np.linalg.norm(moved(cut.weights, glasses) - moved(solved.weights, glasses), axis=1)
+    assert apart.max() < 3
+
+
+def test_the_automatic_spacing_is_said_aloud(glasses):
+    found = solve_weights(glasses.vertices, glasses.faces, glasses.handles)
+    step = found.plan[0]
+    assert step.reason.startswith("the mesh's thin parts measure 3.")
+    assert float(step.evidence) == pytest.approx(found.spacing, rel=1e-4)
+    close = np.vstack([glasses.handles, [0, 0, 3.0]])
+    found = solve_weights(glasses.vertices, glasses.faces, close)
+    assert found.plan[0].reason == "two key points are close together"
+    assert found.spacing <= 1.5
+    few = solve_weights(
+        glasses.vertices, glasses.faces, glasses.handles, options=s2a.eyeglasses.WeightOptions(max_nodes=600)
+    )
+    assert few.plan[0].reason == "finer ones have more than 600 nodes"
+    assert few.node_count <= 600

@@ -1,0 +1,141 @@
+"""Bounded biharmonic weights of real frames: ours beside libigl's at equal nodes.
+
+    python tools/bench_eyeglasses.py weights [--nodes 7600] [--handles 20] [--frames FILE ...]
+
+Both get the same lattice and the same fixed nodes (eight a key point); key points are farthest points from
+the leftmost vertex on. libigl solves on the lattice's cells, cut into six tetrahedra each (Kuhn), in 100
+iterations at most. The energies are compared on libigl's own operator, on which our solver runs too, and on
+ours. CPU is that of all threads.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from pathlib import Path
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from scan2albedo.eyeglasses.biharmonic import biharmonic_energy
+from scan2albedo.eyeglasses.bounded_quadratic import minimize_bounded, optimality_residual
+from scan2albedo.eyeglasses.embedding import Embedding, embed
+from scan2albedo.eyeglasses.lattice import CORNERS, Lattice
+from scan2albedo.eyeglasses.lattice_weights import solve_lattice
+from scan2albedo.eyeglasses.options import WeightOptions
+from scan2albedo.eyeglasses.weights import solve_weights
+from scan2albedo.io import load_scan
+from scan2albedo.optimization import Meter
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+FRAMES = ("frame_giraut.stl", "sunglasses_khronos.glb")
+
+
+def farthest_points(vertices: FloatArray, count: int) -> FloatArray:
+    chosen, distance = [int(np.argmin(vertices[:, 0]))], np.full(len(vertices), np.inf)
+    while len(chosen) < count:
+        distance = np.minimum(distance, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return vertices[chosen]
+
+
+def kuhn_tetrahedra(lattice: Lattice) -> IntArray:
+    number = {tuple(corner): n for n, corner in enumerate(CORNERS.tolist())}
+    paths = []
+    for axes in itertools.permutations(range(3)):
+        place, path = [0, 0, 0], [0]
+        for axis in axes:
+            place[axis] = 1
+            path.append(number[tuple(place)])
+        paths.append(path)
+    return np.ascontiguousarray(lattice.corners[:, np.array(paths)].reshape(-1, 4), np.int64)
+
+
+def energies(energy: sparse.csr_matrix, weights: FloatArray) -> FloatArray:
+    return 0.5 * np.einsum("nk,nk->k", weights, energy @ weights)
+
+
+def residual(energy: sparse.csr_matrix, weights: FloatArray, free: IntArray) -> float:
+    gradient = (energy @ weights)[free]
+    return float(optimality_residual(weights[free], gradient, energy.diagonal()[free]).max())
+
+
+def compare(embedding: Embedding, options: WeightOptions) -> None:
+    lattice, count = embedding.lattice, len(embedding.handle_cells)
+    nodes, tetrahedra = lattice.nodes.astype(float), kuhn_tetrahedra(lattice)
+    fixed = lattice.corners[lattice.find(embedding.handle_cells)].ravel()
+    values, free = np.repeat(np.eye(count), 8, 0), np.setdiff1d(np.arange(len(nodes)), fixed)
+
+    cpu = time.process_time()
+    ours = solve_lattice(lattice, embedding.handle_cells, options, Meter("bench", "1"))
+    cpu_ours = time.process_time() - cpu
+    cpu = time.process_time()
+    theirs = igl.bbw(nodes, tetrahedra, fixed, values, max_iter=100)
+    cpu_theirs = time.process_time() - cpu
+    laplacian, mass = igl.cotmatrix(nodes, tetrahedra), igl.massmatrix(nodes, tetrahedra)
+    their_energy = (laplacian @ sparse.diags(1 / mass.diagonal()) @ laplacian).tocsr()
+    start = np.full((len(free), count), 0.5)
+    cpu = time.process_time()
+    found = minimize_bounded(
+        their_energy[free][:, free],
+        -(their_energy[free][:, fixed] @ values),
+        start,
+        tolerance=options.tolerance,
+        max_steps=100,
+        meter=Meter("bench", "1"),
+    )
+    cpu_same = time.process_time() - cpu
+    same = np.zeros_like(theirs)
+    same[fixed], same[free] = values, found.x
+
+    our_energy = biharmonic_energy(lattice)
+    print(f"  CPU s: ours {cpu_ours:.2f}, igl.bbw {cpu_theirs:.2f}, ratio {cpu_ours / cpu_theirs:.3f}")
+    print(f"  CPU s on igl's operator, no coarse start: {cpu_same:.2f}, ratio {cpu_same / cpu_theirs:.3f}")
+    print(f"  Newton steps a handle {ours.steps.min()}-{ours.steps.max()}, median {np.median(ours.steps):g}")
+    print(f"  scaled KKT: ours {ours.residual.max():.1e}, igl.bbw {residual(their_energy, theirs, free):.1e}")
+    for name, energy, mine in (("igl's", their_energy, same), ("our", our_energy, ours.weights)):
+        a, b = energies(energy, mine), energies(energy, theirs)
+        print(
+            f"  energy on {name} operator: ours {a.sum():.9g}, igl.bbw {b.sum():.9g}; "
+            f"largest ratio of a handle - 1: {(a / b - 1).max():.1e}"
+        )
+    raw = ours.weights.sum(1)
+    print(f"  raw sums {raw.min():.4f} to {raw.max():.4f}")
+
+
+def bench_weights(frames: list[str], nodes: int, handles: int) -> None:
+    options = WeightOptions(max_nodes=nodes, finest=1 / 250)
+    for name in frames:
+        scan = load_scan(DATA / name)
+        points = farthest_points(scan.vertices, handles)
+        solve_weights(scan.vertices, scan.faces, points, options=WeightOptions(max_nodes=3000))
+        cpu = time.process_time()
+        embedding = embed(scan.vertices, scan.faces, points, "auto", options)
+        cpu = time.process_time() - cpu
+        step = embedding.plan[0]
+        print(
+            f"{name}: {len(embedding.lattice.nodes)} nodes, {handles} handles, spacing "
+            f"{embedding.spacing:.3f} mm ({step.reason}); embedding {cpu:.2f} s CPU"
+        )
+        compare(embedding, options)
+
+
+def main() -> None:
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    parser.add_argument("section", choices=["weights"])
+    parser.add_argument("--nodes", type=int, default=7600)
+    parser.add_argument("--handles", type=int, default=20)
+    parser.add_argument("--frames", nargs="+", default=list(FRAMES))
+    arguments = parser.parse_args()
+    bench_weights(arguments.frames, arguments.nodes, arguments.handles)
+
+
+if __name__ == "__main__":
+    main()
