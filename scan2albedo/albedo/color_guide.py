@@ -27,6 +27,9 @@ _LARGEST = 3.0
 """Bound of the predicted log albedo."""
 _LEFT_OF_HIGHLIGHT = 0.02
 """Part of a cell that at least remains below a highlight."""
+_LIT = 0.02
+"""Median brightness, as a part of V's, of a channel that tells anything: a darker one is offset and rounding,
+which do not follow the light."""
 _BLACK = 1e-3
 """Parts of the median below which logarithms are not taken."""
 _TELLING = 0.05
@@ -72,15 +75,19 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     if specular is not None:
         color = np.maximum(color - specular[:, None], _LEFT_OF_HIGHLIGHT * color)
         value = np.maximum(value - specular, _LEFT_OF_HIGHLIGHT * value)
-    variance = _noise_variance(level, color)
+    bright = np.flatnonzero(np.median(color, 0) >= _LIT * np.median(value))
+    if len(bright) < 2:
+        return ColorGuide.none(len(value))
+    variance = _noise_variance(level, color) if len(bright) == 3 else 0.0
+    color = color[:, bright]
     least = max(math.sqrt(variance), _BLACK)
     logs = np.log(np.maximum(np.column_stack([color, value]), least))
     # The noise's variances in the log channels, and its covariances with log V, which is one of them.
     noise = variance / (np.maximum(color, least) ** 2 * level.weight[:, None])
-    shared = np.where(np.arange(3) == np.abs(color - value[:, None]).argmin(1)[:, None], noise, 0.0)
+    shared = np.where(np.arange(len(bright)) == np.abs(color - value[:, None]).argmin(1)[:, None], noise, 0.0)
     side = float(level.cell.max() + 1)
     octaves, slow = _octaves(level, logs, _WIDEST * side)
-    predicted, slope, clear = np.zeros(len(value)), np.zeros(2), 0.0
+    predicted, slope, clear = np.zeros(len(value)), np.zeros(len(bright) - 1), 0.0
     for octave in octaves:
         if clear < _CLEAR:
             slope, clear = _robust_slope(octave, noise, shared, value)
@@ -91,13 +98,13 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     if explained < _TELLING:
         return ColorGuide.none(len(value))
     wide = slow - local_mean(level, slow, _LOWEST * side)
-    predicted += (wide[:, 1:3] - wide[:, :1]) @ slope
+    predicted += (wide[:, 1:-1] - wide[:, :1]) @ slope
     return ColorGuide(np.exp(np.clip(predicted, -_LARGEST, _LARGEST)), explained)
 
 
 @dataclass(frozen=True)
 class _Octave:
-    """What lies between two Gaussians: log ratios (N, 2), log V (N,), the part of white noise's variance."""
+    """Between two Gaussians: log ratios (N, C - 1), log V (N,), the part of white noise's variance."""
 
     ratios: FloatArray
     value: FloatArray
@@ -105,12 +112,12 @@ class _Octave:
 
 
 def _octaves(level: Level, logs: FloatArray, widest: float) -> tuple[list[_Octave], FloatArray]:
-    """Return the octaves of log channels and log V (N, 4), finest first, and what is slower than `widest`."""
+    """Return the octaves of log channels and log V (N, C + 1), finest first, and what is slower."""
     octaves, smoothed, sigma = [], 0.0, 1.0
     while sigma <= max(widest, 1.0):
         smooth, wider = local_mean(level, logs, sigma), math.hypot(smoothed, sigma)
         band = logs - smooth
-        octaves.append(_Octave(band[:, 1:3] - band[:, :1], band[:, 3], _noise_passed(smoothed, wider)))
+        octaves.append(_Octave(band[:, 1:-1] - band[:, :1], band[:, -1], _noise_passed(smoothed, wider)))
         logs, smoothed, sigma = smooth, wider, 2 * sigma
     return octaves, logs
 
@@ -147,17 +154,17 @@ def _mean_difference(field: FloatArray, lag: int) -> float:
 def _robust_slope(
     octave: _Octave, noise: FloatArray, shared: FloatArray, brightness: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return (2,) the slope of log V over the log ratios, and the part of what it predicts that is not noise.
+    """Return (C - 1,) the slope of log V over the log ratios, and how much of its prediction is not noise.
 
-    `noise`, `shared` (N, 3): variances of the noise in the log channels, covariances with log V.
+    `noise`, `shared` (N, C): variances of the noise in the log channels, covariances with log V.
     """
     ratios, value, passed = octave.ratios, octave.value, octave.noise
-    slope, rest, clear = np.zeros(2), value, 0.0
+    slope, rest, clear = np.zeros(ratios.shape[1]), value, 0.0
     for _ in range(_ROUNDS):
         weight = brightness / np.hypot(rest, _ROBUST)
         own, common = passed * (weight @ noise), passed * (weight @ shared)
         matrix = (weight[:, None] * ratios).T @ ratios
-        matrix += 1e-9 * max(float(np.trace(matrix)), 1e-12) * np.eye(2)
+        matrix += 1e-9 * max(float(np.trace(matrix)), 1e-12) * np.eye(len(slope))
         slope = np.linalg.solve(matrix, ratios.T @ (weight * value) - (common[1:] - common[0]))
         rest = value - ratios @ slope
         predicted = max(float(slope @ matrix @ slope), 1e-30)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,15 +50,18 @@ def estimate_albedo(
     image : GeometryImage
         With `texture_linear`. Texels not seen, black or saturated do not vote, but get an albedo.
     lights : "auto" or int
-        Number of lights; "auto" adds lights while the evidence pays for them.
+        Number of lights; "auto" adds lights while the evidence pays for them, one at least.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
-        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights.
+        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights nor
+        highlights: `lights`, the parts and the repairs in `options` do not touch them, and their albedo has a
+        light of mean 1, not an ambient light of 1.
     view_direction : (3,) sequence of float
         Toward the viewer, for roughness and highlights.
     budget : Budget or float, optional
-        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``.
+        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``. An
+        evaluation or two are needed for any answer; spherical harmonics are one step.
     seed : int
-        Of simulated annealing.
+        Of simulated annealing and of inpainting; the default search draws nothing.
     options : EstimateOptions
     on_progress : callable, optional
         Called with each trace row.
@@ -71,7 +75,8 @@ def estimate_albedo(
     LightingError
         For an image without texture, with an empty mask, or with too few usable texels.
     ValueError
-        For an unknown `brdf`, `lights` that is neither "auto" nor 1 to 4, or a zero `view_direction`.
+        For an unknown `brdf`, `lights` that is neither "auto" nor 1 to 4, a zero `view_direction`, or
+        roughness asked of a Lambertian surface.
 
     References
     ----------
@@ -80,6 +85,8 @@ def estimate_albedo(
     """
     count = _light_count(lights, brdf)
     view = _unit_view(view_direction)
+    if brdf == "lambert" and options.roughness:
+        raise ValueError("options.roughness is True, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image, options)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     if brdf == "spherical-harmonics":
@@ -98,9 +105,9 @@ def _light_count(lights: str | int, brdf: str) -> int | None:
         raise ValueError(f"brdf is {brdf!r}, expected one of {BRDFS}")
     if lights == "auto":
         return None
-    if isinstance(lights, bool) or not isinstance(lights, int) or not 1 <= lights <= 4:
+    if isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4:
         raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
-    return lights
+    return int(lights)
 
 
 def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:

@@ -16,6 +16,8 @@ from scan2albedo.io.geometry_image import GeometryImage
 
 FloatArray = NDArray[np.float64]
 
+_BLACK = 1e-6
+"""Parts of the brightest texel up to which a texel is black."""
 _CHOICE_SIDE = 15
 """Side [texels] of the square over which channels are compared."""
 
@@ -115,14 +117,16 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
         raise LightingError("the mask of the geometry image is empty: there is no surface to light")
     seen = image.seen
     value = value_channel(image.texture_linear)
-    black, clipped = value <= 1e-6, value >= options.saturation_linear
+    black = value <= _BLACK * value[seen].max(initial=0.0)
+    clipped = value >= options.saturation_linear
     usable = seen & ~black & ~clipped & (np.linalg.norm(image.normal, axis=-1) > 0.5)
     if int(usable.sum()) < options.minimal_texels:
         raise LightingError(
             f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
             f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
             f"saturated {int((seen & clipped).sum())}); at least {options.minimal_texels} are needed: "
-            "check the texture's exposure and `texture_valid`"
+            "check the texture's exposure and `texture_valid`, and options.saturation_linear for textures "
+            "that go beyond 1"
         )
     return usable
 

@@ -85,7 +85,7 @@ class LeastSquaresSearch:
         if lights is not None:
             found = current.model.lights
             short = "" if found == lights else f", {found} found before the budget ended"
-            decision = PlanStep("albedo.lights", True, f"{lights} asked for{short}")
+            decision = replace(decision, reason=f"{lights} asked for{short}")
         if self.meter.exhausted:
             rows = undecided(current.model, self.options)
             return LightFound(current, [self._shadows[1], decision, *rows], self._shadows[0])

@@ -111,3 +111,15 @@ class EstimateOptions:
             raise ValueError(f"objective is {self.objective!r}, expected 'residual' or 'albedo-deviation'")
         if self.refiner not in ("auto", "annealing", "nelder-mead"):
             raise ValueError(f"refiner is {self.refiner!r}, expected 'auto', 'annealing' or 'nelder-mead'")
+        if not 1 <= self.maximal_lights <= 4:
+            raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
+        counts = ["grid_size", "start_directions", "grid_directions", "starts", "minimal_texels"]
+        counts += ["descent_iterations", "final_iterations", "polish_evaluations", "annealing_evaluations"]
+        for name, value in [(name, getattr(self, name)) for name in counts] + [
+            ("sizes", size) for size in self.sizes
+        ]:
+            if value < 1:
+                raise ValueError(f"{name} is {value}, expected 1 or more")
+        for name in ("block_area", "fit_block_area"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected a part of the chart: 0 to 1")

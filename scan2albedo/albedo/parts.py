@@ -17,6 +17,8 @@ from scan2albedo.optimization.plan import PlanStep
 FloatArray = NDArray[np.float64]
 Descent = Callable[[ResidualProblem, LightModel, FloatArray], Solution]
 
+_BLACK = 1e-3
+"""Parts of the median below which a cell's share of a highlight is not told."""
 STAGES = {
     "rough": ("albedo.roughness", "surface roughness"),
     "near": ("albedo.near_light", "a finite distance of the light"),
@@ -102,7 +104,7 @@ def undecided(model: LightModel, options: EstimateOptions) -> list[PlanStep]:
         if choice is False:
             rows.append(PlanStep(stage, False, "left out by the caller"))
         elif not (part == "rough" and model.brdf == "lambert"):
-            reason = "the budget ended before it was judged"
+            reason = "asked for" if choice else "the budget ended before it was judged"
             rows.append(PlanStep(stage, getattr(model, part), reason, "not judged"))
     return rows
 
@@ -142,7 +144,8 @@ def _decide_highlight(
         return full, problem, False
     gain = 1 - glossy.cost / plain.cost
     found = glossy_problem.highlight(glossy.model, glossy.x)
-    effect = float(np.sqrt(np.mean((found / problem.level.value) ** 2)))
+    share = np.minimum(found / np.maximum(problem.level.value, _BLACK), 1.0)
+    effect = float(np.sqrt(np.mean(share**2)))
     # A white highlight leaves something of every channel.
     beyond = float(np.mean(found > problem.level.color.min(1)))
     enters = (
