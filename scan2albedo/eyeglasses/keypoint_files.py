@@ -56,7 +56,7 @@ def write_keypoints(
     points = np.asarray(keypoints, np.float64)
     if points.shape != (KEY_POINT_COUNT, 3):
         raise ValueError(f"keypoints must have shape ({KEY_POINT_COUNT}, 3), got {points.shape}")
-    seen = np.isfinite(points).all(axis=1, keepdims=True)[:, 0]
+    seen = [bool(np.isfinite(p).all()) for p in points]
     entries = {
         name: (float(p[0]), float(p[1]), float(p[2])) if found else None
         for name, p, found in zip(KEY_POINT_NAMES, points, seen, strict=True)
