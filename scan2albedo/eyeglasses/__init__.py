@@ -1,5 +1,11 @@
 """Eyeglasses: weights that tie a frame to its key points, and the deformations they carry."""
 
+from scan2albedo.eyeglasses.canonicalization import (
+    CanonicalEyeglasses,
+    CanonicalizationOptions,
+    CanonicalSet,
+    canonicalize,
+)
 from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.options import WeightOptions
@@ -15,9 +21,13 @@ __all__ = [
     "KEY_POINT_NAMES",
     "SKELETON",
     "BoundedBiharmonicWeights",
+    "CanonicalEyeglasses",
+    "CanonicalSet",
+    "CanonicalizationOptions",
     "TriangulatedPoints",
     "WeightOptions",
     "bounded_biharmonic_weights",
+    "canonicalize",
     "read_keypoints",
     "skin",
     "solve_weights",
