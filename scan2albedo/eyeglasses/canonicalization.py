@@ -144,6 +144,15 @@ def canonicalize(
     References
     ----------
     .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, equation S2.
+
+    Examples
+    --------
+    >>> from scan2albedo.synthetic import GlassesBend, eyeglasses
+    >>> bent = eyeglasses(bend=GlassesBend(temple_spread_mm=8.0))
+    >>> options = CanonicalizationOptions(spacing=2.5)
+    >>> found = canonicalize([bent], [bent.keypoints], mean_keypoints=bent.rest_keypoints, options=options)
+    >>> bool(np.abs(found.frames[0].vertices - bent.rest_vertices).max() < 0.6)
+    True
     """
     points = [np.array(p, np.float64) for p in keypoints]
     surfaces = [_surface(mesh) for mesh in meshes]

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.keypoints import SKELETON
+from scan2albedo.geometry.mesh import normalized
 
 FloatArray = NDArray[np.float64]
 
 _PRIOR = 0.1
 """Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
 straight bone shows in no key point."""
-_ROUNDS = 12
+_ROUNDS = 30
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:
@@ -37,33 +38,29 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     source, target : (K, 3) float64
         In the order of `KEY_POINT_NAMES`; bones with NaN ends do not count.
     """
-    neighbours = _neighbours(source + target)
+    bones = _known_bones(source + target)
+    k, j = bones.T
+    before, after = (normalized(points[j] - points[k]) for points in (source, target))
+    turns = np.zeros((len(source), 3, 3))
+    np.add.at(turns, k, after[:, :, None] * before[:, None, :])
+    degree = np.bincount(k, minlength=len(source))
+    turns[degree == 0] = np.eye(3)
+    share = np.zeros((len(source), len(source)))
+    share[k, j] = _PRIOR / degree[k]
     rotations = np.tile(np.eye(3), (len(source), 1, 1))
     for _ in range(_ROUNDS):
-        wanted = np.tile(np.eye(3), (len(source), 1, 1))
-        for k, near in enumerate(neighbours):
-            if near:
-                before, after = (_directions(points[near] - points[k]) for points in (source, target))
-                wanted[k] = after.T @ before + _PRIOR * rotations[near].mean(0)
-        rotations = _nearest_rotations(wanted)
+        rotations = _nearest_rotations(turns + np.einsum("kj,jab->kab", share, rotations))
     result = np.tile(np.eye(4), (len(source), 1, 1))
     result[:, :3, :3] = rotations
     result[:, :3, 3] = target - np.einsum("kij,kj->ki", rotations, source)
     return result
 
 
-def _neighbours(known: FloatArray) -> list[list[int]]:
-    finite = np.isfinite(known.sum(1))
-    near: list[list[int]] = [[] for _ in known]
-    for a, b in SKELETON:
-        if finite[a] and finite[b]:
-            near[a].append(b)
-            near[b].append(a)
-    return near
-
-
-def _directions(bones: FloatArray) -> FloatArray:
-    return bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), 1e-300)
+def _known_bones(points: FloatArray) -> NDArray[np.int64]:
+    """Return (B, 2) bones in both directions whose ends are finite."""
+    bones = np.array(SKELETON)
+    both = np.concatenate([bones, bones[:, ::-1]])
+    return both[np.isfinite(points.sum(1))[both].all(1)]
 
 
 def _nearest_rotations(matrices: FloatArray) -> FloatArray:

@@ -32,8 +32,6 @@ class MeanKeyPoints:
     """(20, 3); NaN where no frame has the key point."""
     converged: bool
     iterations: int
-    spread: float
-    """Root mean square distance of the aligned frames' key points from the mean, in their unit."""
 
 
 def require_posable(points: FloatArray, frame: int) -> None:
@@ -87,7 +85,7 @@ def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40(1), 1975.
     """
     whole = max(range(len(keypoints)), key=lambda i: int(np.isfinite(keypoints[i]).sum()))
-    mean, spread, size = keypoints[whole], np.inf, _size(keypoints[whole], whole)
+    mean, size = keypoints[whole], _size(keypoints[whole], whole)
     iteration, settled = 0, False
     while not settled and iteration < _ROUNDS:
         iteration += 1
@@ -96,11 +94,10 @@ def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
         count = seen.sum(0)[:, None]
         total = np.where(seen[..., None], aligned, 0.0).sum(0)
         new = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        spread = float(np.sqrt(np.nanmean(((aligned - new) ** 2).sum(2))))
         both = np.isfinite(mean).all(1)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
         settled, mean = change <= _TOLERANCE * size and bool((both == (count[:, 0] > 0)).all()), new
-    return MeanKeyPoints(_in_own_axes(mean), settled, iteration, spread)
+    return MeanKeyPoints(_in_own_axes(mean), settled, iteration)
 
 
 def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
