@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.eyeglasses.keypoint_files import KeyPointsFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 
@@ -21,6 +22,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
     "annotated_face_model": FaceModelFile,
+    "eyeglasses_keypoints": KeyPointsFile,
 }
 
 

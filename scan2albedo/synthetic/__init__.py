@@ -1,5 +1,8 @@
 """Synthetic scenes with ground truth."""
 
+from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
+from scan2albedo.synthetic.glasses_bend import GlassesBend
+from scan2albedo.synthetic.glasses_shape import GlassesShape
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
@@ -14,13 +17,17 @@ from scan2albedo.synthetic.scenes import (
 )
 
 __all__ = [
+    "GlassesBend",
+    "GlassesShape",
     "Material",
     "RawLikeOptions",
     "RawScanOptions",
     "SceneParameters",
+    "SyntheticEyeglasses",
     "SyntheticScene",
     "SyntheticTruth",
     "TextureName",
+    "eyeglasses",
     "face",
     "hemisphere",
     "light_at",

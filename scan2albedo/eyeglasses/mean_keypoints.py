@@ -1,0 +1,141 @@
+"""Key points of many frames on common ground: one unit, and their mean by generalised Procrustes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES, MIRROR, SKELETON
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import procrustes, transform_points
+
+FloatArray = NDArray[np.float64]
+
+_OTHER_UNIT = 5.0
+"""Ratio of sizes from which two frames cannot be in the same unit: spectacles differ by a third at most."""
+_SAME_SIZE = 1.4
+_TYPICAL_BONE_MM = 30.0
+_FLAT = 1e-3
+_TOLERANCE = 1e-13
+_ROUNDS = 200
+
+
+@dataclass(frozen=True)
+class MeanKeyPoints:
+    """What `mean_key_points` found."""
+
+    points: FloatArray
+    """(20, 3); NaN where no frame has the key point."""
+    converged: bool
+    iterations: int
+
+
+def require_posable(points: FloatArray, frame: int) -> None:
+    """Raise EyeglassesError unless the key points (20, 3) of a frame fix its pose."""
+    if points.shape != (KEY_POINT_COUNT, 3):
+        raise ValueError(
+            f"keypoints {frame} must have shape ({KEY_POINT_COUNT}, 3), got {points.shape}; NaN rows for "
+            "missing ones"
+        )
+    seen = points[np.isfinite(points).all(1)]
+    spread = np.linalg.svd(seen - seen.mean(0), compute_uv=False) if len(seen) >= 3 else np.zeros(3)
+    if not spread[1] > _FLAT * spread[0]:
+        raise EyeglassesError(
+            f"frame {frame} has {len(seen)} key points, or all on one line; its pose takes three that span a "
+            "plane: label more of them"
+        )
+
+
+def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None = None) -> FloatArray:
+    """Return (n,) factors that bring frames to one unit; all 1 where their sizes say that they share it.
+
+    A frame's size is the median length of its bones. Where sizes differ by more than five times, frames are
+    brought to the size of `reference`, or else of the one nearest to spectacles in mm: by a power of ten
+    where that leaves less than 1.4 times, so that true sizes are kept, otherwise to the very size.
+    """
+    sizes = np.array([_size(points, frame) for frame, points in enumerate(keypoints)])
+    if reference is not None:
+        target = _size(reference, -1)
+    else:
+        target = float(sizes[np.argmin(np.abs(np.log(sizes / _TYPICAL_BONE_MM)))])
+    ratio = target / sizes
+    decade = 10.0 ** np.round(np.log10(ratio))
+    factor = np.where(np.abs(np.log(ratio / decade)) <= np.log(_SAME_SIZE), decade, ratio)
+    return np.where(np.abs(np.log(ratio)) > np.log(_OTHER_UNIT), factor, 1.0)
+
+
+def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
+    """Return the mean of frames that are aligned to it rigidly.
+
+    Alternates x_k = mean over frames of (R_i p_ik + t_i) and the rigid Procrustes transforms (R_i, t_i) of
+    each frame to x [1]_; sizes are kept. The mean lies in the glasses' own axes: x to the wearer's left, z
+    to the front, the centroid at 0.
+
+    Parameters
+    ----------
+    keypoints : sequence of (20, 3) float64
+        One unit; NaN rows for missing key points.
+
+    References
+    ----------
+    .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40(1), 1975.
+    """
+    whole = max(range(len(keypoints)), key=lambda i: int(np.isfinite(keypoints[i]).sum()))
+    mean, size = keypoints[whole], _size(keypoints[whole], whole)
+    iteration, settled = 0, False
+    while not settled and iteration < _ROUNDS:
+        iteration += 1
+        aligned = np.array([transform_points(align_key_points(p, mean), p) for p in keypoints])
+        seen = np.isfinite(aligned).all(2)
+        count = seen.sum(0)[:, None]
+        total = np.where(seen[..., None], aligned, 0.0).sum(0)
+        new = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        both = np.isfinite(mean).all(1)
+        change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
+        settled, mean = change <= _TOLERANCE * size and bool((both == (count[:, 0] > 0)).all()), new
+    return MeanKeyPoints(_in_own_axes(mean), settled, iteration)
+
+
+def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Return the rigid `target_from_source` (4, 4) of the key points that both have."""
+    both = np.isfinite(source).all(1) & np.isfinite(target).all(1)
+    if both.sum() < 3:
+        raise EyeglassesError(
+            f"a frame shares {int(both.sum())} key points with the others; aligning it takes 3: "
+            "label more of them"
+        )
+    return procrustes(source[both], target[both])
+
+
+def _size(points: FloatArray, frame: int) -> float:
+    bones = np.array(SKELETON)
+    lengths = np.linalg.norm(points[bones[:, 0]] - points[bones[:, 1]], axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    if not len(lengths) or not np.median(lengths) > 0:
+        raise EyeglassesError(
+            f"frame {frame} has no two neighbouring key points apart from each other; label more of them"
+        )
+    return float(np.median(lengths))
+
+
+def _in_own_axes(points: FloatArray) -> FloatArray:
+    """Return key points (20, 3) turned to the glasses' own axes, as far as those that are known fix them."""
+    across = points - points[list(MIRROR)]
+    left = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
+    back = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
+    known = np.isfinite(points).all(1)
+    pairs = left & np.isfinite(across).all(1)
+    if not pairs.any() or not (back & known).any() or not (~back & known).any():
+        return points
+    x = normalized(across[pairs].mean(0))
+    forward = points[~back & known].mean(0) - points[back & known].mean(0)
+    z = forward - (forward @ x) * x
+    if not np.linalg.norm(z) > _FLAT * np.linalg.norm(forward):
+        return points
+    z = normalized(z)
+    turned = (points - points[known].mean(0)) @ np.stack([x, np.cross(z, x), z]).T
+    return np.asarray(turned)

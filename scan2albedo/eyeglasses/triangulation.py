@@ -1,0 +1,173 @@
+"""Key points in space from labels in several views."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_STEPS = 50
+_DAMPING = 1e-6
+_ENOUGH = 1e-12
+"""Step over distance from the origin below which a point is done."""
+
+
+@dataclass(frozen=True)
+class TriangulatedPoints:
+    """K points from C views; see `triangulate`."""
+
+    points: FloatArray
+    """(K, 3) in the unit of the cameras; NaN rows where fewer than two views see a point."""
+    errors_px: FloatArray
+    """(C, K) distances of labels from the reprojected points; NaN where a label or a point is missing."""
+    inliers: BoolArray
+    """(C, K) labels within three times the noise of their point."""
+
+
+def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2.0) -> TriangulatedPoints:
+    """Place key points where labels in two views or more agree.
+
+    Each point minimises, over its labels l_c,
+
+        sum over c of rho(|project(P_c, x) - l_c|),  rho(r) = log(1 + (r / 2 s)^2),
+
+    the Cauchy loss, under which labels many s off hardly pull. Starts are the linear solutions of all
+    pairs of views that lie in front of both cameras; the one of least loss is refined by damped Gauss-Newton
+    steps on the reweighted reprojection errors.
+
+    Parameters
+    ----------
+    labels_2d : (C, K, 2) array_like of float
+        Pixels; NaN for a missing label.
+    cameras : (C, 3, 4) array_like of float
+        Projection matrices, pixels from points, of any scale and sign.
+    noise_px : float
+        s, how far labels are usually off.
+
+    Returns
+    -------
+    TriangulatedPoints
+
+    Raises
+    ------
+    ValueError
+        When shapes do not fit together, or `noise_px` is not positive.
+
+    Notes
+    -----
+    Two views that contradict each other have no majority: the point still minimises the loss, its errors
+    tell. A third view outvotes one outlier. Views from one centre see no depth: their points are NaN.
+
+    Cost: C (C - 1) / 2 linear systems a point.
+
+    References
+    ----------
+    .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry", 2004, section 12.2.
+
+    Examples
+    --------
+    >>> cameras = [[[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0]] for x in (0.0, -1.0)]
+    >>> found = triangulate([[[0.1, 0.2]], [[0.0, 0.2]]], cameras, noise_px=0.01)
+    >>> found.points.round(6).tolist()
+    [[1.0, 2.0, 10.0]]
+    """
+    labels, matrices = _checked(labels_2d, cameras, noise_px)
+    count = labels.shape[1]
+    points = np.full((count, 3), np.nan)
+    errors = np.full(labels.shape[:2], np.nan)
+    for k in range(count):
+        seen = np.flatnonzero(np.isfinite(labels[:, k]).all(1))
+        if len(seen) < 2:
+            continue
+        points[k] = _place(labels[seen, k], matrices[seen], noise_px)
+        errors[seen, k] = np.linalg.norm(
+            _residuals(points[k][None], labels[seen, k], matrices[seen])[0], axis=-1
+        )
+    with np.errstate(invalid="ignore"):
+        inliers = errors <= 3 * noise_px
+    return TriangulatedPoints(points, errors, inliers)
+
+
+def _checked(labels_2d: ArrayLike, cameras: ArrayLike, noise_px: float) -> tuple[FloatArray, FloatArray]:
+    labels, matrices = np.asarray(labels_2d, np.float64), np.asarray(cameras, np.float64)
+    if labels.ndim != 3 or labels.shape[2] != 2:
+        raise ValueError(f"labels_2d must have shape (C, K, 2), got {labels.shape}")
+    if matrices.shape != (len(labels), 3, 4):
+        raise ValueError(f"cameras must have shape ({len(labels)}, 3, 4), got {matrices.shape}")
+    if not np.isfinite(matrices).all():
+        raise ValueError("cameras must be finite")
+    if not noise_px > 0:
+        raise ValueError(f"noise_px must be > 0, got {noise_px}")
+    # The third row a unit direction, points in front at positive depth.
+    scale = np.linalg.norm(matrices[:, 2, :3], axis=1) * np.sign(np.linalg.det(matrices[:, :, :3]))
+    if not (scale != 0).all():
+        raise ValueError(f"camera {int(np.argmin(np.abs(scale)))} has a singular left 3x3 part")
+    return labels, matrices / scale[:, None, None]
+
+
+def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
+    """Return the point (3,) of labels (C, 2), NaN where no pair of views gives one."""
+    starts = np.array([_linear(labels[[a, b]], cameras[[a, b]]) for a, b in _pairs(len(labels))])
+    starts = starts[np.isfinite(starts).all(1)]
+    if len(starts) == 0:
+        return np.full(3, np.nan)
+    x = starts[int(np.argmin(_loss(_residuals(starts, labels, cameras), noise_px)))]
+    return _refined(x, labels, cameras, noise_px)
+
+
+def _pairs(count: int) -> list[tuple[int, int]]:
+    return list(itertools.combinations(range(count), 2))
+
+
+def _linear(labels: FloatArray, cameras: FloatArray) -> FloatArray:
+    """Return the point (3,) of the linear equations u (p3 x) = p1 x, v (p3 x) = p2 x; NaN behind a camera."""
+    rows = (labels[:, :, None] * cameras[:, 2:] - cameras[:, :2]).reshape(-1, 4)
+    # Rays, not pixels: each row as a plane of unit normal.
+    rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
+    solution, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
+    depth = cameras[:, 2, :3] @ solution + cameras[:, 2, 3]
+    return solution if rank == 3 and (depth > 0).all() else np.full(3, np.nan)
+
+
+def _residuals(points: FloatArray, labels: FloatArray, cameras: FloatArray) -> FloatArray:
+    """Return (H, C, 2) reprojected points (H, 3) minus labels (C, 2); infinite behind a camera."""
+    image = np.einsum("cij,hj->hci", cameras[:, :, :3], points) + cameras[:, :, 3]
+    depth = image[..., 2:]
+    front = depth > 0
+    return np.where(front, image[..., :2] / np.where(front, depth, 1.0) - labels, np.inf)
+
+
+def _loss(residuals: FloatArray, noise_px: float) -> FloatArray:
+    square = (residuals**2).sum(-1) / (2 * noise_px) ** 2
+    return np.log1p(np.minimum(square, 1e300)).sum(-1)
+
+
+def _refined(x: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
+    """Return the point (3,) after reweighted Levenberg-Marquardt steps that each lower the loss."""
+    residual = _residuals(x[None], labels, cameras)[0]
+    loss, damping = float(_loss(residual[None], noise_px)[0]), _DAMPING
+    for _ in range(_STEPS):
+        usable = np.isfinite(residual).all(1)
+        image = cameras[usable, :, :3] @ x + cameras[usable, :, 3]
+        projected = image[:, :2] / image[:, 2:]
+        slope = (cameras[usable, :2, :3] - projected[:, :, None] * cameras[usable, 2:, :3]) / image[
+            :, 2:, None
+        ]
+        weight = 1 / (1 + (residual[usable] ** 2).sum(1) / (2 * noise_px) ** 2)
+        normal = np.einsum("c,cia,cib->ab", weight, slope, slope)
+        gradient = np.einsum("c,cia,ci->a", weight, slope, residual[usable])
+        step = -np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
+        trial = _residuals((x + step)[None], labels, cameras)[0]
+        lower = float(_loss(trial[None], noise_px)[0])
+        if lower < loss:
+            x, residual, loss, damping = x + step, trial, lower, damping / 10
+        else:
+            damping *= 100
+        if damping > 1e12 or np.linalg.norm(step) <= _ENOUGH * (1 + np.linalg.norm(x)):
+            break
+    return x

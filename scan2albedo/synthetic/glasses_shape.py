@@ -1,0 +1,117 @@
+"""Measures of a synthetic frame and the curves that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+RIM_POINTS = 72
+CORNER_RINGS, STRAIGHT_RINGS, BEND_RINGS, TAIL_RINGS = 8, 34, 10, 16
+"""Rings of a temple: around the corner at the hinge, straight back, down behind the ear, to the tip."""
+_CORNER_RADIUS_MM = 6.0
+_EAR_RADIUS_MM = 22.0
+_DENSE = 4096
+
+
+@dataclass(frozen=True)
+class GlassesShape:
+    """Measures of a frame; lengths in mm."""
+
+    lens_width: float = 50.0
+    lens_height: float = 38.0
+    squareness: float = 2.6
+    """Exponent of the superellipse |x/a|^n + |y/b|^n = 1 of a lens; 2 is an ellipse."""
+    bridge_width: float = 18.0
+    """Between the rims."""
+    bridge_height: float = 5.0
+    """Of the bridge's section."""
+    rim_width: float = 3.2
+    """In the plane of the lens."""
+    rim_depth: float = 3.6
+    """Along the line of sight."""
+    wrap_radius: float = 260.0
+    """Radius of the curve that the front follows around the face."""
+    temple_length: float = 142.0
+    """From hinge to tip, along the temple."""
+    temple_spread: float = 3.0
+    """How far the temple leans outward where it bends behind the ear."""
+    temple_height: float = 5.0
+    temple_width: float = 3.0
+    ear_angle_deg: float = 45.0
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> GlassesShape:
+        """Return measures in the range that opticians sell."""
+        return cls(
+            lens_width=rng.uniform(46, 56),
+            lens_height=rng.uniform(32, 46),
+            squareness=rng.uniform(2.1, 3.4),
+            bridge_width=rng.uniform(15, 22),
+            bridge_height=rng.uniform(4.2, 6),
+            rim_width=rng.uniform(2.6, 4.5),
+            rim_depth=rng.uniform(3, 4.5),
+            wrap_radius=rng.uniform(180, 400),
+            temple_length=rng.uniform(135, 150),
+            temple_spread=rng.uniform(0, 6),
+            temple_height=rng.uniform(4, 7),
+            temple_width=rng.uniform(2.4, 3.6),
+            ear_angle_deg=rng.uniform(35, 50),
+        )
+
+    @property
+    def lens_center(self) -> FloatArray:
+        """(3,) of the left lens, on the front's curve."""
+        x = self.bridge_width / 2 + self.rim_width + self.lens_width / 2
+        return np.array([x, 0.0, self.depth(np.array(x))])
+
+    def depth(self, x: FloatArray) -> FloatArray:
+        """Return z of the front at `x`."""
+        return np.asarray(-(x**2) / (2 * self.wrap_radius))
+
+
+def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
+    """Return the left rim's middle line (72, 3) and its outward normals (72, 3) in the xy-plane.
+
+    Points are equally far apart, counterclockwise as seen from in front, from the temple's side on.
+    """
+    angle = np.linspace(0, 2 * np.pi, _DENSE + 1)
+    half = np.array([shape.lens_width, shape.lens_height]) / 2 + shape.rim_width / 2
+    direction = np.stack([np.cos(angle), np.sin(angle)], 1)
+    radius = (np.abs(direction / half) ** shape.squareness).sum(1) ** (-1 / shape.squareness)
+    outline = radius[:, None] * direction
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
+    place = np.linspace(0, run[-1], RIM_POINTS, endpoint=False)
+    flat = np.stack([np.interp(place, run, outline[:, k]) for k in range(2)], 1)
+    slope = np.sign(flat) * np.abs(flat / half) ** (shape.squareness - 1) / half
+    normal = np.zeros((RIM_POINTS, 3))
+    normal[:, :2] = slope / np.linalg.norm(slope, axis=1)[:, None]
+    x = flat[:, 0] + shape.lens_center[0]
+    return np.stack([x, flat[:, 1], shape.depth(x)], 1), normal
+
+
+def temple_path(shape: GlassesShape, start: FloatArray) -> FloatArray:
+    """Return the middle line (68, 3) of the left temple from `start` (3,) on the rim to the tip."""
+    corner = np.linspace(0, np.pi / 2, CORNER_RINGS, endpoint=False)
+    radius = _CORNER_RADIUS_MM
+    around = start + np.stack(
+        [radius * np.sin(corner), np.zeros(CORNER_RINGS), radius * (np.cos(corner) - 1)], 1
+    )
+    straight_length = 0.66 * shape.temple_length
+    u = np.linspace(0, 1, STRAIGHT_RINGS)
+    zero = np.zeros(STRAIGHT_RINGS)
+    back = (
+        start + [radius, 0, -radius] + np.stack([shape.temple_spread * u**2, zero, -straight_length * u], 1)
+    )
+    turn = np.linspace(0, np.deg2rad(shape.ear_angle_deg), BEND_RINGS + 1)[1:]
+    level = np.array([2 * shape.temple_spread / straight_length, 0, -1.0])
+    level /= np.linalg.norm(level)
+    down = np.array([0, -1.0, 0])
+    bend = back[-1] + _EAR_RADIUS_MM * (np.sin(turn)[:, None] * level + (1 - np.cos(turn))[:, None] * down)
+    rest = shape.temple_length - straight_length - _EAR_RADIUS_MM * turn[-1]
+    heading = np.cos(turn[-1]) * level + np.sin(turn[-1]) * down
+    tail = bend[-1] + rest * np.linspace(0, 1, TAIL_RINGS + 1)[1:, None] * heading
+    return np.concatenate([around, back, bend, tail])

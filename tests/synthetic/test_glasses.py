@@ -1,0 +1,102 @@
+"""Synthetic frames: closed, symmetric, one topology, with the truth about their bend."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
+from scan2albedo.geometry.mesh import boundary_edges, edges_with_faces, face_areas
+from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
+
+BEND = GlassesBend(temple_spread_mm=8, bridge_deg=2)
+
+
+def volume(vertices, faces):
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.einsum("fi,fi->", a, np.cross(b, c)) / 6
+
+
+@pytest.mark.parametrize("welded", [True, False])
+@pytest.mark.parametrize("nose_pads", [True, False])
+def test_every_part_is_closed_and_faces_outward(welded, nose_pads):
+    for seed in range(6):
+        glasses = eyeglasses(seed, welded=welded, nose_pads=nose_pads)
+        assert glasses.part.max() + 1 == (1 if welded else 5) + (2 if nose_pads else 0)
+        assert len(boundary_edges(glasses.faces)) == 0
+        assert (edges_with_faces(glasses.faces)[1] == 2).all()
+        directed = glasses.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        assert len(np.unique(directed, axis=0)) == len(directed)
+        assert face_areas(glasses.vertices, glasses.faces).min() > 1e-3
+        for part in range(glasses.part.max() + 1):
+            faces = glasses.faces[glasses.part[glasses.faces[:, 0]] == part]
+            assert volume(glasses.vertices, faces) > 20
+        assert 2000 < volume(glasses.vertices, glasses.faces) < 12000
+
+
+def test_the_welded_frame_has_two_holes():
+    glasses = eyeglasses(1, nose_pads=False)
+    edges, _ = edges_with_faces(glasses.faces)
+    assert len(glasses.vertices) - len(edges) + len(glasses.faces) == 2 - 2 * 2
+
+
+@pytest.mark.parametrize("welded", [True, False])
+def test_an_unbent_frame_is_symmetric(welded):
+    glasses = eyeglasses(2, welded=welded)
+    flip = np.array([-1.0, 1, 1])
+    np.testing.assert_array_equal(glasses.vertices[glasses.mirror], glasses.vertices * flip)
+    np.testing.assert_array_equal(glasses.keypoints[list(MIRROR)], glasses.keypoints * flip)
+    np.testing.assert_array_equal(glasses.lens_outlines[1], glasses.lens_outlines[0] * flip)
+    np.testing.assert_array_equal(glasses.vertices, glasses.rest_vertices)
+
+
+def test_topology_and_key_points_are_the_same_for_all_seeds_and_bends():
+    first = eyeglasses(0)
+    for other in (eyeglasses(5), eyeglasses(7, bend=BEND)):
+        np.testing.assert_array_equal(first.faces, other.faces)
+        np.testing.assert_array_equal(first.keypoint_vertices, other.keypoint_vertices)
+    assert np.abs(eyeglasses(5).vertices - first.vertices).max() > 1
+    np.testing.assert_array_equal(eyeglasses(5).vertices, eyeglasses(5).vertices)
+
+
+@pytest.mark.parametrize("welded", [True, False])
+def test_key_points_lie_where_their_names_say(welded):
+    glasses = eyeglasses(shape=GlassesShape(), welded=welded)
+    at = dict(zip(glasses.names, glasses.keypoints, strict=True))
+    assert glasses.names == KEY_POINT_NAMES
+    assert len(set(glasses.keypoint_vertices.tolist())) == 20
+    assert at["bridge_top"][1] > at["bridge_bottom"][1]
+    for side, sign in (("left", 1), ("right", -1)):
+        rim = glasses.lens_outlines[0 if side == "left" else 1]
+        assert at[f"{side}_rim_top"][1] > rim[:, 1].max()
+        assert at[f"{side}_rim_bottom"][1] < rim[:, 1].min()
+        assert sign * at[f"{side}_hinge"][0] > (sign * rim[:, 0]).max()
+        depth = [at[f"{side}_{n}"][2] for n in ("hinge", "temple_middle", "ear_bend", "temple_tip")]
+        assert (np.diff(depth) < -10).all()
+        assert at[f"{side}_temple_tip"][1] < at[f"{side}_temple_middle"][1] - 10
+    for a, b in SKELETON:
+        assert 3 < np.linalg.norm(glasses.keypoints[a] - glasses.keypoints[b]) < 70
+
+
+def test_a_bend_spreads_the_temples_by_what_is_asked_and_keeps_the_volume():
+    straight = eyeglasses(4)
+    spread = eyeglasses(4, bend=GlassesBend(temple_spread_mm=8))
+    tips = [KEY_POINT_NAMES.index(f"{side}_temple_tip") for side in ("left", "right")]
+    moved = (spread.keypoints - straight.keypoints)[tips]
+    np.testing.assert_allclose(moved, [[8, 0, 0], [-8, 0, 0]], atol=0.2)
+    bent = eyeglasses(4, bend=BEND)
+    np.testing.assert_array_equal(bent.rest_vertices, straight.vertices)
+    ratio = volume(bent.vertices, bent.faces) / volume(straight.vertices, straight.faces)
+    assert ratio == pytest.approx(1, abs=2e-3)
+    edges, _ = edges_with_faces(bent.faces)
+    lengths = [
+        np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (bent.vertices, bent.rest_vertices)
+    ]
+    assert np.abs(lengths[0] / lengths[1] - 1).max() < 0.15
+
+
+def test_lenses_lie_in_their_rims():
+    glasses = eyeglasses(6, bend=BEND)
+    for center, outline in zip(glasses.lens_centers, glasses.lens_outlines, strict=True):
+        distance = np.linalg.norm(outline - center, axis=1)
+        assert distance.min() > 12
+        assert distance.max() < 40
+        assert np.linalg.norm(center - (outline.min(0) + outline.max(0)) / 2) < 3
