@@ -2,6 +2,8 @@
 
 from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
+from scan2albedo.eyeglasses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lens_rims import LensRim, find_lens_rim
 from scan2albedo.eyeglasses.options import WeightOptions
 from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.skinning import skin
@@ -16,11 +18,14 @@ __all__ = [
     "KEY_POINT_NAMES",
     "SKELETON",
     "BoundedBiharmonicWeights",
+    "LensRim",
     "RefractedRays",
     "ThinLens",
     "TriangulatedPoints",
     "WeightOptions",
     "bounded_biharmonic_weights",
+    "find_lens_rim",
+    "lens_mesh",
     "read_keypoints",
     "refract",
     "skin",

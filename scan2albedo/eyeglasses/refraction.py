@@ -68,7 +68,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
 
     Notes
     -----
-    MEGANE's supplement works with f = 1 / P, which is infinite for plane glass, and positive for what shrinks;
+    MEGANE's supplement works with f = 1 / P, infinite for plane glass and positive for what shrinks;
     the sign of the dioptres here is the optician's.
 
     References
