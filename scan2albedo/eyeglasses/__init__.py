@@ -4,6 +4,12 @@ from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoint
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.lens_mesh import lens_mesh
 from scan2albedo.eyeglasses.lens_rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lens_shading import (
+    blend_lens,
+    environment_radiance,
+    light_by_environment,
+    mirror_on_sphere,
+)
 from scan2albedo.eyeglasses.options import WeightOptions
 from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.skinning import skin
@@ -23,9 +29,13 @@ __all__ = [
     "ThinLens",
     "TriangulatedPoints",
     "WeightOptions",
+    "blend_lens",
     "bounded_biharmonic_weights",
+    "environment_radiance",
     "find_lens_rim",
     "lens_mesh",
+    "light_by_environment",
+    "mirror_on_sphere",
     "read_keypoints",
     "refract",
     "skin",
