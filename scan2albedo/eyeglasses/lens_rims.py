@@ -17,6 +17,8 @@ from scan2albedo.geometry.rays import RayCaster
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_FEWEST = 32
+"""Points of a rim; with fewer, neighbours are too far apart to tell the rim from what is in the way."""
 _LONGEST_GAP_DEG = 30.0
 """Wider gaps are no hole in a scan but an open rim, which a straight line would cut off."""
 
@@ -73,7 +75,7 @@ def find_lens_rim(
         When the mesh is empty or not finite, neither rim points nor a normal are given, or too little of
         a rim lies around the centre to do without rim points.
     ValueError
-        When an array has the wrong shape or `count` is less than 8.
+        When an array has the wrong shape or `count` is less than 32.
 
     Notes
     -----
@@ -93,8 +95,8 @@ def find_lens_rim(
     xyz, index = _checked_mesh(vertices, faces)
     middle = _checked_points("center", center, (3,))
     marks = None if rim_points is None else _checked_points("rim_points", rim_points, (-1, 3))
-    if count < 8:
-        raise ValueError(f"count must be 8 or more, got {count}")
+    if count < _FEWEST:
+        raise ValueError(f"count must be {_FEWEST} or more, got {count}")
     plane = _plane(xyz, middle, marks, normal)
     angles = np.linspace(-np.pi, np.pi, count, endpoint=False)
     lens_radius = None if marks is None else float(plane.profile(marks).radius.mean())

@@ -49,6 +49,14 @@ def test_the_rim_is_the_true_inner_outline(welded, bend):
             assert rim.measured.mean() > 0.85
 
 
+@pytest.mark.parametrize("count", [32, 64, 512])
+def test_few_and_many_points_lie_on_the_same_rim(count):
+    glasses = eyeglasses(1)
+    rim = find(glasses, count=count)
+    assert len(rim.points) == count
+    assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
+
+
 def test_a_given_normal_will_do_and_need_not_be_exact():
     glasses = eyeglasses(2)
     exact = fit_normal(rim_points(glasses, "left"), glasses.vertices)
@@ -172,7 +180,7 @@ def test_what_cannot_be_done_is_said():
             glasses.vertices, glasses.faces, glasses.lens_centers[0] + [0, 0, 300], normal=[0, 0, 1]
         )
     with pytest.raises(ValueError, match="count"):
-        find(glasses, count=4)
+        find(glasses, count=16)
     with pytest.raises(EyeglassesError, match="fold"):
         lens_mesh([5.0, 0, 0], [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     with pytest.raises(EyeglassesError, match="fold"):
