@@ -8,7 +8,16 @@ from scan2albedo.eyeglasses.canonicalization import (
 )
 from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
+from scan2albedo.eyeglasses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lens_rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lens_shading import (
+    blend_lens,
+    environment_radiance,
+    light_by_environment,
+    mirror_on_sphere,
+)
 from scan2albedo.eyeglasses.options import WeightOptions
+from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.skinning import skin
 from scan2albedo.eyeglasses.triangulation import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.weights import (
@@ -24,11 +33,21 @@ __all__ = [
     "CanonicalEyeglasses",
     "CanonicalSet",
     "CanonicalizationOptions",
+    "LensRim",
+    "RefractedRays",
+    "ThinLens",
     "TriangulatedPoints",
     "WeightOptions",
+    "blend_lens",
     "bounded_biharmonic_weights",
     "canonicalize",
+    "environment_radiance",
+    "find_lens_rim",
+    "lens_mesh",
+    "light_by_environment",
+    "mirror_on_sphere",
     "read_keypoints",
+    "refract",
     "skin",
     "solve_weights",
     "triangulate",
