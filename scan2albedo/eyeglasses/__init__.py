@@ -1,4 +1,4 @@
-"""Eyeglasses: weights that tie a frame to its key points, and the deformations they carry."""
+"""Eyeglasses: weights that tie a frame to its key points, canonical frames, and lenses."""
 
 from scan2albedo.eyeglasses.canonicalization import (
     CanonicalEyeglasses,

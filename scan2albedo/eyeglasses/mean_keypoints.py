@@ -18,10 +18,15 @@ FloatArray = NDArray[np.float64]
 _OTHER_UNIT = 5.0
 """Ratio of sizes from which two frames cannot be in the same unit: spectacles differ by a third at most."""
 _SAME_SIZE = 1.4
+"""Ratio of sizes, after a power of ten, up to which two frames differ in shape rather than in unit."""
 _TYPICAL_BONE_MM = 30.0
+"""Median length of the skeleton's bones of spectacles: tells which frame is in mm."""
 _FLAT = 1e-3
+"""Spread across a line, as a part of that along it, below which points fix no pose."""
 _TOLERANCE = 1e-13
+"""Change of the mean, as a part of its size, at which it has settled: rounding."""
 _ROUNDS = 200
+"""Most rounds of the mean."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _STEPS = 50
+"""Most steps a point."""
 _DAMPING = 1e-6
+"""First damping, as a part of the normal matrix's diagonal: the linear start is nearly right."""
 _ENOUGH = 1e-12
 """Step over distance from the origin below which a point is done."""
 

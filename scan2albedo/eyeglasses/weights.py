@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _VANISHED = 1e-6
+"""Sum of the weights below which no key point holds a node: dividing by it would amplify rounding."""
 
 
 @dataclass(frozen=True)
@@ -167,16 +168,12 @@ def _checked(
     xyz, points = np.asarray(vertices, np.float64), np.asarray(handles, np.float64)
     index = np.asarray(faces)
     for name, array in (("vertices", xyz), ("faces", index), ("handles", points)):
-        if array.ndim != 2 or array.shape[1] != 3:
-            if array.size == 0:
-                raise EyeglassesError(
-                    f"{name} is empty: weights need a mesh with faces and one key point or more"
-                )
-            raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
-        if len(array) == 0:
+        if array.size == 0:
             raise EyeglassesError(
                 f"{name} is empty: weights need a mesh with faces and one key point or more"
             )
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
     for name, array in (("vertex", xyz), ("key point", points)):
         bad = np.flatnonzero(~np.isfinite(array).all(1))
         if len(bad):
