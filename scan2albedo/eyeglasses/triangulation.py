@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.geometry.pinhole import normalized_cameras
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -96,20 +98,14 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
 
 
 def _checked(labels_2d: ArrayLike, cameras: ArrayLike, noise_px: float) -> tuple[FloatArray, FloatArray]:
-    labels, matrices = np.asarray(labels_2d, np.float64), np.asarray(cameras, np.float64)
+    labels, matrices = np.asarray(labels_2d, np.float64), normalized_cameras(cameras)
     if labels.ndim != 3 or labels.shape[2] != 2:
         raise ValueError(f"labels_2d must have shape (C, K, 2), got {labels.shape}")
-    if matrices.shape != (len(labels), 3, 4):
+    if len(matrices) != len(labels):
         raise ValueError(f"cameras must have shape ({len(labels)}, 3, 4), got {matrices.shape}")
-    if not np.isfinite(matrices).all():
-        raise ValueError("cameras must be finite")
     if not noise_px > 0:
         raise ValueError(f"noise_px must be > 0, got {noise_px}")
-    # The third row a unit direction, points in front at positive depth.
-    scale = np.linalg.norm(matrices[:, 2, :3], axis=1) * np.sign(np.linalg.det(matrices[:, :, :3]))
-    if not (scale != 0).all():
-        raise ValueError(f"camera {int(np.argmin(np.abs(scale)))} has a singular left 3x3 part")
-    return labels, matrices / scale[:, None, None]
+    return labels, matrices
 
 
 def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:

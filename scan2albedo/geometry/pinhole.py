@@ -1,0 +1,94 @@
+"""Pinhole cameras as (3, 4) projection matrices: pixels (column, row), centres of pixels at integers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.mesh import normalized
+
+FloatArray = NDArray[np.float64]
+
+
+def normalized_cameras(cameras: ArrayLike) -> FloatArray:
+    """Return (C, 3, 4) projection matrices of any scale and sign so that depth is the third coordinate.
+
+    The third row's direction becomes a unit vector, and points in front of the camera get positive depth.
+
+    Raises
+    ------
+    ValueError
+        When the shape is another, numbers are not finite, or a left 3x3 part is singular.
+    """
+    matrices = np.asarray(cameras, np.float64)
+    if matrices.ndim != 3 or matrices.shape[1:] != (3, 4):
+        raise ValueError(f"cameras must have shape (C, 3, 4), got {matrices.shape}")
+    if not np.isfinite(matrices).all():
+        raise ValueError("cameras must be finite")
+    scale = np.linalg.norm(matrices[:, 2, :3], axis=1) * np.sign(np.linalg.det(matrices[:, :, :3]))
+    if not (scale != 0).all():
+        raise ValueError(f"camera {int(np.argmin(np.abs(scale)))} has a singular left 3x3 part")
+    return matrices / scale[:, None, None]
+
+
+def project(camera: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return pixels (N, 2) and depths (N,) of points (N, 3) in one normalised camera (3, 4).
+
+    Pixels of points at or behind the camera's plane are NaN.
+    """
+    image = points @ camera[:, :3].T + camera[:, 3]
+    depth = image[:, 2]
+    front = depth > 0
+    pixels = np.where(front[:, None], image[:, :2] / np.where(front, depth, 1.0)[:, None], np.nan)
+    return pixels, depth
+
+
+def camera_centers(cameras: FloatArray) -> FloatArray:
+    """Return (C, 3) centres of projection of cameras (C, 3, 4)."""
+    return -np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0]
+
+
+def pixel_directions(camera: FloatArray, pixels: ArrayLike) -> FloatArray:
+    """Return (N, 3) unit vectors from the camera through pixels (N, 2); the camera normalised."""
+    plane = np.asarray(pixels, np.float64)
+    homogeneous = np.column_stack([plane, np.ones(len(plane))])
+    return normalized(np.linalg.solve(camera[:, :3], homogeneous.T).T)
+
+
+def pixel_grid(shape: tuple[int, int]) -> FloatArray:
+    """Return (H W, 2) pixels (column, row) of an image (H, W), row by row."""
+    row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    return np.stack([column, row], 1).astype(np.float64)
+
+
+def look_at(
+    position: ArrayLike, target: ArrayLike, *, focal_px: float, shape: tuple[int, int], roll_rad: float = 0.0
+) -> FloatArray:
+    """Return the (3, 4) camera at `position` that sees `target` in the middle of its picture, +y up.
+
+    Parameters
+    ----------
+    position, target : (3,) array_like of float
+        Not one above the other.
+    focal_px : float
+        Focal length in pixels.
+    shape : (H, W)
+        Of the picture.
+    roll_rad : float
+        Turn of the camera around its line of sight.
+
+    Examples
+    --------
+    >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1800, shape=(1025, 1025))
+    >>> project(camera, np.array([[10.0, 20.0, 0.0]]))
+    (array([[542., 452.]]), array([600.]))
+    """
+    at = np.asarray(position, np.float64)
+    forward = normalized(np.asarray(target, np.float64) - at)
+    right = normalized(np.cross(forward, [0.0, 1.0, 0.0]))
+    down = np.cross(forward, right)
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    rotation = np.stack([c * right + s * down, c * down - s * right, forward])
+    height, width = shape
+    intrinsic = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
+    return intrinsic @ np.column_stack([rotation, -rotation @ at])
