@@ -45,14 +45,14 @@ def project(camera: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatAr
 
 def camera_centers(cameras: FloatArray) -> FloatArray:
     """Return (C, 3) centres of projection of cameras (C, 3, 4)."""
-    return -np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0]
+    return np.asarray(-np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0], np.float64)
 
 
 def pixel_directions(camera: FloatArray, pixels: ArrayLike) -> FloatArray:
     """Return (N, 3) unit vectors from the camera through pixels (N, 2); the camera normalised."""
     plane = np.asarray(pixels, np.float64)
     homogeneous = np.column_stack([plane, np.ones(len(plane))])
-    return normalized(np.linalg.solve(camera[:, :3], homogeneous.T).T)
+    return normalized(np.asarray(np.linalg.solve(camera[:, :3], homogeneous.T).T, np.float64))
 
 
 def pixel_grid(shape: tuple[int, int]) -> FloatArray:
