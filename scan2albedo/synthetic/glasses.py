@@ -101,11 +101,11 @@ def eyeglasses(
     marks |= {f"right_{name}": int(mirror[v]) for name, v in half.marks.items()}
     rest = vertices[kept]
     edges = renumbered[np.stack([half.lens_edge, mirror[half.lens_edge]])]
-    hinge_z = float(rest[renumbered[half.marks["hinge"]], 2])
-    depth = hinge_z - float(rest[:, 2].min())
+    hinge = rest[renumbered[half.marks["hinge"]]]
+    depth = float(hinge[2] - rest[:, 2].min())
     centers = measures.lens_center * np.array([[1.0, 1, 1], [-1, 1, 1]])
     moved, moved_centers = (
-        bend_points(p, bend, hinge_z, depth, measures.bridge_width) for p in (rest, centers)
+        bend_points(p, bend, hinge, depth, measures.bridge_width) for p in (rest, centers)
     )
     return SyntheticEyeglasses(
         vertices=moved,

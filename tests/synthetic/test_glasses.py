@@ -81,7 +81,10 @@ def test_a_bend_spreads_the_temples_by_what_is_asked_and_keeps_the_volume():
     spread = eyeglasses(4, bend=GlassesBend(temple_spread_mm=8))
     tips = [KEY_POINT_NAMES.index(f"{side}_temple_tip") for side in ("left", "right")]
     moved = (spread.keypoints - straight.keypoints)[tips]
-    np.testing.assert_allclose(moved, [[8, 0, 0], [-8, 0, 0]], atol=0.2)
+    np.testing.assert_allclose(moved[:, :2], [[8, 0], [-8, 0]], atol=0.3)
+    # A rod that turns outward reaches less far back; it does not get longer.
+    assert (moved[:, 2] > 0.2).all()
+    assert (moved[:, 2] < 1.0).all()
     bent = eyeglasses(4, bend=BEND)
     np.testing.assert_array_equal(bent.rest_vertices, straight.vertices)
     ratio = volume(bent.vertices, bent.faces) / volume(straight.vertices, straight.faces)
@@ -90,7 +93,7 @@ def test_a_bend_spreads_the_temples_by_what_is_asked_and_keeps_the_volume():
     lengths = [
         np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (bent.vertices, bent.rest_vertices)
     ]
-    assert np.abs(lengths[0] / lengths[1] - 1).max() < 0.15
+    assert np.abs(lengths[0] / lengths[1] - 1).max() < 0.06
 
 
 def test_lenses_lie_in_their_rims():
