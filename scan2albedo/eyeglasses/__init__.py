@@ -1,4 +1,4 @@
-"""Eyeglasses: weights that tie a frame to its key points, canonical frames, and lenses."""
+"""Eyeglasses: weights that tie a frame to its key points, canonical frames, frames on faces, lenses."""
 
 from scan2albedo.eyeglasses.canonicalization import (
     CanonicalEyeglasses,
@@ -18,6 +18,9 @@ from scan2albedo.eyeglasses.lens_shading import (
 )
 from scan2albedo.eyeglasses.options import WeightOptions
 from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
+from scan2albedo.eyeglasses.registration import register_on_face
+from scan2albedo.eyeglasses.registration_options import FaceRegistrationOptions
+from scan2albedo.eyeglasses.registration_result import RegisteredEyeglasses
 from scan2albedo.eyeglasses.skinning import skin
 from scan2albedo.eyeglasses.triangulation import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.weights import (
@@ -33,8 +36,10 @@ __all__ = [
     "CanonicalEyeglasses",
     "CanonicalSet",
     "CanonicalizationOptions",
+    "FaceRegistrationOptions",
     "LensRim",
     "RefractedRays",
+    "RegisteredEyeglasses",
     "ThinLens",
     "TriangulatedPoints",
     "WeightOptions",
@@ -48,6 +53,7 @@ __all__ = [
     "mirror_on_sphere",
     "read_keypoints",
     "refract",
+    "register_on_face",
     "skin",
     "solve_weights",
     "triangulate",

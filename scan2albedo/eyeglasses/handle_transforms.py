@@ -6,14 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.keypoints import SKELETON
+from scan2albedo.eyeglasses.motion_kernels import settle_rotations
 from scan2albedo.geometry.mesh import normalized
 
 FloatArray = NDArray[np.float64]
 
-_PRIOR = 0.1
+PRIOR = 0.1
 """Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
 straight bone shows in no key point."""
-_ROUNDS = 30
+_SWEEPS, _SETTLED = 100, 1e-13
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:
@@ -30,15 +31,15 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
 
         sum over bones (k, j) of b_kj a_kj^T + 0.1 mean_j R_j,
 
-    a and b the bones' unit directions before and after, by a few sweeps from R = 1. A rigid motion of all
-    key points, or of one side, is met exactly by the first term and kept by the second.
+    a and b the bones' unit directions before and after, by sweeps from R = 1 until they settle. A
+    rigid motion of all key points, or of one side, is met exactly by the first term and kept by the second.
 
     Parameters
     ----------
     source, target : (K, 3) float64
         In the order of `KEY_POINT_NAMES`; bones with NaN ends do not count.
     """
-    bones = _known_bones(source + target)
+    bones = known_bones(source + target)
     k, j = bones.T
     before, after = (normalized(points[j] - points[k]) for points in (source, target))
     turns = np.zeros((len(source), 3, 3))
@@ -46,25 +47,17 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     degree = np.bincount(k, minlength=len(source))
     turns[degree == 0] = np.eye(3)
     share = np.zeros((len(source), len(source)))
-    share[k, j] = _PRIOR / degree[k]
-    rotations = np.tile(np.eye(3), (len(source), 1, 1))
-    for _ in range(_ROUNDS):
-        rotations = _nearest_rotations(turns + np.einsum("kj,jab->kab", share, rotations))
+    share[k, j] = PRIOR / degree[k]
+    start = np.tile(np.eye(3), (len(source), 1, 1))
+    rotations = settle_rotations(turns, share, start, _SWEEPS, _SETTLED)
     result = np.tile(np.eye(4), (len(source), 1, 1))
     result[:, :3, :3] = rotations
     result[:, :3, 3] = target - np.einsum("kij,kj->ki", rotations, source)
     return result
 
 
-def _known_bones(points: FloatArray) -> NDArray[np.int64]:
+def known_bones(points: FloatArray) -> NDArray[np.int64]:
     """Return (B, 2) bones in both directions whose ends are finite."""
     bones = np.array(SKELETON)
     both = np.concatenate([bones, bones[:, ::-1]])
     return both[np.isfinite(points.sum(1))[both].all(1)]
-
-
-def _nearest_rotations(matrices: FloatArray) -> FloatArray:
-    """Return (K, 3, 3) rotations R of largest trace(R^T M)."""
-    u, _, vt = np.linalg.svd(matrices)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    return u @ vt

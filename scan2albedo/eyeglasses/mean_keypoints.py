@@ -73,6 +73,11 @@ def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None =
     return np.where(np.abs(np.log(ratio)) > np.log(_OTHER_UNIT), factor, 1.0)
 
 
+def usual_size_factor(points: FloatArray) -> float:
+    """Return the factor that brings a frame's median bone to that of spectacles in mm."""
+    return _TYPICAL_BONE_MM / _size(points, 0)
+
+
 def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
     """Return the mean of frames that are aligned to it rigidly.
 

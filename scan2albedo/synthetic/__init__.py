@@ -15,6 +15,7 @@ from scan2albedo.synthetic.scenes import (
     light_at,
     with_normal_error,
 )
+from scan2albedo.synthetic.wearer import Wearer, WearerOptions, wearer
 
 __all__ = [
     "GlassesBend",
@@ -27,11 +28,14 @@ __all__ = [
     "SyntheticScene",
     "SyntheticTruth",
     "TextureName",
+    "Wearer",
+    "WearerOptions",
     "eyeglasses",
     "face",
     "hemisphere",
     "light_at",
     "raw_like",
     "raw_scan",
+    "wearer",
     "with_normal_error",
 ]

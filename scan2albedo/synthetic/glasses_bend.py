@@ -30,9 +30,9 @@ def bend_points(
     """Return points (..., 3) moved by the bend.
 
     A temple's section at a way t from the hinge turns outward by theta(t), tan theta the slope of a
-    cantilever loaded at its end, s u^2 (3 - u) / 2 with u = t / temple_depth; the front's middle line turns by
-    phi(x) about y, which rises within the bridge as a sine. Both lines keep their lengths and what lies off
-    them its distance, as thin rods do; volumes change to second order only.
+    cantilever loaded at its end, s u^2 (3 - u) / 2 with u = t / temple_depth; the front's middle line turns
+    by phi(x) about y, which rises within the bridge as a sine. Both lines keep their lengths and what lies
+    off them its distance, as thin rods do; volumes change to second order only.
 
     Parameters
     ----------
@@ -79,7 +79,8 @@ def _spread(
 def _line(angle: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
     """Return how far lines (N,) that turn by an angle at each step have come, straight on and across."""
     parts = [
-        np.concatenate([[0.0], np.cumsum(step * (f[1:] + f[:-1]) / 2)]) for f in (np.cos(angle), np.sin(angle))
+        np.concatenate([[0.0], np.cumsum(step * (f[1:] + f[:-1]) / 2)])
+        for f in (np.cos(angle), np.sin(angle))
     ]
     return parts[0], parts[1]
 

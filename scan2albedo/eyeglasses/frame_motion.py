@@ -1,0 +1,200 @@
+"""How a frame moves and bends: a rigid motion, shifts of its key points, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.eyeglasses.handle_transforms import PRIOR, known_bones, turned_translations
+from scan2albedo.eyeglasses.motion_kernels import blend_positions, normal_sums
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import compose, rotation_from_vector
+
+FloatArray = NDArray[np.float64]
+
+RIGID = 6
+"""First parameters of a step: a turn about the key points' centroid (rad), a translation."""
+
+
+@dataclass(frozen=True)
+class SkinnedPoints:
+    """N points that follow the key points of a frame at rest."""
+
+    rest: FloatArray
+    """(N, 3)."""
+    weights: FloatArray
+    """(N, K), rows sum to 1."""
+
+
+@dataclass(frozen=True)
+class FrameState:
+    """Where a frame is and how it is bent."""
+
+    rotation: FloatArray
+    """(3, 3) `world_from_frame`."""
+    origin: FloatArray
+    """(3,) where the centroid of the key points at rest goes."""
+    shifts: FloatArray
+    """(K, 3) of the key points, in the frame's axes."""
+
+    def moved(self, step: FloatArray) -> FrameState:
+        """Return the state after a step (6,) or (6 + 3 K,): turn, translation, shifts."""
+        shifts = self.shifts if len(step) == RIGID else self.shifts + step[RIGID:].reshape(-1, 3)
+        return FrameState(rotation_from_vector(step[:3]) @ self.rotation, self.origin + step[3:RIGID], shifts)
+
+
+class FrameMotion:
+    """A state of one frame with what its points and derivatives need.
+
+    A point x with weights w goes to
+
+        y = R (sum over k of w_k (R_k (x - p_k) + p_k + s_k) - m) + o,
+
+    R_k the skeleton's turn at key point k (`turned_translations`), m the centroid of the key points p.
+
+    Parameters
+    ----------
+    keypoints : (K, 3) float64
+        At rest, in the order of `KEY_POINT_NAMES`; K = 20, NaN where the frame lacks one.
+    state : FrameState
+    """
+
+    def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
+        self.keypoints, self.state = keypoints, state
+        self.known: NDArray[np.bool_] = np.asarray(np.isfinite(keypoints).all(1))
+        self.center = keypoints[self.known].mean(0)
+
+    @cached_property
+    def handles(self) -> FloatArray:
+        """(K, 4, 4) from the frame at rest to the bent frame; the identity for key points that it lacks."""
+        result = turned_translations(self.keypoints, self.keypoints + self.state.shifts)
+        result[~self.known] = np.eye(4)
+        return result
+
+    @property
+    def world_from_frame(self) -> FloatArray:
+        """(4, 4) rigid."""
+        rotation = self.state.rotation
+        return compose(rotation, self.state.origin - rotation @ self.center)
+
+    @cached_property
+    def transforms(self) -> FloatArray:
+        """(K, 4, 4) from the frame at rest to the world, for `skin`."""
+        return self.world_from_frame @ self.handles
+
+    def positions(self, points: SkinnedPoints) -> FloatArray:
+        """Return (N, 3) in the world."""
+        return np.asarray(blend_positions(points.rest, points.weights, self.transforms))
+
+    def rows(self, points: SkinnedPoints, positions: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return (N, 6 + 3 K) derivatives of N values with the given slopes (N, 3) at the world's points.
+
+        Parameters
+        ----------
+        points : SkinnedPoints
+        positions : (N, 3)
+            What `positions` gave for them.
+        slopes : (N, 3)
+            Derivatives of each value by its point's place in the world.
+        """
+        # Slow and plain: the search itself sums rows by `normal_matrix`.
+        local = slopes @ self.state.rotation
+        pull = points.weights[:, :, None] * local[:, None]
+        arm = np.einsum("kij,nkj->nki", self.handles[:, :3, :3], points.rest[:, None] - self._filled)
+        turning = np.cross(arm, pull).reshape(len(slopes), -1)
+        bending = pull.reshape(len(slopes), -1) + turning @ self.turns
+        return np.concatenate([np.cross(positions - self.state.origin, slopes), slopes, bending], 1)
+
+    def raw_sums(
+        self,
+        points: SkinnedPoints,
+        positions: FloatArray,
+        slopes: FloatArray,
+        values: FloatArray,
+        votes: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return sums of vote value row and vote row row^T over N values, turns of handles apart.
+
+        `chained` brings sums (6 + 6 K) of any number of calls to those of rows as `rows` has them.
+        """
+        gradient, matrix = normal_sums(
+            points.rest,
+            points.weights,
+            positions,
+            slopes,
+            values,
+            votes,
+            np.ascontiguousarray(self.handles[:, :3, :3]),
+            self._filled,
+            self.state.rotation,
+            self.state.origin,
+        )
+        return gradient, matrix
+
+    def chained(self, gradient: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sums (6 + 3 K,) and (6 + 3 K, 6 + 3 K) in which the handles turn as the key points shift."""
+        size = RIGID + self.turns.shape[0]
+        chain = np.zeros((len(gradient), size))
+        chain[:size] = np.eye(size)
+        chain[size:, RIGID:] = self.turns
+        return chain.T @ gradient, chain.T @ matrix @ chain
+
+    @property
+    def _filled(self) -> FloatArray:
+        return np.where(self.known[:, None], self.keypoints, self.center)
+
+    @cached_property
+    def turns(self) -> FloatArray:
+        """(3 K, 3 K): turns of the handles (rad, about the frame's axes) by shifts of the key points.
+
+        R_k maximises trace(R_k^T M_k), M_k = sum of b a^T over its bones + the prior's mean of R_j. Then
+        M_k R_k^T =: P_k is symmetric, and stays so for turns w_k that solve
+
+            (tr P_k - P_k) w_k - sum over j of c_kj (tr Q_kj - Q_kj) w_j = sum of (R_k a) x db,
+
+        Q_kj = R_j R_k^T.
+        """
+        count = len(self.keypoints)
+        rotations = self.handles[:, :3, :3]
+        bent = self.keypoints + self.state.shifts
+        k, j = known_bones(self.keypoints).T
+        before = normalized(self.keypoints[j] - self.keypoints[k])
+        along = bent[j] - bent[k]
+        length = np.linalg.norm(along, axis=1)[:, None]
+        after = along / length
+        carried = np.einsum("bij,bj->bi", rotations[k], before)
+        prior = PRIOR / np.bincount(k, minlength=count)[k]
+        relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
+        pull = np.einsum("bi,bj->bij", after, carried) + prior[:, None, None] * relative
+        total = np.zeros((count, 3, 3))
+        np.add.at(total, k, pull)
+        system = np.zeros((count, count, 3, 3))
+        own = np.arange(count)
+        # A key point without bones does not turn.
+        total[np.bincount(k, minlength=count) == 0] = np.eye(3)
+        system[own, own] = _spin(total)
+        np.add.at(system, (k, j), -prior[:, None, None] * _spin(relative))
+        across = (np.eye(3) - np.einsum("bi,bj->bij", after, after)) / length[:, :, None]
+        lever = _cross_matrices(carried) @ across
+        drive = np.zeros((count, count, 3, 3))
+        np.add.at(drive, (k, j), lever)
+        np.add.at(drive, (k, k), -lever)
+        return np.asarray(np.linalg.solve(_flat(system), _flat(drive)), np.float64)
+
+
+def _spin(matrices: FloatArray) -> FloatArray:
+    """Return (N, 3, 3) tr(X) - X."""
+    return np.trace(matrices, axis1=1, axis2=2)[:, None, None] * np.eye(3) - matrices
+
+
+def _cross_matrices(vectors: FloatArray) -> FloatArray:
+    """Return (N, 3, 3) matrices of v x."""
+    return np.cross(vectors[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
+
+
+def _flat(blocks: FloatArray) -> FloatArray:
+    count = len(blocks)
+    return blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)

@@ -1,0 +1,182 @@
+"""Compiled loops of a moving frame: its points, and the sums of squares of what is measured at them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+_NEGLIGIBLE = 1e-9
+"""Weights below this, which most are, do not count in derivatives; they do in positions."""
+
+
+@njit(cache=True, nogil=True)
+def blend_positions(rest, weights, transforms):  # type: ignore[no-untyped-def]
+    """Return (N, 3) points of rest (N, 3) under the weighted mean of transforms (K, 4, 4)."""
+    count, handles = weights.shape
+    result = np.empty((count, 3))
+    mean = np.empty((3, 4))
+    for n in range(count):
+        mean[:] = 0.0
+        for k in range(handles):
+            w = weights[n, k]
+            if w != 0.0:
+                for i in range(3):
+                    for j in range(4):
+                        mean[i, j] += w * transforms[k, i, j]
+        for i in range(3):
+            result[n, i] = (
+                mean[i, 0] * rest[n, 0] + mean[i, 1] * rest[n, 1] + mean[i, 2] * rest[n, 2] + mean[i, 3]
+            )
+    return result
+
+
+@njit(cache=True, nogil=True)
+def normal_sums(rest, weights, positions, slopes, values, votes, turns, keypoints, rotation, origin):  # type: ignore[no-untyped-def]
+    """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2.
+
+    A value's derivatives: by the frame's turn and translation, by the key points' shifts at fixed turns of
+    the handles, and by these turns. Most weights of a point are 0, so rows are summed without their zeros.
+
+    Parameters
+    ----------
+    rest, positions, slopes : (N, 3) float64
+        At rest, in the world, and the values' derivatives by the place in the world.
+    weights : (N, K)
+    values, votes : (N,)
+    turns : (K, 3, 3)
+        Rotations of the handles.
+    keypoints : (K, 3)
+    rotation : (3, 3)
+        `world_from_frame`.
+    origin : (3,)
+    """
+    count, handles = weights.shape
+    size = 6 + 6 * handles
+    gradient, matrix = np.zeros(size), np.zeros((size, size))
+    row, place = np.empty(size), np.empty(size, np.int64)
+    for n in range(count):
+        vote = votes[n]
+        gx, gy, gz = slopes[n, 0], slopes[n, 1], slopes[n, 2]
+        if vote == 0.0 or (gx == 0.0 and gy == 0.0 and gz == 0.0):
+            continue
+        x, y, z = positions[n, 0] - origin[0], positions[n, 1] - origin[1], positions[n, 2] - origin[2]
+        row[0], row[1], row[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+        row[3], row[4], row[5] = gx, gy, gz
+        for i in range(6):
+            place[i] = i
+        used = 6
+        lx = rotation[0, 0] * gx + rotation[1, 0] * gy + rotation[2, 0] * gz
+        ly = rotation[0, 1] * gx + rotation[1, 1] * gy + rotation[2, 1] * gz
+        lz = rotation[0, 2] * gx + rotation[1, 2] * gy + rotation[2, 2] * gz
+        for k in range(handles):
+            w = weights[n, k]
+            if w < _NEGLIGIBLE:
+                continue
+            ax, ay, az = (
+                rest[n, 0] - keypoints[k, 0],
+                rest[n, 1] - keypoints[k, 1],
+                rest[n, 2] - keypoints[k, 2],
+            )
+            bx = turns[k, 0, 0] * ax + turns[k, 0, 1] * ay + turns[k, 0, 2] * az
+            by = turns[k, 1, 0] * ax + turns[k, 1, 1] * ay + turns[k, 1, 2] * az
+            bz = turns[k, 2, 0] * ax + turns[k, 2, 1] * ay + turns[k, 2, 2] * az
+            px, py, pz = w * lx, w * ly, w * lz
+            row[used], row[used + 1], row[used + 2] = px, py, pz
+            row[used + 3], row[used + 4], row[used + 5] = (
+                by * pz - bz * py,
+                bz * px - bx * pz,
+                bx * py - by * px,
+            )
+            for i in range(3):
+                place[used + i] = 6 + 3 * k + i
+                place[used + 3 + i] = 6 + 3 * handles + 3 * k + i
+            used += 6
+        for a in range(used):
+            pa = place[a]
+            va = vote * row[a]
+            gradient[pa] += va * values[n]
+            for b in range(a + 1):
+                matrix[pa, place[b]] += va * row[b]
+    # Places within a row do not ascend, so either triangle may hold a pair.
+    for a in range(size):
+        for b in range(a):
+            total = matrix[a, b] + matrix[b, a]
+            matrix[a, b] = total
+            matrix[b, a] = total
+    return gradient, matrix
+
+
+@njit(cache=True, nogil=True)
+def settle_rotations(turns, share, rotations, sweeps, tolerance):  # type: ignore[no-untyped-def]
+    """Return (K, 3, 3) rotations R_k nearest to turns_k + sum over j of share_kj R_j, settled together.
+
+    Newton's step on the condition that P = M R^T be symmetric, (tr P - P) w = 2 axial(P), where it is uphill;
+    a singular value decomposition elsewhere.
+    """
+    count = turns.shape[0]
+    result = rotations.copy()
+    target = np.empty((3, 3))
+    for _ in range(sweeps):
+        largest = 0.0
+        for k in range(count):
+            target[:] = turns[k]
+            for j in range(count):
+                if share[k, j] != 0.0:
+                    for a in range(3):
+                        for b in range(3):
+                            target[a, b] += share[k, j] * result[j, a, b]
+            largest = max(largest, _turn_towards(target, result[k]))
+        if largest <= tolerance:
+            break
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _turn_towards(m, r):  # type: ignore[no-untyped-def]
+    """Turn r (3, 3) in place to the rotation nearest to m, or a step that way; return by how much."""
+    p00 = m[0, 0] * r[0, 0] + m[0, 1] * r[0, 1] + m[0, 2] * r[0, 2]
+    p01 = m[0, 0] * r[1, 0] + m[0, 1] * r[1, 1] + m[0, 2] * r[1, 2]
+    p02 = m[0, 0] * r[2, 0] + m[0, 1] * r[2, 1] + m[0, 2] * r[2, 2]
+    p10 = m[1, 0] * r[0, 0] + m[1, 1] * r[0, 1] + m[1, 2] * r[0, 2]
+    p11 = m[1, 0] * r[1, 0] + m[1, 1] * r[1, 1] + m[1, 2] * r[1, 2]
+    p12 = m[1, 0] * r[2, 0] + m[1, 1] * r[2, 1] + m[1, 2] * r[2, 2]
+    p20 = m[2, 0] * r[0, 0] + m[2, 1] * r[0, 1] + m[2, 2] * r[0, 2]
+    p21 = m[2, 0] * r[1, 0] + m[2, 1] * r[1, 1] + m[2, 2] * r[1, 2]
+    p22 = m[2, 0] * r[2, 0] + m[2, 1] * r[2, 1] + m[2, 2] * r[2, 2]
+    wx, wy, wz = p21 - p12, p02 - p20, p10 - p01
+    a, b, c = p11 + p22, p00 + p22, p00 + p11
+    d, e, f = -0.5 * (p01 + p10), -0.5 * (p02 + p20), -0.5 * (p12 + p21)
+    # Cofactors of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]].
+    caa, cad, cae = b * c - f * f, e * f - d * c, d * f - b * e
+    cbb, cbf, ccc = a * c - e * e, d * e - a * f, a * b - d * d
+    determinant = a * caa + d * cad + e * cae
+    scale = max(abs(a), abs(b), abs(c))
+    if a > 1e-3 * scale and ccc > 1e-4 * scale**2 and determinant > 1e-5 * scale**3:
+        x = (caa * wx + cad * wy + cae * wz) / determinant
+        y = (cad * wx + cbb * wy + cbf * wz) / determinant
+        z = (cae * wx + cbf * wy + ccc * wz) / determinant
+        angle = np.sqrt(x * x + y * y + z * z)
+        if angle < 0.3:
+            if angle > 0.0:
+                _turn(r, x / angle, y / angle, z / angle, angle)
+            return angle
+    u, _, vt = np.linalg.svd(m)
+    if np.linalg.det(u @ vt) < 0:
+        u[:, 2] = -u[:, 2]
+    nearest = u @ vt
+    change = np.abs(nearest - r).max()
+    r[:] = nearest
+    return change
+
+
+@njit(cache=True, nogil=True)
+def _turn(r, x, y, z, angle):  # type: ignore[no-untyped-def]
+    """Turn r (3, 3) in place about a unit axis."""
+    s, c = np.sin(angle), np.cos(angle)
+    t = 1 - c
+    for j in range(3):
+        a, b, d = r[0, j], r[1, j], r[2, j]
+        along = x * a + y * b + z * d
+        r[0, j] = c * a + s * (y * d - z * b) + t * along * x
+        r[1, j] = c * b + s * (z * a - x * d) + t * along * y
+        r[2, j] = c * d + s * (x * b - y * a) + t * along * z

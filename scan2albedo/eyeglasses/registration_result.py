@@ -1,0 +1,72 @@
+"""What the registration of a frame on a face found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.optimization import Plan, Trace
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class RegisteredEyeglasses:
+    """A frame where the pictures show it; lengths in the cameras' unit. See `register_on_face`."""
+
+    vertices: FloatArray
+    """(V, 3) in the world."""
+    faces: IntArray
+    """(F, 3)."""
+    weights: FloatArray
+    """(V, 20); zero columns for key points that the frame lacks."""
+    keypoints: FloatArray
+    """(20, 3) in the world, NaN where the frame lacks them."""
+    world_from_glasses: FloatArray
+    """(4, 4) rigid, the bend left aside."""
+    handle_transforms: FloatArray
+    """(20, 4, 4) from the glasses at rest to the world, bend included, for `skin`."""
+    bend: FloatArray
+    """(20, 3) shifts of the key points in the glasses' own frame; 0 where it lacks them."""
+    visible: BoolArray
+    """(C, V) vertices in the picture that the head does not hide, whether the frame hides them or not."""
+    deviation: FloatArray
+    """(V,) standard deviation of each vertex in its worst direction, from what the pictures and the bend's
+    prior leave open."""
+    observed: BoolArray
+    """(V,) visible in a view, and known to `options.observed_mm`."""
+    keypoint_deviation: FloatArray
+    """(20,) as `deviation`, NaN where the frame lacks them."""
+    keypoints_observed: BoolArray
+    """(20,) key points that the head leaves visible in a view and that are known to `options.observed_mm`."""
+    depth_deviation: float
+    """Root mean square of the standard deviations along the line of sight, over key points in view."""
+    depth_observed: bool
+    """Whether that is known to `options.observed_mm`: one view hardly sees depth."""
+    label_errors_px: FloatArray
+    """(C, 20); NaN where there is no label."""
+    inliers: BoolArray
+    """(C, 20) labels within three times their noise."""
+    outline_rms_px: FloatArray
+    """(C,) distance of the outline from the mask's, where they can be compared; NaN without a mask."""
+    iou: FloatArray
+    """(C,) of the frame's mask and the given one; NaN without. High values are no evidence of a good fit in
+    space: frames millimetres off reach 0.97."""
+    converged: bool
+    iterations: int
+    """Evaluations of the objective."""
+    plan: Plan
+    trace: Trace
+    """Errors in pixels."""
+
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """What the pictures do not tell: "depth", and names of key points."""
+        lost = np.isfinite(self.keypoint_deviation) & ~self.keypoints_observed
+        names = tuple(name for name, gone in zip(KEY_POINT_NAMES, lost, strict=True) if gone)
+        return (() if self.depth_observed else ("depth",)) + names

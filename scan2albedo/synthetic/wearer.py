@@ -1,0 +1,206 @@
+"""A synthetic person who wears glasses, seen by calibrated cameras, with everything known about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.synthetic.clutter import join
+from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
+from scan2albedo.synthetic.glasses_bend import GlassesBend
+from scan2albedo.synthetic.glasses_on_face import fit_temples, seat
+from scan2albedo.synthetic.glasses_shape import GlassesShape
+from scan2albedo.synthetic.ray_scene import RayScene
+from scan2albedo.synthetic.sitter import HAIR, Sitter, sit_down
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_EYES = slice(36, 48)
+_BEHIND_MM = 0.5
+"""A point this much behind the surface that a ray meets first is still that surface's."""
+_WAVES_PX = 6.0
+"""Length over which a mask's outline wanders."""
+
+
+@dataclass(frozen=True)
+class WearerOptions:
+    """How the wearer is photographed and labelled."""
+
+    yaw_deg: tuple[float, ...] = (-38.0, 0.0, 38.0)
+    """Of each camera around the head; positive at the wearer's left."""
+    elevation_deg: float = 8.0
+    """Of all cameras but the middle one, which stands as much below."""
+    distance_mm: float = 600.0
+    focal_px: float = 1800.0
+    picture_size: int = 1024
+    label_noise_px: float = 1.0
+    mask_noise_px: float = 1.0
+    """Standard deviation by which a mask's outline is off, wandering over some six pixels."""
+    outliers: int = 0
+    """Labels a view that lie anywhere within 150 px."""
+    missing: int = 0
+    """Key points without a label in any view."""
+    hair: bool = False
+    """Whether hair that may hide the temples' ends is there."""
+
+
+@dataclass(frozen=True)
+class Wearer:
+    """World frame: the face model's, mm, looking along +z."""
+
+    glasses: SyntheticEyeglasses
+    """In its own frame; `rest_vertices` is what is known of it, `vertices` how it is bent."""
+    world_from_glasses: FloatArray
+    """(4, 4) rigid."""
+    sitter: Sitter
+    head_vertices: FloatArray
+    """(H, 3) of all that can hide the glasses."""
+    head_faces: IntArray
+    """(G, 3)."""
+    cameras: FloatArray
+    """(C, 3, 4)."""
+    masks: BoolArray
+    """(C, S, S) True where a view shows the glasses."""
+    labels: FloatArray
+    """(C, 20, 2) pixels; NaN where the head hides a key point or it is missing."""
+    hidden: BoolArray
+    """(C, V) vertices that the head hides; what the frame itself hides does not count."""
+
+    @property
+    def vertices(self) -> FloatArray:
+        """(V, 3) the true frame in the world."""
+        return transform_points(self.world_from_glasses, self.glasses.vertices)
+
+    @property
+    def keypoints(self) -> FloatArray:
+        """(20, 3) the true key points in the world."""
+        return self.vertices[self.glasses.keypoint_vertices]
+
+    @property
+    def seen(self) -> BoolArray:
+        """(V,) vertices that the head hides from some views at most."""
+        return np.asarray(~self.hidden.all(0))
+
+
+def wearer(
+    seed: int = 0,
+    *,
+    bend: GlassesBend | None = None,
+    shape: GlassesShape | None = None,
+    options: WearerOptions = WearerOptions(),
+    model: AnnotatedFaceModel | None = None,
+) -> Wearer:
+    """Return a random person with glasses on the nose.
+
+    Parameters
+    ----------
+    seed : int
+        Of the person, the frame, the noise.
+    bend : GlassesBend, optional
+        Otherwise temples are spread around the head and bridge and halves bent a little.
+    shape : GlassesShape, optional
+        Of the frame, in place of a drawn one.
+    options : WearerOptions
+    model : AnnotatedFaceModel, optional
+        The default model when omitted; it needs landmarks.
+    """
+    sitter = sit_down(seed, expression="neutral", model=model or AnnotatedFaceModel.default())
+    head = _head(sitter, options.hair)
+    scene, eyes = RayScene(*head), sitter.face.landmarks[_EYES].mean(0)
+    measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
+    bend = bend if bend is not None else fit_temples(measures, seed, scene, eyes)
+    glasses = eyeglasses(shape=measures, bend=bend)
+    world_from_glasses = seat(glasses, scene, eyes)
+    vertices = transform_points(world_from_glasses, glasses.vertices)
+    cameras = _cameras(options, vertices)
+    rng = np.random.default_rng([seed, 9])
+    hidden = np.stack([_hidden(scene, camera, vertices) for camera in cameras])
+    return Wearer(
+        glasses=glasses,
+        world_from_glasses=world_from_glasses,
+        sitter=sitter,
+        head_vertices=head[0],
+        head_faces=head[1],
+        cameras=cameras,
+        masks=np.stack([_mask(head, (vertices, glasses.faces), camera, options, rng) for camera in cameras]),
+        labels=_labels(cameras, vertices[glasses.keypoint_vertices], hidden, glasses, options, rng),
+        hidden=hidden,
+    )
+
+
+def _head(sitter: Sitter, hair: bool) -> tuple[FloatArray, IntArray]:
+    faces = sitter.faces if hair else sitter.faces[sitter.part != HAIR]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return sitter.vertices[used], renumbered.reshape(-1, 3).astype(np.int64)
+
+
+def _cameras(options: WearerOptions, vertices: FloatArray) -> FloatArray:
+    """Return (C, 3, 4) cameras that look at a point between the lenses and the ears."""
+    target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
+    shape = (options.picture_size, options.picture_size)
+    cameras = []
+    for number, yaw in enumerate(np.deg2rad(options.yaw_deg)):
+        lift = np.deg2rad(options.elevation_deg) * (-1 if number == len(options.yaw_deg) // 2 else 1)
+        toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
+        cameras.append(
+            look_at(target + options.distance_mm * toward, target, focal_px=options.focal_px, shape=shape)
+        )
+    return np.array(cameras)
+
+
+def _hidden(scene: RayScene, camera: FloatArray, points: FloatArray) -> BoolArray:
+    """Return (N,) True for points behind the head."""
+    ray = points - camera_centers(camera[None])[0]
+    distance = np.linalg.norm(ray, axis=1)
+    origins = np.broadcast_to(camera_centers(camera[None])[0], points.shape)
+    return scene.occluded(origins, ray / distance[:, None], distance - _BEHIND_MM)
+
+
+def _mask(
+    head: tuple[FloatArray, IntArray],
+    frame: tuple[FloatArray, IntArray],
+    camera: FloatArray,
+    options: WearerOptions,
+    rng: np.random.Generator,
+) -> BoolArray:
+    """Return (S, S) True where the frame is the first thing on a pixel's ray, outline off by noise."""
+    shape = (options.picture_size, options.picture_size)
+    scene = RayScene(*join([frame, head]))
+    rays = pixel_directions(camera, pixel_grid(shape))
+    hits = scene.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays)
+    mask = ((hits.face >= 0) & (hits.face < len(frame[1]))).reshape(shape)
+    if options.mask_noise_px == 0 or not mask.any():
+        return mask
+    wander = gaussian_filter(rng.normal(size=shape), _WAVES_PX / 2, mode="wrap")
+    wander *= options.mask_noise_px / wander.std()
+    inside = distance_transform_edt(mask) - distance_transform_edt(~mask) - np.where(mask, 0.5, -0.5)
+    return inside + wander > 0
+
+
+def _labels(
+    cameras: FloatArray,
+    points: FloatArray,
+    hidden: BoolArray,
+    glasses: SyntheticEyeglasses,
+    options: WearerOptions,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return (C, 20, 2) noisy labels, NaN where there is none."""
+    labels = np.stack([project(camera, points)[0] for camera in cameras])
+    labels += rng.normal(0, options.label_noise_px, labels.shape)
+    for view in labels:
+        wrong = rng.choice(len(points), options.outliers, replace=False)
+        view[wrong] += rng.uniform(-150, 150, (options.outliers, 2))
+    labels[hidden[:, glasses.keypoint_vertices]] = np.nan
+    labels[:, rng.choice(len(points), options.missing, replace=False)] = np.nan
+    outside = (labels < 0) | (labels > options.picture_size - 1)
+    labels[outside.any(2)] = np.nan
+    return labels
