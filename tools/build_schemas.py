@@ -12,7 +12,9 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.eyeglasses.camera_files import CamerasFile
 from scan2albedo.eyeglasses.keypoint_files import KeyPointsFile
+from scan2albedo.eyeglasses.label_files import LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 
@@ -22,7 +24,9 @@ RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
     "annotated_face_model": FaceModelFile,
+    "cameras": CamerasFile,
     "eyeglasses_keypoints": KeyPointsFile,
+    "eyeglasses_labels": LabelsFile,
 }
 
 
