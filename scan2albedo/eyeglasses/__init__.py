@@ -1,6 +1,7 @@
 """Eyeglasses: weights that tie a frame to its key points, canonical frames, and lenses."""
 
 from scan2albedo.eyeglasses.camera_files import Camera, read_cameras, write_cameras
+from scan2albedo.eyeglasses.canonical_files import read_canonical, write_canonical
 from scan2albedo.eyeglasses.canonicalization import (
     CanonicalEyeglasses,
     CanonicalizationOptions,
@@ -52,6 +53,7 @@ __all__ = [
     "light_by_environment",
     "mirror_on_sphere",
     "read_cameras",
+    "read_canonical",
     "read_keypoints",
     "read_labels",
     "read_masks",
@@ -60,6 +62,7 @@ __all__ = [
     "solve_weights",
     "triangulate",
     "write_cameras",
+    "write_canonical",
     "write_keypoints",
     "write_labels",
     "write_masks",

@@ -136,7 +136,7 @@ def canonicalize(
     Parameters
     ----------
     meshes : sequence of n
-        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes; any unit.
+        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes, such as `RawScan`; any unit.
     keypoints : sequence of n (20, 3) array_like
         In the mesh's unit and the order of `KEY_POINT_NAMES`; NaN for missing ones.
     weights : sequence of n (V, 20) array_like, optional

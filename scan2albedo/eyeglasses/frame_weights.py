@@ -25,10 +25,15 @@ class Frame:
     """A mesh with its key points (20, 3), NaN for missing ones, and its weights (V, 20) if there are any."""
 
     number: int
+    name: str | None
     vertices: FloatArray
     faces: IntArray
     points: FloatArray
     weights: FloatArray | None = None
+
+    def blamed(self, reason: str) -> str:
+        """Return what is wrong with the frame, beginning with its number and its name if it has one."""
+        return f"frame {self.number}{f', {self.name}' if self.name else ''}: {reason}"
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,14 @@ def frames_of(
                 f"weights {i} must have shape ({len(xyz)}, {KEY_POINT_COUNT}), got {shares.shape}"
             )
         frames.append(
-            Frame(i, xyz, np.asarray(faces, np.int64), key_points(f"keypoints {i}", points), shares)
+            Frame(
+                number=i,
+                name=getattr(mesh, "name", None),
+                vertices=xyz,
+                faces=np.asarray(faces, np.int64),
+                points=key_points(f"keypoints {i}", points),
+                weights=shares,
+            )
         )
     return frames
 
@@ -112,10 +124,10 @@ def weigh_frames(
             done.append(_weighted(used, spacing, options, meter, len(frames) - i))
         except EyeglassesError as error:
             if not skip_failed:
-                raise EyeglassesError(f"frame {frame.number}: {error}") from error
+                raise EyeglassesError(frame.blamed(str(error))) from error
             failures[frame.number] = str(error)
     if not done:
-        raise EyeglassesError("; ".join(f"frame {i}: {why}" for i, why in failures.items()))
+        raise EyeglassesError("; ".join(f.blamed(failures[f.number]) for f in frames))
     return done, failures
 
 
