@@ -313,3 +313,24 @@ def test_a_frame_that_cannot_be_done_need_not_take_the_others_down(weighted):
         canonicalize([meshes[2]], [few], options=skipping)
     with pytest.raises(EyeglassesError, match="mean_keypoints: 2 key points"):
         canonicalize([meshes[0]], [points[0]], weights=weights[:1], mean_keypoints=few)
+
+
+def test_the_pose_in_which_weights_are_solved_matters_little(weighted):
+    glasses, weights = weighted(SMALL["wrapped"])
+    turned = bounded_biharmonic_weights(
+        posed(glasses.vertices, 1), glasses.faces, posed(glasses.keypoints, 1)
+    )
+    # The lattice cuts the frame elsewhere, so that weights differ, but hardly what they move.
+    assert np.abs(turned - weights).max() > 1e-3
+    there = straightened(glasses, weights).frames[0].vertices
+    apart = np.linalg.norm(straightened(glasses, turned).frames[0].vertices - there, axis=1)
+    assert apart.max() <= 0.3
+
+
+def test_the_place_in_which_weights_are_solved_does_not_matter():
+    glasses = eyeglasses(0)
+    solved = [
+        bounded_biharmonic_weights(glasses.vertices + shift, glasses.faces, glasses.keypoints + shift, 3.0)
+        for shift in ([0, 0, 0], [12.3, -45.6, 7.8])
+    ]
+    assert np.abs(solved[0] - solved[1]).max() < 1e-6
