@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +9,17 @@ from typing import Annotated, Any
 
 import typer
 
+from scan2albedo.cli_tools import (
+    SOME_FAILED,
+    USAGE_ERROR,
+    JsonOption,
+    echo_json,
+    one_line,
+    refuse_shared_folders,
+    stop_cleanly_on_interrupt,
+)
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.staging import remove_unfinished
+from scan2albedo.glasses_cli import app as glasses_app
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -22,10 +28,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
+app.add_typer(glasses_app, name="glasses")
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
 SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
 
@@ -63,7 +68,7 @@ def process(
     json_summary: JsonOption = False,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
-    _refuse_shared_folders(scans)
+    refuse_shared_folders(scans)
     light_choice = _light_choice(lights)
     from scan2albedo.choices import check_choices, check_stage_names
     from scan2albedo.optimization import Budget
@@ -77,7 +82,7 @@ def process(
         spend = Budget.of(budget)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    _stop_cleanly_on_interrupt(out)
+    stop_cleanly_on_interrupt(out)
     template = chosen_model(model)
     for note in template.notes if template is not None else ():
         typer.echo(f"{model}: {note}", err=True)
@@ -102,15 +107,15 @@ def process(
                 )
             except (Scan2AlbedoError, ValueError) as error:
                 failures += 1
-                progress.say(f"scan2albedo: error: {_one_line(error)}")
-                summaries.append({"scan": str(path), "status": "failed", "reason": _one_line(error)})
+                progress.say(f"scan2albedo: error: {one_line(error)}")
+                summaries.append({"scan": str(path), "status": "failed", "reason": one_line(error)})
                 continue
             for note in result.scan.notes:
                 progress.say(f"{path.stem}: {note}")
             progress.say(result.summary())
         summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
     if json_summary:
-        _echo_json(summaries if len(scans) > 1 else summaries[0])
+        echo_json(summaries if len(scans) > 1 else summaries[0])
     if failures:
         raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
 
@@ -123,7 +128,7 @@ def demo(
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
-    _stop_cleanly_on_interrupt(out)
+    stop_cleanly_on_interrupt(out)
     from scan2albedo.demo import run_demo
     from scan2albedo.progress import ProgressLines
 
@@ -131,7 +136,7 @@ def demo(
         report = run_demo(out, seed=seed, size=size, on_progress=progress.update)
         progress.say(report.result.summary())
     if json_summary:
-        _echo_json(report.figures())
+        echo_json(report.figures())
     else:
         typer.echo(report.table())
 
@@ -162,7 +167,7 @@ def validate(
                 size=size, seed=seed, on_row=lambda row, show=progress.say: show(row.text())
             )
     if json_summary:
-        _echo_json({name: table.figures() for name, table in results.items()})
+        echo_json({name: table.figures() for name, table in results.items()})
         return
     for table in results.values():
         typer.echo(validation.format_table(table))
@@ -183,28 +188,9 @@ def doctor(json_summary: JsonOption = False) -> None:
             if finding.remedy:
                 typer.echo(f"         mend it with: {finding.remedy}")
     if json_summary:
-        _echo_json([asdict(finding) for finding in findings])
+        echo_json([asdict(finding) for finding in findings])
     if not all(finding.good for finding in findings):
         raise typer.Exit(SOME_FAILED)
-
-
-def _echo_json(value: Any) -> None:
-    """Print strict JSON on stdout: what is infinite or unknown is null."""
-    from scan2albedo.io.result_json import plain_json
-
-    typer.echo(json.dumps(plain_json(value), indent=2, allow_nan=False))
-
-
-def _refuse_shared_folders(scans: list[Path]) -> None:
-    """Refuse scans whose results would overwrite each other: the folder of a result has the scan's name."""
-    first: dict[str, Path] = {}
-    for path in scans:
-        other = first.setdefault(path.stem.casefold(), path)
-        if other is not path:
-            raise typer.BadParameter(
-                f"{other} and {path} would both be written to the folder {path.stem}; "
-                "rename one, or process them into different folders"
-            )
 
 
 def _light_choice(lights: str) -> str | int:
@@ -216,35 +202,13 @@ def _light_choice(lights: str) -> str | int:
         raise typer.BadParameter(f"--lights takes 'auto' or a whole number, not {lights!r}") from None
 
 
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
-
-
-def _stop_cleanly_on_interrupt(out: Path | None) -> None:
-    """Make Ctrl-C remove what is half-written in `out`, say so, and end the process at once.
-
-    Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state
-    they are in; numba has crashed on that.
-    """
-
-    def stop(signum: int, frame: object) -> None:
-        if out is not None:
-            remove_unfinished(out)
-        show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
-        complaint = f"{show_cursor}scan2albedo: interrupted; nothing half-written was left behind"
-        print(complaint, file=sys.stderr, flush=True)
-        os._exit(INTERRUPTED)
-
-    signal.signal(signal.SIGINT, stop)
-
-
 def main() -> None:
     """Run the command line; every expected trouble ends in one line and an exit status."""
-    _stop_cleanly_on_interrupt(None)
+    stop_cleanly_on_interrupt(None)
     try:
         app()
     except Scan2AlbedoError as error:
-        print(f"scan2albedo: error: {_one_line(error)}", file=sys.stderr)
+        print(f"scan2albedo: error: {one_line(error)}", file=sys.stderr)
         sys.exit(USAGE_ERROR)
 
 

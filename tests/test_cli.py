@@ -13,7 +13,8 @@ import trimesh
 from typer.testing import CliRunner
 
 from scan2albedo import cli, validation
-from scan2albedo.cli import _echo_json, app
+from scan2albedo.cli import app
+from scan2albedo.cli_tools import echo_json
 
 COMMAND = [sys.executable, "-m", "scan2albedo.cli"]
 
@@ -90,7 +91,7 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
     monkeypatch.setattr(
         validation, "_lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
-    monkeypatch.setattr(cli, "_stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
+    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
     done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
     assert done.exit_code == 0, done.output
     tables = json.loads(done.stdout)
@@ -134,7 +135,7 @@ def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_p
 
 
 def test_what_is_infinite_is_null_in_the_summary(capsys):
-    _echo_json({"light_distance_mm": float("inf"), "mean_mm": np.float64("nan"), "lights": np.int64(2)})
+    echo_json({"light_distance_mm": float("inf"), "mean_mm": np.float64("nan"), "lights": np.int64(2)})
     assert json.loads(capsys.readouterr().out) == {"light_distance_mm": None, "mean_mm": None, "lights": 2}
 
 

@@ -1,11 +1,17 @@
-"""Bounded biharmonic weights of real frames: ours beside libigl's at equal nodes.
+"""Eyeglasses: weights beside libigl's, canonical frames and rims against the truth.
 
     python tools/bench_eyeglasses.py weights [--nodes 7600] [--handles 20] [--frames FILE ...]
+    python tools/bench_eyeglasses.py canonical [--seeds 5]
+    python tools/bench_eyeglasses.py rims [--seeds 40] [--pictures FOLDER]
 
-Both get the same lattice and the same fixed nodes (eight a key point); key points are farthest points from
-the leftmost vertex on. libigl solves on the lattice's cells, cut into six tetrahedra each (Kuhn), in 100
-iterations at most. The energies are compared on libigl's own operator, on which our solver runs too, and on
-ours. CPU is that of all threads.
+weights: real frames. Both get the same lattice and the same fixed nodes (eight a key point); key points are
+farthest points from the leftmost vertex on. libigl solves on the lattice's cells, cut into six tetrahedra
+each (Kuhn), in 100 iterations at most. The energies are compared on libigl's own operator, on which our
+solver runs too, and on ours. CPU is that of all threads.
+
+canonical: synthetic frames with known bends, with key points that turn and that only shift.
+
+rims: synthetic frames, four rims a seed, and the real ones.
 """
 
 from __future__ import annotations
@@ -17,6 +23,8 @@ from pathlib import Path
 
 import igl
 import numpy as np
+from eyeglasses_canonical import bench_canonical
+from eyeglasses_rims import bench_real, bench_synthetic
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -129,12 +137,20 @@ def bench_weights(frames: list[str], nodes: int, handles: int) -> None:
 def main() -> None:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
-    parser.add_argument("section", choices=["weights"])
+    parser.add_argument("section", choices=["weights", "canonical", "rims"])
     parser.add_argument("--nodes", type=int, default=7600)
     parser.add_argument("--handles", type=int, default=20)
     parser.add_argument("--frames", nargs="+", default=list(FRAMES))
+    parser.add_argument("--seeds", type=int, default=None)
+    parser.add_argument("--pictures", type=Path, default=None)
     arguments = parser.parse_args()
-    bench_weights(arguments.frames, arguments.nodes, arguments.handles)
+    if arguments.section == "weights":
+        bench_weights(arguments.frames, arguments.nodes, arguments.handles)
+    elif arguments.section == "canonical":
+        bench_canonical(arguments.seeds or 5)
+    else:
+        bench_synthetic(arguments.seeds or 40)
+        bench_real(DATA, arguments.pictures)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,11 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.eyeglasses.camera_files import CamerasFile
 from scan2albedo.eyeglasses.keypoint_files import KeyPointsFile
+from scan2albedo.eyeglasses.label_files import LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
@@ -22,7 +25,11 @@ RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
     "annotated_face_model": FaceModelFile,
+    "cameras": CamerasFile,
+    "canonical_eyeglasses": CanonicalFrameRecord,
+    "canonical_eyeglasses_set": CanonicalSetRecord,
     "eyeglasses_keypoints": KeyPointsFile,
+    "eyeglasses_labels": LabelsFile,
 }
 
 

@@ -1,5 +1,7 @@
 """Eyeglasses: weights that tie a frame to its key points, canonical frames, frames on faces, lenses."""
 
+from scan2albedo.eyeglasses.camera_files import Camera, read_cameras, write_cameras
+from scan2albedo.eyeglasses.canonical_files import read_canonical, write_canonical
 from scan2albedo.eyeglasses.canonicalization import (
     CanonicalEyeglasses,
     CanonicalizationOptions,
@@ -8,6 +10,7 @@ from scan2albedo.eyeglasses.canonicalization import (
 )
 from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
+from scan2albedo.eyeglasses.label_files import ViewLabels, read_labels, write_labels
 from scan2albedo.eyeglasses.lens_mesh import lens_mesh
 from scan2albedo.eyeglasses.lens_rims import LensRim, find_lens_rim
 from scan2albedo.eyeglasses.lens_shading import (
@@ -16,6 +19,7 @@ from scan2albedo.eyeglasses.lens_shading import (
     light_by_environment,
     mirror_on_sphere,
 )
+from scan2albedo.eyeglasses.mask_files import read_masks, write_masks
 from scan2albedo.eyeglasses.options import WeightOptions
 from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.registration import register_on_face
@@ -33,6 +37,7 @@ __all__ = [
     "KEY_POINT_NAMES",
     "SKELETON",
     "BoundedBiharmonicWeights",
+    "Camera",
     "CanonicalEyeglasses",
     "CanonicalSet",
     "CanonicalizationOptions",
@@ -42,6 +47,7 @@ __all__ = [
     "RegisteredEyeglasses",
     "ThinLens",
     "TriangulatedPoints",
+    "ViewLabels",
     "WeightOptions",
     "blend_lens",
     "bounded_biharmonic_weights",
@@ -51,11 +57,19 @@ __all__ = [
     "lens_mesh",
     "light_by_environment",
     "mirror_on_sphere",
+    "read_cameras",
+    "read_canonical",
     "read_keypoints",
+    "read_labels",
+    "read_masks",
     "refract",
     "register_on_face",
     "skin",
     "solve_weights",
     "triangulate",
+    "write_cameras",
+    "write_canonical",
     "write_keypoints",
+    "write_labels",
+    "write_masks",
 ]

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.frame_weights import WeightedFrame, frames_of, key_points, weigh_frames
 from scan2albedo.eyeglasses.handle_transforms import translations, turned_translations
 from scan2albedo.eyeglasses.mean_keypoints import (
+    MeanKeyPoints,
     align_key_points,
+    key_point_size,
     mean_key_points,
     require_posable,
     unit_factors,
 )
 from scan2albedo.eyeglasses.options import WeightOptions
 from scan2albedo.eyeglasses.skinning import skin
-from scan2albedo.eyeglasses.weights import bounded_biharmonic_weights
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.optimization import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,6 +40,8 @@ class CanonicalizationOptions:
     spacing: str | float = "auto"
     """Of the weights' lattice, in the meshes' unit."""
     weights: WeightOptions = WeightOptions()
+    skip_failed: bool = False
+    """Whether a frame that cannot be done is left out and told in the result, instead of ending the call."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,10 @@ class CanonicalEyeglasses:
     """(20, 4, 4) from the frame as given to canonical space, scale and rigid part included."""
     residual: float
     """Root mean square distance of the key points from the mean after the rigid part: how bent it was."""
+    converged: bool
+    """Whether its weights converged, or were given."""
+    plan: Plan
+    """How its weights were come by."""
 
     def apply(self, vertices: ArrayLike) -> FloatArray:
         """Return the frame's vertices (V, 3), as given or edited, in canonical space."""
@@ -90,11 +99,19 @@ class CanonicalSet:
     mean_keypoints: FloatArray
     """(20, 3) in the frames' unit; unless given, x to the wearer's left, z to the front, centroid at 0."""
     converged: bool
-    """Whether the mean's iteration settled."""
+    """Whether the mean's iteration settled and the weights that were solved converged."""
     iterations: int
     """Of the mean; 0 when it was given."""
     units_differed: bool
     """Whether frames were scaled to one unit."""
+    numbers: tuple[int, ...]
+    """Of each of the `frames` among the meshes given: all, unless some failed."""
+    failures: Mapping[int, str]
+    """Why, for each mesh that was left out; empty unless `CanonicalizationOptions.skip_failed`."""
+    plan: Plan
+    """What ran and what was left out; the steps of a frame say its number."""
+    trace: Trace
+    """Weights of each frame, then the mean."""
 
 
 def canonicalize(
@@ -103,7 +120,9 @@ def canonicalize(
     *,
     weights: Sequence[ArrayLike] | None = None,
     mean_keypoints: ArrayLike | None = None,
+    budget: Budget | float | None = None,
     options: CanonicalizationOptions = CanonicalizationOptions(),
+    on_progress: ProgressCallback | None = None,
 ) -> CanonicalSet:
     """Bring frames to the mean of their key points: poses and bends go, shapes and thicknesses stay.
 
@@ -117,14 +136,19 @@ def canonicalize(
     Parameters
     ----------
     meshes : sequence of n
-        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes; any unit.
+        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes, such as `RawScan`; any unit.
     keypoints : sequence of n (20, 3) array_like
         In the mesh's unit and the order of `KEY_POINT_NAMES`; NaN for missing ones.
     weights : sequence of n (V, 20) array_like, optional
         From an earlier run; solved here otherwise, which takes nearly all the time.
     mean_keypoints : (20, 3) array_like, optional
         To bring further frames to an earlier set's mean.
+    budget : Budget or float, optional
+        Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
+        when it ends, weights and mean so far are used, with `converged` False. Key points meet all the same.
     options : CanonicalizationOptions
+    on_progress : callable, optional
+        Called with each row of the trace.
 
     Raises
     ------
@@ -154,99 +178,107 @@ def canonicalize(
     >>> bool(np.abs(found.frames[0].vertices - bent.rest_vertices).max() < 0.6)
     True
     """
-    points = [np.array(p, np.float64) for p in keypoints]
-    surfaces = [_surface(mesh) for mesh in meshes]
-    _require_sets(surfaces, points, weights)
-    reference = None if mean_keypoints is None else np.asarray(mean_keypoints, np.float64)
-    if reference is not None:
-        require_posable(reference, -1)
+    meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
+    frames = frames_of(meshes, keypoints, weights)
+    reference = None if mean_keypoints is None else _reference(mean_keypoints)
+    weighted, failures = weigh_frames(
+        frames,
+        reference,
+        spacing=options.spacing,
+        options=options.weights,
+        skip_failed=options.skip_failed,
+        meter=meter,
+    )
+    points = [w.frame.points for w in weighted]
     scales = unit_factors(points, reference)
-    scaled = [factor * p for factor, p in zip(scales, points, strict=True)]
-    found = mean_key_points(scaled) if reference is None else None
-    mean = found.points if found is not None else np.asarray(reference)
-    frames = []
-    for p in points:
-        p[~np.isfinite(mean).all(1)] = np.nan
-    for i, ((vertices, faces), p) in enumerate(zip(surfaces, points, strict=True)):
-        shares = _weights_of(i, vertices, faces, p, None if weights is None else weights[i], options)
-        frames.append(_canonical(vertices, faces, p, shares, mean, float(scales[i]), options))
+    mean = _mean([scale * p for scale, p in zip(scales, points, strict=True)], reference, meter)
+    done = tuple(
+        _canonical(w, mean.points, float(scale), options) for w, scale in zip(weighted, scales, strict=True)
+    )
     return CanonicalSet(
-        frames=tuple(frames),
-        mean_keypoints=mean,
-        converged=found is None or found.converged,
-        iterations=0 if found is None else found.iterations,
+        frames=done,
+        mean_keypoints=mean.points,
+        converged=mean.converged and all(frame.converged for frame in done),
+        iterations=mean.iterations,
         units_differed=bool((scales != 1).any()),
+        numbers=tuple(w.frame.number for w in weighted),
+        failures=failures,
+        plan=_plan(weighted, failures, scales, mean, reference is not None),
+        trace=meter.trace,
     )
 
 
-def _surface(mesh: Any) -> tuple[FloatArray, IntArray]:
-    vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-    return np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-
-
-def _require_sets(
-    surfaces: list[tuple[FloatArray, IntArray]], points: list[FloatArray], weights: Sequence[ArrayLike] | None
-) -> None:
-    if not surfaces:
-        raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
-    for name, given in (("keypoints", points), ("weights", weights)):
-        if given is not None and len(given) != len(surfaces):
-            raise ValueError(
-                f"{name} must have one entry for each of {len(surfaces)} meshes, got {len(given)}"
-            )
-    for frame, p in enumerate(points):
-        require_posable(p, frame)
-
-
-def _weights_of(
-    frame: int,
-    vertices: FloatArray,
-    faces: IntArray,
-    points: FloatArray,
-    given: ArrayLike | None,
-    options: CanonicalizationOptions,
-) -> FloatArray:
-    if given is not None:
-        shares = np.asarray(given, np.float64)
-        if shares.shape != (len(vertices), len(points)):
-            raise ValueError(
-                f"weights {frame} must have shape ({len(vertices)}, {len(points)}), got {shares.shape}"
-            )
-        return shares
-    seen = np.isfinite(points).all(1)
-    result = np.zeros((len(vertices), len(points)))
+def _reference(mean_keypoints: ArrayLike) -> FloatArray:
+    points = key_points("mean_keypoints", mean_keypoints)
     try:
-        result[:, seen] = bounded_biharmonic_weights(
-            vertices, faces, points[seen], options.spacing, options=options.weights
-        )
+        require_posable(points)
     except EyeglassesError as error:
-        raise EyeglassesError(f"frame {frame}: {error}") from error
-    return result
+        raise EyeglassesError(f"mean_keypoints: {error}") from error
+    return points
+
+
+def _mean(points: list[FloatArray], reference: FloatArray | None, meter: Meter) -> MeanKeyPoints:
+    if reference is not None:
+        return MeanKeyPoints(reference, True, 0)
+    own = meter.child("eyeglasses.mean", "bones")
+    found = mean_key_points(points, own)
+    meter.adopt(own)
+    return found
+
+
+def _plan(
+    weighted: list[WeightedFrame],
+    failures: Mapping[int, str],
+    scales: FloatArray,
+    mean: MeanKeyPoints,
+    given: bool,
+) -> Plan:
+    steps = {w.frame.number: w.plan for w in weighted}
+    steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
+    plan = Plan(
+        tuple(replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part)
+    )
+    return plan + Plan((_unit_step(weighted, scales), _mean_step(mean, given, len(weighted))))
+
+
+def _unit_step(weighted: list[WeightedFrame], scales: FloatArray) -> PlanStep:
+    sizes = [key_point_size(w.frame.points) for w in weighted]
+    if (scales == 1).all():
+        evidence = f"largest over smallest: {max(sizes) / min(sizes):.3g}"
+        return PlanStep("eyeglasses.units", False, "sizes agree: one unit", evidence)
+    factors = ", ".join(f"{s:.6g}" for s in scales)
+    return PlanStep("eyeglasses.units", True, "sizes are those of different units", f"factors {factors}")
+
+
+def _mean_step(mean: MeanKeyPoints, given: bool, count: int) -> PlanStep:
+    if given:
+        return PlanStep("eyeglasses.mean", False, "given")
+    how = "settled" if mean.converged else "not settled"
+    return PlanStep(
+        "eyeglasses.mean", True, f"mean of {count} frames", f"{how} after {mean.iterations} rounds"
+    )
 
 
 def _canonical(
-    vertices: FloatArray,
-    faces: IntArray,
-    points: FloatArray,
-    weights: FloatArray,
-    mean: FloatArray,
-    scale: float,
-    options: CanonicalizationOptions,
+    weighted: WeightedFrame, mean: FloatArray, scale: float, options: CanonicalizationOptions
 ) -> CanonicalEyeglasses:
-    rigid = align_key_points(scale * points, mean)
-    aligned = transform_points(rigid, scale * points)
+    frame, weights = weighted.frame, weighted.weights
+    rigid = align_key_points(scale * frame.points, mean)
+    aligned = transform_points(rigid, scale * frame.points)
     seen = np.isfinite((aligned + mean).sum(1))
     carriers = _CARRIERS[options.handles](aligned, mean)
     # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
     carriers[~seen] = np.eye(4)
     transforms = carriers @ rigid @ np.diag([scale, scale, scale, 1.0])
     return CanonicalEyeglasses(
-        vertices=skin(vertices, weights, transforms),
-        faces=faces,
+        vertices=skin(frame.vertices, weights, transforms),
+        faces=frame.faces,
         weights=weights,
         keypoints=np.where(seen[:, None], mean, np.nan),
         canonical_from_frame=rigid,
         scale=scale,
         handle_transforms=transforms,
         residual=float(np.sqrt(((aligned - mean)[seen] ** 2).sum(1).mean())),
+        converged=weighted.converged,
+        plan=weighted.plan,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,18 +54,26 @@ class Embedding:
 
 
 def embed(
-    vertices: FloatArray, faces: IntArray, handles: FloatArray, spacing: str | float, options: WeightOptions
+    vertices: FloatArray,
+    faces: IntArray,
+    handles: FloatArray,
+    spacing: str | float,
+    options: WeightOptions,
+    names: Sequence[str] | None = None,
 ) -> Embedding:
     """Return the lattice around a mesh (V, 3), (F, 3) and its key points (K, 3).
+
+    Messages call the key points by their `names` (K,), or by number.
 
     Raises
     ------
     EyeglassesError
         See `solve_weights`.
     """
+    called = names if names is not None else [str(k) for k in range(len(handles))]
     size = _size(vertices[faces.ravel()], handles)
-    closest = closest_spacing(handles, size)
-    _require_near(vertices, faces, handles, options.reach * size)
+    closest = closest_spacing(handles, size, called)
+    _require_near(vertices, faces, handles, options.reach * size, called)
     if isinstance(spacing, str):
         if spacing != "auto":
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
@@ -72,7 +81,7 @@ def embed(
     else:
         cells, used, step = _given(vertices, faces, handles, float(spacing), options)
     origin = _origin(vertices, faces, handles, used)
-    owners = cells_of_handles((handles - origin) / used, used)
+    owners = cells_of_handles((handles - origin) / used, used, called)
     cells = unique_cells(np.concatenate([cells, owners]))
     lattice = Lattice.of_cells(_with_handles(join_parts(cells, options.reach * size / used + 2), owners))
     local = (vertices - origin) / used
@@ -94,13 +103,15 @@ def _size(points: FloatArray, handles: FloatArray) -> float:
     raise EyeglassesError(f"all {len(points)} corners of the mesh lie in one point: there is no surface")
 
 
-def _require_near(vertices: FloatArray, faces: IntArray, handles: FloatArray, reach: float) -> None:
+def _require_near(
+    vertices: FloatArray, faces: IntArray, handles: FloatArray, reach: float, names: Sequence[str]
+) -> None:
     distance = ClosestPointQuery(vertices, faces).query(handles).distance
     far = int(np.argmax(distance))
     if not distance[far] <= reach:
         raise EyeglassesError(
-            f"key point {far} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off the mesh; "
-            f"at most {reach:.4g} can be bridged: check its place and its unit, or raise options.reach"
+            f"key point {names[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off the "
+            f"mesh; at most {reach:.4g} can be bridged: check its place and its unit, or raise options.reach"
         )
 
 

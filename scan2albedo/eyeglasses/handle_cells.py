@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
@@ -15,8 +17,10 @@ _COINCIDENT = 1e-6
 """Part of the size below which two key points are one."""
 
 
-def closest_spacing(handles: FloatArray, size: float) -> float:
+def closest_spacing(handles: FloatArray, size: float, names: Sequence[str]) -> float:
     """Return the spacing (in the mesh's unit) at which no two of the (K, 3) key points share a node.
+
+    `names` (K,) are for messages.
 
     Raises
     ------
@@ -30,14 +34,14 @@ def closest_spacing(handles: FloatArray, size: float) -> float:
     a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
     if not apart[a, b] > _COINCIDENT * size:
         raise EyeglassesError(
-            f"key points {min(a, b)} and {max(a, b)} coincide at {np.round(handles[a], 6).tolist()}; "
-            "each needs a place of its own: leave one of them out"
+            f"key points {_pair(names, a, b)} coincide at {np.round(handles[a], 6).tolist()}; each "
+            "needs a place of its own: leave one of them out"
         )
     # Places two spacings apart along one axis lie in cells with another cell between them.
     return float(apart[a, b]) / 2
 
 
-def cells_of_handles(local: FloatArray, spacing: float) -> IntArray:
+def cells_of_handles(local: FloatArray, spacing: float, names: Sequence[str]) -> IntArray:
     """Return (K, 3) the cells of key points `local` (K, 3), given in units of the spacing.
 
     Raises
@@ -52,7 +56,11 @@ def cells_of_handles(local: FloatArray, spacing: float) -> IntArray:
     if steps[a, b] < 2:
         apart = spacing * float(np.abs(local[a] - local[b]).max())
         raise EyeglassesError(
-            f"key points {min(a, b)} and {max(a, b)} are {apart:.4g} apart along the axes, too close for a "
-            f"lattice of spacing {spacing:.4g}; give a spacing of {apart / 2:.4g} or less, or raise max_nodes"
+            f"key points {_pair(names, a, b)} are {apart:.4g} apart along the axes, too close for a lattice "
+            f"of spacing {spacing:.4g}; give a spacing of {apart / 2:.4g} or less, or raise max_nodes"
         )
     return cells
+
+
+def _pair(names: Sequence[str], a: np.intp, b: np.intp) -> str:
+    return f"{names[int(min(a, b))]} and {names[int(max(a, b))]}"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.checked_files import read_checked
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import write_text
 
@@ -35,10 +37,15 @@ class KeyPointsFile(BaseModel):
 
     @model_validator(mode="after")
     def _names_are_known(self) -> KeyPointsFile:
-        strange = sorted(set(self.key_points) - set(KEY_POINT_NAMES))
-        if strange:
-            raise ValueError(f"{strange[0]!r} is no key point; names are {', '.join(KEY_POINT_NAMES)}")
+        refuse_strange_names(self.key_points)
         return self
+
+
+def refuse_strange_names(names: Iterable[str]) -> None:
+    """Raise ValueError unless all are names of key points."""
+    strange = sorted(set(names) - set(KEY_POINT_NAMES))
+    if strange:
+        raise ValueError(f"{strange[0]!r} is no key point; names are {', '.join(KEY_POINT_NAMES)}")
 
 
 def write_keypoints(
@@ -64,6 +71,14 @@ def write_keypoints(
     write_text(path, KeyPointsFile(unit=unit, key_points=entries).model_dump_json(indent=2) + "\n")
 
 
+@dataclass(frozen=True)
+class KeyPoints:
+    """Key points of a file: `points` (20, 3), NaN where one is missing, in `unit`."""
+
+    points: FloatArray
+    unit: Literal["mm", "cm", "m", "unknown"]
+
+
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
 
@@ -72,22 +87,18 @@ def read_keypoints(path: str | Path) -> FloatArray:
     EyeglassesError
         When the file cannot be read or is no key-point file; names the file and its first fault.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise EyeglassesError(
-            f"key points {path}: {error.strerror}; give a file that write_keypoints wrote"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise EyeglassesError(f"key points {path} is no text file; give a JSON file") from error
-    try:
-        entry = KeyPointsFile.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise EyeglassesError(
-            f"key points {path}: {where}: {first['msg']} ({error.error_count()} problems); expected "
-            "data_schemas/eyeglasses_keypoints.schema.json"
-        ) from error
+    return read_keypoints_with_unit(path).points
+
+
+def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
+    """Return what `read_keypoints` does, and the unit that the file states."""
+    entry = read_checked(
+        path,
+        KeyPointsFile,
+        what="key points",
+        writer="write_keypoints",
+        schema="eyeglasses_keypoints.schema.json",
+    )
     nothing = (np.nan, np.nan, np.nan)
-    return np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
+    points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
+    return KeyPoints(points, entry.unit)

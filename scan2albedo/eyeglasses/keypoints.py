@@ -48,5 +48,20 @@ def _bones() -> tuple[tuple[int, int], ...]:
 SKELETON: tuple[tuple[int, int], ...] = _bones()
 """Pairs of key points that one stretch of the frame joins: both rims, the bridge, both temples."""
 
+
+def _tree(root: int) -> tuple[int, ...]:
+    """Return each key point's parent on the shortest way to the root, -1 for the root itself."""
+    parents, queue = {root: -1}, [root]
+    for joint in queue:
+        for neighbour in sorted(j for bone in SKELETON if joint in bone for j in bone):
+            if neighbour not in parents:
+                parents[neighbour] = joint
+                queue.append(neighbour)
+    return tuple(parents[k] for k in range(KEY_POINT_COUNT))
+
+
+PARENTS: tuple[int, ...] = _tree(0)
+"""A tree of bones that hangs on the top of the bridge: rims and bridge are circles, cut once each."""
+
 MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
 """Index of each key point's counterpart on the other side."""

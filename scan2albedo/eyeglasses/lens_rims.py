@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.lens_panes import without_panes
 from scan2albedo.eyeglasses.lens_plane import LensPlane, RimProfile, fit_normal
 from scan2albedo.eyeglasses.rim_rays import shoot_rim
 from scan2albedo.eyeglasses.rim_subdivision import subdivide_rim
@@ -52,7 +53,8 @@ def find_lens_rim(
 
     Rays from the axis outward meet the rim's inner edge. Gaps of up to 30 degrees are bridged between their
     ends; wider ones, such as the open side of a half-rimless frame, take their shape from the rim's key
-    points, shifted so that it joins what was measured.
+    points, shifted so that it joins what was measured. Lenses that are parts of their own are looked
+    through.
 
     Parameters
     ----------
@@ -100,7 +102,8 @@ def find_lens_rim(
     plane = _plane(xyz, middle, marks, normal)
     angles = np.linspace(-np.pi, np.pi, count, endpoint=False)
     lens_radius = None if marks is None else float(plane.profile(marks).radius.mean())
-    shot = shoot_rim(RayCaster(xyz, index), plane, angles, lens_radius)
+    rims = without_panes(xyz, index, plane, lens_radius)
+    shot = shoot_rim(RayCaster(xyz, rims), plane, angles, lens_radius)
     measured = np.isfinite(shot.radius)
     gaps: Literal["none", "interpolated", "subdivided"] = "none"
     if not measured.all():

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES, MIRROR, SKELETON
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 
@@ -39,20 +40,17 @@ class MeanKeyPoints:
     iterations: int
 
 
-def require_posable(points: FloatArray, frame: int) -> None:
-    """Raise EyeglassesError unless the key points (20, 3) of a frame fix its pose."""
-    if points.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(
-            f"keypoints {frame} must have shape ({KEY_POINT_COUNT}, 3), got {points.shape}; NaN rows for "
-            "missing ones"
-        )
+def require_posable(points: FloatArray) -> None:
+    """Raise EyeglassesError unless key points (20, 3) fix a pose and a size."""
     seen = points[np.isfinite(points).all(1)]
     spread = np.linalg.svd(seen - seen.mean(0), compute_uv=False) if len(seen) >= 3 else np.zeros(3)
     if not spread[1] > _FLAT * spread[0]:
         raise EyeglassesError(
-            f"frame {frame} has {len(seen)} key points, or all on one line; its pose takes three that span a "
+            f"{len(seen)} key points are known, or all lie on one line; a pose takes three that span a "
             "plane: label more of them"
         )
+    if not key_point_size(points) > 0:
+        raise EyeglassesError("no two neighbouring key points are known and apart; label more of them")
 
 
 def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None = None) -> FloatArray:
@@ -62,9 +60,9 @@ def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None =
     brought to the size of `reference`, or else of the one nearest to spectacles in mm: by a power of ten
     where that leaves less than 1.4 times, so that true sizes are kept, otherwise to the very size.
     """
-    sizes = np.array([_size(points, frame) for frame, points in enumerate(keypoints)])
+    sizes = np.array([key_point_size(points) for points in keypoints])
     if reference is not None:
-        target = _size(reference, -1)
+        target = key_point_size(reference)
     else:
         target = float(sizes[np.argmin(np.abs(np.log(sizes / _TYPICAL_BONE_MM)))])
     ratio = target / sizes
@@ -75,10 +73,10 @@ def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None =
 
 def usual_size_factor(points: FloatArray) -> float:
     """Return the factor that brings a frame's median bone to that of spectacles in mm."""
-    return _TYPICAL_BONE_MM / _size(points, 0)
+    return _TYPICAL_BONE_MM / key_point_size(points)
 
 
-def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
+def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoints:
     """Return the mean of frames that are aligned to it rigidly.
 
     Alternates x_k = mean over frames of (R_i p_ik + t_i) and the rigid Procrustes transforms (R_i, t_i) of
@@ -89,15 +87,17 @@ def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
     ----------
     keypoints : sequence of (20, 3) float64
         One unit; NaN rows for missing key points.
+    meter : Meter
+        Counts the rounds and records the change of the mean in bones, the skeleton's median one.
 
     References
     ----------
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40(1), 1975.
     """
-    whole = max(range(len(keypoints)), key=lambda i: int(np.isfinite(keypoints[i]).sum()))
-    mean, size = keypoints[whole], _size(keypoints[whole], whole)
+    mean = fullest(keypoints)
+    size = key_point_size(mean)
     iteration, settled = 0, False
-    while not settled and iteration < _ROUNDS:
+    while not settled and iteration < _ROUNDS and not (iteration and meter.exhausted):
         iteration += 1
         aligned = np.array([transform_points(align_key_points(p, mean), p) for p in keypoints])
         seen = np.isfinite(aligned).all(2)
@@ -107,29 +107,28 @@ def mean_key_points(keypoints: Sequence[FloatArray]) -> MeanKeyPoints:
         both = np.isfinite(mean).all(1)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
         settled, mean = change <= _TOLERANCE * size and bool((both == (count[:, 0] > 0)).all()), new
+        meter.count()
+        meter.record(change / size)
     return MeanKeyPoints(_in_own_axes(mean), settled, iteration)
 
 
+def fullest(keypoints: Sequence[FloatArray]) -> FloatArray:
+    """Return the first of the frames' key points (20, 3) that lack fewest: what the others are aligned to."""
+    return max(keypoints, key=lambda points: int(np.isfinite(points).sum()))
+
+
 def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the rigid `target_from_source` (4, 4) of the key points that both have."""
+    """Return the rigid `target_from_source` (4, 4) of the key points that both have, three or more."""
     both = np.isfinite(source).all(1) & np.isfinite(target).all(1)
-    if both.sum() < 3:
-        raise EyeglassesError(
-            f"a frame shares {int(both.sum())} key points with the others; aligning it takes 3: "
-            "label more of them"
-        )
     return procrustes(source[both], target[both])
 
 
-def _size(points: FloatArray, frame: int) -> float:
+def key_point_size(points: FloatArray) -> float:
+    """Return the median length of the bones between known key points (20, 3); 0 where there is none."""
     bones = np.array(SKELETON)
     lengths = np.linalg.norm(points[bones[:, 0]] - points[bones[:, 1]], axis=1)
     lengths = lengths[np.isfinite(lengths)]
-    if not len(lengths) or not np.median(lengths) > 0:
-        raise EyeglassesError(
-            f"frame {frame} has no two neighbouring key points apart from each other; label more of them"
-        )
-    return float(np.median(lengths))
+    return float(np.median(lengths)) if len(lengths) else 0.0
 
 
 def _in_own_axes(points: FloatArray) -> FloatArray:

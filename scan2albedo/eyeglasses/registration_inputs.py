@@ -116,8 +116,16 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
         )
     vertices, faces = _mesh("glasses", (parts[0], parts[1]))
     keypoints = np.array(parts[2], np.float64)
-    keypoints[~np.isfinite(keypoints).all(-1)] = np.nan
-    require_posable(keypoints, 0)
+    if keypoints.shape != (KEY_POINT_COUNT, 3):
+        raise ValueError(
+            f"the glasses' keypoints must have shape ({KEY_POINT_COUNT}, 3), got {keypoints.shape}; NaN rows "
+            "for missing ones"
+        )
+    keypoints[~np.isfinite(keypoints).all(1)] = np.nan
+    try:
+        require_posable(keypoints)
+    except EyeglassesError as error:
+        raise EyeglassesError(f"the glasses: {error}") from error
     if parts[3] is None:
         return vertices, faces, keypoints, None
     weights = np.asarray(parts[3], np.float64)

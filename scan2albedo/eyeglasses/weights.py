@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ from scan2albedo.optimization import Budget, Meter, Plan, ProgressCallback, Trac
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+STAGE, UNIT = "eyeglasses.weights", "scaled KKT residual"
 
 _VANISHED = 1e-6
 """Sum of the weights below which no key point holds a node: dividing by it would amplify rounding."""
@@ -132,9 +135,23 @@ def solve_weights(
     .. [1] A. Jacobson, I. Baran, J. Popovic, O. Sorkine, "Bounded biharmonic weights for real-time
        deformation", SIGGRAPH 2011, section 3.
     """
-    meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)
+    meter = Meter(STAGE, UNIT, Budget.of(budget), on_progress)
+    return metered_weights(vertices, faces, handles, spacing, options=options, meter=meter)
+
+
+def metered_weights(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    handles: ArrayLike,
+    spacing: str | float = "auto",
+    *,
+    options: WeightOptions,
+    meter: Meter,
+    names: Sequence[str] | None = None,
+) -> BoundedBiharmonicWeights:
+    """Return what `solve_weights` does, on a meter that runs already; messages call key points by `names`."""
     xyz, index, points = _checked(vertices, faces, handles)
-    embedding = embed(xyz, index, points, spacing, options)
+    embedding = embed(xyz, index, points, spacing, options, names)
     solution = solve_lattice(embedding.lattice, embedding.handle_cells, options, meter)
     total = solution.weights.sum(1)
     if not total.min() > _VANISHED:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from scan2albedo.io.input_hash import input_sha256
     from scan2albedo.io.raw_scan import RawScan
     from scan2albedo.io.result_json import RegistrationRecord, ResultRecord, read_record, write_record
+    from scan2albedo.io.skinned_glb import write_skinned_glb
 
 _MODULE_OF = {
     "GeometryImage": "geometry_image",
@@ -42,6 +43,7 @@ _MODULE_OF = {
     "write_image": "images",
     "write_png": "images",
     "write_record": "result_json",
+    "write_skinned_glb": "skinned_glb",
 }
 
 __all__ = [
@@ -64,6 +66,7 @@ __all__ = [
     "write_image",
     "write_png",
     "write_record",
+    "write_skinned_glb",
 ]
 
 

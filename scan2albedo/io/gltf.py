@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import io
 import logging
 import struct
 from pathlib import Path
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers
+from scan2albedo.io.gltf_skins import GltfFile, skinning_transforms
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.repair import refuse_wrong_indices
 
@@ -39,6 +40,8 @@ _PARSER_ERRORS = (
 def read_gltf(path: Path) -> ParsedMesh:
     """Read a GLB or glTF file: scene transforms applied, all meshes joined, base colours as materials.
 
+    Skinned meshes come as their joints hold them in the file, without animation.
+
     Base colour textures are sRGB; base colour factors and vertex colours are linear (glTF 2.0, 3.7.2 and
     3.9.2).
 
@@ -60,8 +63,10 @@ def read_gltf(path: Path) -> ParsedMesh:
 def _read_parts(path: Path) -> ParsedMesh:
     import trimesh
 
-    scene = _load_scene(path)
-    textured = _textured_material_names(path)
+    file = GltfFile.read(path)
+    skinned = bool(file.tree.get("skins"))
+    scene = _load_scene(path, file.telling_skins() if skinned else None)
+    textured = _textured_material_names(file.tree)
     materials: dict[int, Material] = {}
     parts = []
     for node in scene.graph.nodes_geometry:
@@ -69,7 +74,8 @@ def _read_parts(path: Path) -> ParsedMesh:
         mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
             part = _part(mesh, materials, path.name)
-            parts.append(_placed(part, np.asarray(transform, np.float64)))
+            held = skinning_transforms(file, scene, node, mesh) if skinned else None
+            parts.append(_placed(part, np.asarray(transform, np.float64) if held is None else held))
     lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
     notes = (
         f"the texture of {name} is missing, damaged or of an unknown kind: went on without it"
@@ -78,14 +84,23 @@ def _read_parts(path: Path) -> ParsedMesh:
     return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
 
 
-def _load_scene(path: Path) -> trimesh.Scene:
-    """Load through trimesh; what it warns of becomes an error: it would go on with zeros."""
+def _load_scene(path: Path, data: bytes | None) -> trimesh.Scene:
+    """Load a file, or `data` in its place, through trimesh; what it warns of becomes an error.
+
+    It would go on with zeros.
+    """
     import trimesh
 
     warned = _Warnings()
     logging.getLogger("trimesh").addHandler(warned)
     try:
-        scene = trimesh.load_scene(path, process=False)
+        if data is None:
+            scene = trimesh.load_scene(path, process=False)
+        else:
+            resolver = trimesh.resolvers.FilePathResolver(str(path))
+            scene = trimesh.load_scene(
+                io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=resolver, process=False
+            )
     finally:
         logging.getLogger("trimesh").removeHandler(warned)
     if warned.messages:
@@ -93,12 +108,9 @@ def _load_scene(path: Path) -> trimesh.Scene:
     return scene
 
 
-def _textured_material_names(path: Path) -> set[str]:
+def _textured_material_names(tree: dict[str, Any]) -> set[str]:
     """Return the names of the materials that declare a base colour texture, which trimesh drops silently."""
-    data = path.read_bytes()
-    if data[:4] == b"glTF":
-        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-    declared = json.loads(data.decode("utf-8", "replace")).get("materials", [])
+    declared = tree.get("materials", [])
     return {
         m.get("name", "material") for m in declared if "baseColorTexture" in m.get("pbrMetallicRoughness", {})
     }
@@ -158,11 +170,12 @@ def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _placed(part: ParsedMesh, transform: NDArray[np.float64]) -> ParsedMesh:
-    """Apply a scene transform; a mirroring one turns the faces over, so that they keep facing out."""
-    flipped = np.linalg.det(transform[:3, :3]) < 0
+    """Apply a transform, (4, 4) or one a vertex (V, 4, 4); mirrored faces are turned to face out again."""
+    linear, shift = transform[..., :3, :3], transform[..., :3, 3]
+    flipped = np.median(np.linalg.det(linear)) < 0
     order = slice(None, None, -1) if flipped else slice(None)
     return ParsedMesh(
-        vertices=part.vertices @ transform[:3, :3].T + transform[:3, 3],
+        vertices=(linear @ part.vertices[:, :, None])[:, :, 0] + shift,
         faces=part.faces[:, order],
         uv=None if part.uv is None else part.uv[:, order],
         material=part.material,

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 from scan2albedo.errors import ScanError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from scan2albedo.io.parsed_mesh import ParsedMesh
     from scan2albedo.io.raw_scan import RawScan
 
@@ -49,11 +52,33 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     ValueError
         For an unknown unit.
     """
+    from scan2albedo.io.units import millimetres_per_unit
+
+    def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
+        return millimetres_per_unit(mesh.vertices, components, unit, Path(path).name)
+
+    return load_scan_with(path, decide, name=name)
+
+
+def load_scan_with(
+    path: str | Path,
+    decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]],
+    *,
+    name: str | None = None,
+) -> RawScan:
+    """Load a scan as `load_scan` does, of something whose size is not a head's.
+
+    Parameters
+    ----------
+    path : str or Path
+    decide_unit : callable
+        Maps the repaired mesh, in file units, and its (V,) component labels to (factor to millimetres, note).
+    name : str, optional
+    """
     from scan2albedo.geometry.mesh import vertex_components
     from scan2albedo.io.raw_scan import RawScan
     from scan2albedo.io.repair import refuse_unusable, repair
     from scan2albedo.io.texture_atlas import pack_texture
-    from scan2albedo.io.units import millimetres_per_unit
 
     file = Path(path)
     parsed = read_mesh_file(file)
@@ -62,7 +87,7 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     if len(mesh.faces) == 0:
         raise ScanError(f"{file.name}: every face has zero area; the scan holds no surface: export it again")
     components = vertex_components(len(mesh.vertices), mesh.faces)
-    factor, unit_note = millimetres_per_unit(mesh.vertices, components, unit, file.name)
+    factor, unit_note = decide_unit(mesh, components)
     packed = pack_texture(mesh)
     notes = [unit_note, *mesh.notes, *packed.notes]
     if (count := int(components.max()) + 1) > 1:

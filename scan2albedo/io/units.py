@@ -1,4 +1,4 @@
-"""Millimetres, centimetres or metres: decided from the size of a head."""
+"""Millimetres, centimetres or metres: decided from the size of a head, or of a pair of glasses."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 PLAUSIBLE_EXTENT_MM = (80.0, 800.0)
 """From the inner face alone (about 100 mm) to a head with shoulders (about 550 mm): one decade, so that
 at most one of mm and cm fits; metres are two decades off."""
+
+PLAUSIBLE_GLASSES_MM = (50.0, 400.0)
+"""Greatest distance between two key points, from a front without temples (about 100 mm for a child) or half
+of one to whole goggles (about 250 mm); less than a decade again."""
 
 _TRIM_PERCENT = 0.5
 
@@ -47,13 +51,45 @@ def millimetres_per_unit(
     ValueError
         For an unknown unit.
     """
-    extent = largest_extent(vertices, components)
+    return _decided(largest_extent(vertices, components), unit, name, "scan", "head", PLAUSIBLE_EXTENT_MM)
+
+
+def glasses_millimetres_per_unit(keypoints: NDArray[np.float64], unit: str, name: str) -> tuple[float, str]:
+    """Return (factor to millimetres, note that tells unit and size) of a pair of glasses.
+
+    The size is that of its key points (K, 3), NaN for missing ones: of a mesh of many parts, a screw may hold
+    most of the vertices.
+
+    Raises
+    ------
+    ScanError
+        When the size is that of no glasses in mm, cm or m, or in the unit that is given.
+    ValueError
+        For an unknown unit.
+    """
+    known = keypoints[np.isfinite(keypoints).all(axis=1)]
+    apart = np.linalg.norm(known[:, None] - known, axis=2)
+    extent = float(apart.max(initial=0.0))
+    low, high = PLAUSIBLE_GLASSES_MM
+    if unit in MM_PER_UNIT and not low <= extent * MM_PER_UNIT[unit] < high:
+        raise ScanError(
+            f"{name}: the glasses are {extent:.4g} {unit} long, but glasses measure {low:g} to {high:g} mm; "
+            "say what a unit is with unit='mm', 'cm' or 'm'"
+        )
+    return _decided(extent, unit, name, "glasses", "pair of glasses", PLAUSIBLE_GLASSES_MM)
+
+
+def _decided(
+    extent: float, unit: str, name: str, thing: str, kind: str, plausible_mm: tuple[float, float]
+) -> tuple[float, str]:
+    """Return the factor and the note of a `thing` of `extent` file units that should be a `kind`."""
     if unit == "auto":
-        low, high = PLAUSIBLE_EXTENT_MM
+        low, high = plausible_mm
         fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
         if not fitting:
+            verb = "are" if thing.endswith("s") else "is"
             raise ScanError(
-                f"{name}: the scan is {extent:.4g} units long, which is no head in mm, cm or m "
+                f"{name}: the {thing} {verb} {extent:.4g} units long, which is no {kind} in mm, cm or m "
                 f"(expected {low:g} to {high:g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
             )
         return MM_PER_UNIT[fitting[0]], _note(fitting[0], extent, "decided from the size")

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_PANELS_A_ROW = 6
+
+
 @dataclass(frozen=True)
 class TraceRow:
     """One point of the error-against-run-time curve of a stage."""
@@ -67,8 +70,13 @@ class Trace:
         from matplotlib.figure import Figure
 
         stages = self.stages or ("nothing recorded",)
-        figure = Figure(figsize=(4.2 * len(stages), 3.2), layout="constrained")
-        for axis, stage in zip(figure.subplots(1, len(stages), squeeze=False)[0], stages, strict=True):
+        columns = min(len(stages), _PANELS_A_ROW)
+        rows_of_panels = -(-len(stages) // columns)
+        figure = Figure(figsize=(4.2 * columns, 3.2 * rows_of_panels), layout="constrained")
+        axes = figure.subplots(rows_of_panels, columns, squeeze=False).ravel()
+        for unused in axes[len(stages) :]:
+            unused.set_axis_off()
+        for axis, stage in zip(axes, stages, strict=False):
             rows = self.of_stage(stage).rows
             axis.set_title(stage)
             axis.set_xlabel("elapsed [s]")

@@ -14,6 +14,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
+from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
 SMALL = {
@@ -227,9 +228,109 @@ def test_bad_input_is_named():
         canonicalize([mesh], [points], weights=[np.ones((3, 20))])
     lost = points.copy()
     lost[2:] = np.nan
-    with pytest.raises(EyeglassesError, match="frame 1 has 2 key points"):
+    with pytest.raises(EyeglassesError, match="frame 1: 2 key points"):
         canonicalize([mesh, mesh], [points, lost])
     far = points.copy()
     far[3] += 500
-    with pytest.raises(EyeglassesError, match="frame 0: key point 3 at"):
+    with pytest.raises(EyeglassesError, match="frame 0: key point left_rim_bridge at"):
         canonicalize([mesh], [far])
+
+
+COARSE = CanonicalizationOptions(spacing=3.0)
+
+
+def test_the_plan_says_what_ran_and_the_trace_how_it_went(weighted):
+    meshes, points, weights = some_set(weighted)
+    rows = []
+    meshes[1], points[1] = (meshes[1][0] / 10, meshes[1][1]), points[1] / 10
+    solved = canonicalize(meshes[:2], points[:2], on_progress=rows.append)
+    assert tuple(rows) == solved.trace.rows
+    assert solved.trace.stages == ("eyeglasses.weights.0", "eyeglasses.weights.1", "eyeglasses.mean")
+    for stage, bar in (("weights.0", 1e-7), ("weights.1", 1e-7), ("mean", 1e-13)):
+        part = solved.trace.of_stage(f"eyeglasses.{stage}").rows
+        assert part[-1].error <= bar
+        assert part[-1].evaluations >= len(part) > 0
+    steps = {step.stage: step for step in solved.plan}
+    assert steps["eyeglasses.mean"].ran
+    assert steps["eyeglasses.units"].ran
+    assert sum(s.stage == "eyeglasses.weights" and "solved" in s.reason for s in solved.plan) == 2
+    assert sum(s.stage == "eyeglasses.weights.spacing" for s in solved.plan) == 2
+    given = canonicalize(meshes[::2], points[::2], weights=weights[::2], mean_keypoints=solved.mean_keypoints)
+    assert not given.plan.ran("eyeglasses")
+    assert len(given.trace) == 0
+    assert given.converged
+
+
+def test_a_budget_that_ends_early_still_brings_the_key_points_together(weighted):
+    meshes, points, _ = some_set(weighted)
+    twice, marks = [meshes[0]] * 2, [points[0]] * 2
+    rest = weighted(SMALL["spread"])[0].rest_keypoints
+    whole = canonicalize(twice, marks, mean_keypoints=rest, options=COARSE)
+    short = canonicalize(twice, marks, mean_keypoints=rest, options=COARSE, budget=Budget(evaluations=20))
+    assert whole.converged
+    assert not short.converged
+    spent = [short.trace.of_stage(stage).rows[-1].evaluations for stage in short.trace.stages]
+    assert spent == [10, 10]
+    assert "cut short" in short.plan[0].reason
+    for frame, p in zip(short.frames, marks, strict=True):
+        carried = np.einsum("kij,kj->ki", frame.handle_transforms[:, :3, :3], p)
+        np.testing.assert_allclose(carried + frame.handle_transforms[:, :3, 3], frame.keypoints, atol=1e-9)
+    apart = [np.abs(a.vertices - b.vertices).max() for a, b in zip(short.frames, whole.frames, strict=True)]
+    assert 1e-6 < max(apart) < 5
+
+
+def test_a_budget_in_seconds_ends_the_work(weighted):
+    meshes, points, _ = some_set(weighted)
+    begun = time.perf_counter()
+    short = canonicalize(meshes[:2], points[:2], budget=1e-3)
+    assert time.perf_counter() - begun < 5
+    assert not short.converged
+    assert all(np.isfinite(frame.vertices).all() for frame in short.frames)
+
+
+def test_a_frame_that_cannot_be_done_need_not_take_the_others_down(weighted):
+    meshes, points, weights = some_set(weighted)
+    far, few = points[1].copy(), points[2].copy()
+    far[3] += 500
+    few[4:] = np.nan
+    few[:2] = np.nan
+    given = [meshes[0], meshes[1], meshes[2], meshes[0]], [points[0], far, few, points[0]]
+    skipping = CanonicalizationOptions(spacing=3.0, skip_failed=True)
+    result = canonicalize(*given, options=skipping)
+    assert result.numbers == (0, 3)
+    assert sorted(result.failures) == [1, 2]
+    assert "left_rim_bridge" in result.failures[1]
+    assert "2 key points" in result.failures[2]
+    alone = canonicalize([meshes[0]] * 2, [points[0]] * 2, options=COARSE)
+    np.testing.assert_array_equal(result.mean_keypoints, alone.mean_keypoints)
+    assert [s.reason[:8] for s in result.plan if not s.ran and s.stage == "eyeglasses.weights"] == [
+        "frame 1:",
+        "frame 2:",
+    ]
+    with pytest.raises(EyeglassesError, match="frame 1: key point left_rim_bridge"):
+        canonicalize(*given, options=COARSE)
+    with pytest.raises(EyeglassesError, match="frame 0: 2 key points"):
+        canonicalize([meshes[2]], [few], options=skipping)
+    with pytest.raises(EyeglassesError, match="mean_keypoints: 2 key points"):
+        canonicalize([meshes[0]], [points[0]], weights=weights[:1], mean_keypoints=few)
+
+
+def test_the_pose_in_which_weights_are_solved_matters_little(weighted):
+    glasses, weights = weighted(SMALL["wrapped"])
+    turned = bounded_biharmonic_weights(
+        posed(glasses.vertices, 1), glasses.faces, posed(glasses.keypoints, 1)
+    )
+    # The lattice cuts the frame elsewhere, so that weights differ, but hardly what they move.
+    assert np.abs(turned - weights).max() > 1e-3
+    there = straightened(glasses, weights).frames[0].vertices
+    apart = np.linalg.norm(straightened(glasses, turned).frames[0].vertices - there, axis=1)
+    assert apart.max() <= 0.3
+
+
+def test_the_place_in_which_weights_are_solved_does_not_matter():
+    glasses = eyeglasses(0)
+    solved = [
+        bounded_biharmonic_weights(glasses.vertices + shift, glasses.faces, glasses.keypoints + shift, 3.0)
+        for shift in ([0, 0, 0], [12.3, -45.6, 7.8])
+    ]
+    assert np.abs(solved[0] - solved[1]).max() < 1e-6

@@ -185,3 +185,32 @@ def test_what_cannot_be_done_is_said():
         lens_mesh([5.0, 0, 0], [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     with pytest.raises(EyeglassesError, match="fold"):
         lens_mesh([0, 0, 0], np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("known", ["rim points", "normal"])
+def test_lenses_that_the_mesh_holds_are_looked_through(known):
+    for seed in range(3):
+        glasses = eyeglasses(seed)
+        parts, faces = [glasses.vertices], [glasses.faces]
+        for outline, center in zip(glasses.lens_outlines, glasses.lens_centers, strict=True):
+            # Front and back of a domed lens, which a ray in the lens plane meets half way to the rim.
+            for shift in (0.0, -1.5):
+                pane = np.concatenate([center + t * (outline - center) for t in (0.0, 0.5, 1.0)])
+                dome = np.repeat([4.0, 3.0, 0.0], len(outline))
+                pane[:, 2] += dome - 2 + shift
+                ring, n = np.arange(len(outline)), len(outline)
+                after = (ring + 1) % n
+                quads = [
+                    np.stack(triangle, 1) + r * n
+                    for r in (0, 1)
+                    for triangle in ((ring, ring + n, after + n), (ring, after + n, after))
+                ]
+                faces.append(np.concatenate(quads) + sum(map(len, parts)))
+                parts.append(pane)
+        vertices, whole = np.concatenate(parts), np.concatenate(faces)
+        marks = rim_points(glasses, "left")
+        options = {"rim_points": marks} if known == "rim points" else {"normal": fit_normal(marks, vertices)}
+        rim = find_lens_rim(vertices, whole, glasses.lens_centers[0], **options)
+        alone = find_lens_rim(glasses.vertices, glasses.faces, glasses.lens_centers[0], **options)
+        np.testing.assert_allclose(rim.points, alone.points, atol=1e-4)
+        assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM

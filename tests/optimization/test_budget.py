@@ -65,3 +65,9 @@ def test_a_child_has_what_is_left_and_its_work_is_adopted():
     meter.adopt(child)
     assert meter.exhausted
     assert meter.trace.stages == ("annealing",)
+
+
+def test_many_stages_are_drawn_in_rows():
+    figure = Trace(tuple(TraceRow(f"stage {i}", 1.0, 1.0, 1, 0.1, "mm") for i in range(8))).plot()
+    assert sum(bool(axis.lines) for axis in figure.axes) == 8
+    assert figure.get_figwidth() < 30

@@ -1,0 +1,48 @@
+"""JSON files that people edit, read with errors that name the file and its first fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from scan2albedo.errors import EyeglassesError
+
+Content = TypeVar("Content", bound=BaseModel)
+
+
+def read_checked(path: str | Path, kind: type[Content], *, what: str, writer: str, schema: str) -> Content:
+    """Return the content of a JSON file of the given kind.
+
+    Parameters
+    ----------
+    path : str or Path
+    kind : type of BaseModel
+    what : str
+        The thing in the file, for messages, such as "key points".
+    writer : str
+        Function that writes such files.
+    schema : str
+        File in data_schemas.
+
+    Raises
+    ------
+    EyeglassesError
+        When the file cannot be read or does not fit.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise EyeglassesError(f"{what} {path}: {error.strerror}; give a file that {writer} wrote") from error
+    except UnicodeDecodeError as error:
+        raise EyeglassesError(f"{what} {path} is no text file; give a JSON file") from error
+    try:
+        return kind.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise EyeglassesError(
+            f"{what} {path}: {where}: {first['msg']} ({error.error_count()} problems); expected "
+            f"data_schemas/{schema}"
+        ) from error

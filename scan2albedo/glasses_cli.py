@@ -1,0 +1,115 @@
+"""The commands for eyeglasses: thin wrappers around the library's calls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from scan2albedo.cli_tools import (
+    SOME_FAILED,
+    USAGE_ERROR,
+    JsonOption,
+    echo_json,
+    one_line,
+    refuse_shared_folders,
+    stop_cleanly_on_interrupt,
+)
+
+if TYPE_CHECKING:
+    from scan2albedo.optimization import Budget
+
+app = typer.Typer(help="Eyeglasses: canonical frames.", no_args_is_help=True)
+
+
+@app.callback()
+def _common() -> None:
+    """Eyeglasses."""
+
+
+@app.command()
+def canonicalize(
+    meshes: Annotated[
+        list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files, one a frame.", metavar="MESH...")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a frame.")],
+    keypoints: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Key points, once for each mesh, in order; otherwise <mesh stem>.keypoints.json beside it."
+        ),
+    ] = None,
+    mean: Annotated[
+        Path | None, typer.Option(help="mean_keypoints.json of an earlier set, to bring frames to it.")
+    ] = None,
+    handles: Annotated[
+        str, typer.Option(help="turned, or translated: whether key points turn as the skeleton does.")
+    ] = "turned",
+    unit: Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")] = "auto",
+    budget: Annotated[float | None, typer.Option(help="Seconds the set may take.")] = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Bring frames to the mean of their key points: poses and bends go, shapes stay."""
+    refuse_shared_folders(meshes)
+    if keypoints and len(keypoints) != len(meshes):
+        raise typer.BadParameter(
+            f"--keypoints is given {len(keypoints)} times for {len(meshes)} meshes; give it once for each"
+        )
+    from scan2albedo.errors import EyeglassesError
+    from scan2albedo.glasses_canonicalization import FailedFrame, canonicalize_frames, read_frames
+    from scan2albedo.glasses_files import write_canonical_files
+    from scan2albedo.progress import ProgressLines
+    from scan2albedo.result_files import check_writable
+
+    spend, carrier = _checked(unit, budget, handles)
+    stop_cleanly_on_interrupt(out)
+    check_writable(out)
+    figures: dict[str, dict[str, Any]] = {}
+    with ProgressLines("glasses") as progress:
+        frames, failures = read_frames(meshes, keypoints, unit)
+        for frame in frames:
+            for note in frame.scan.notes:
+                progress.say(f"{frame.name}: {note}")
+        try:
+            done = canonicalize_frames(
+                frames, failures, mean=mean, handles=carrier, budget=spend, on_progress=progress.update
+            )
+            failures, figures = list(done.failures), write_canonical_files(done, out)
+            if not done.result.converged:
+                progress.say("glasses: not converged; set.json says which frames, in its plan")
+        except EyeglassesError as error:
+            failures += [FailedFrame(frame.mesh_file, str(error)) for frame in frames]
+        for failure in failures:
+            progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
+        for name, row in figures.items():
+            bend = row["key_point_residual_mm"]
+            progress.say(f"{name}: key points were {bend:.2f} mm rms off the mean; files in {out / name}")
+    if json_summary:
+        reasons = {failure.file: one_line(failure.reason) for failure in failures}
+        rows = [_row(mesh, reasons.get(mesh), figures, out) for mesh in meshes]
+        echo_json(rows if len(rows) > 1 else rows[0])
+    if failures:
+        raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
+
+
+def _checked(unit: str, budget: float | None, handles: str) -> tuple[Budget, Literal["turned", "translated"]]:
+    """Return budget and handles, or refuse what no library call takes."""
+    from scan2albedo.io.units import MM_PER_UNIT
+    from scan2albedo.optimization import Budget
+
+    if unit != "auto" and unit not in MM_PER_UNIT:
+        raise typer.BadParameter(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
+    if handles not in ("turned", "translated"):
+        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
+    try:
+        spend = Budget.of(budget)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    return spend, "turned" if handles == "turned" else "translated"
+
+
+def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out: Path) -> dict[str, Any]:
+    if reason is not None:
+        return {"frame": str(mesh), "status": "failed", "reason": reason}
+    return {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}

@@ -1,0 +1,58 @@
+"""Records of canonicalised eyeglasses: what was done to one frame, and to a set."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from scan2albedo.io.result_json import Figures, InputRecord, Matrix, Number, PlanRecord, Record
+
+_SHA256 = "^[0-9a-f]{64}$"
+
+
+class CanonicalFrameRecord(Record):
+    """The content of a canonical frame's `result.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
+    name: str = Field(min_length=1, description="Name of the frame.")
+    input: InputRecord
+    keypoints_file: str = Field(description="Path as given.")
+    keypoints_sha256: str = Field(pattern=_SHA256)
+    mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
+    scale: Number = Field(gt=0, description="Factor on the frame in mm; 1 unless it was of no true size.")
+    canonical_from_frame: Matrix = Field(
+        description="Row-major 4x4 acting on column vectors: the frame in mm, scaled, into canonical space; "
+        "rigid. The bend is taken out after it, by the key points."
+    )
+    converged: bool = Field(description="Whether the weights did.")
+    missing_key_points: tuple[str, ...] = ()
+    plan: tuple[PlanRecord, ...]
+    metrics: Figures
+    notes: tuple[str, ...] = Field((), description="What loading decided and repaired.")
+    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+
+
+class FailedFrameRecord(Record):
+    """A frame that could not be done."""
+
+    file: str = Field(description="Path as given.")
+    reason: str
+
+
+class CanonicalSetRecord(Record):
+    """The content of a set's `set.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
+    options: Figures = Field(description="What the run was called with.")
+    frames: tuple[str, ...] = Field(description="Folders of the frames that were done.")
+    failures: tuple[FailedFrameRecord, ...] = ()
+    converged: bool
+    iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
+    seconds: Number = Field(ge=0)
+    plan: tuple[PlanRecord, ...]
+    files: tuple[str, ...] = Field(description="Names of the files beside this one.")

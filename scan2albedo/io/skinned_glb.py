@@ -1,0 +1,245 @@
+"""A mesh that joints move, as one GLB file that any viewer opens."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.io.atomic import write_bytes
+from scan2albedo.io.glb import METRES_PER_MM
+from scan2albedo.io.glb_buffer import INDICES, VERTEX_DATA, GlbBuffer, glb_bytes
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_A_SET = 4
+"""Joints of a vertex in one pair of attributes JOINTS_n, WEIGHTS_n."""
+_NOTHING = 2.0**-24
+"""Weights below this vanish beside 1 in 32 bits."""
+_MATERIAL = {
+    "name": "frame",
+    "doubleSided": True,
+    "pbrMetallicRoughness": {
+        "baseColorFactor": [0.25, 0.25, 0.28, 1.0],
+        "metallicFactor": 0.0,
+        "roughnessFactor": 0.6,
+    },
+}
+
+
+@dataclass(frozen=True)
+class SkinWritten:
+    """What stands in a file that `write_skinned_glb` wrote."""
+
+    weights: FloatArray
+    """(V, K) after the cut to the largest ones and rounding to 32 bits; rows sum to 1."""
+    cut: float
+    """Greatest part of a vertex's weight that was cut off."""
+
+
+def write_skinned_glb(
+    path: str | Path,
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    keypoints: ArrayLike,
+    weights: ArrayLike,
+    names: Sequence[str],
+    *,
+    parents: Sequence[int],
+    influences: int | None = 4,
+) -> SkinWritten:
+    """Write a mesh with a node at each key point and the weights that tie it to them, as binary glTF 2.0.
+
+    A viewer that moves the nodes moves the mesh: v' = sum over k of w_k J_k B_k v, J_k the joint's place in
+    the world and B_k its inverse when the file was written [1]_.
+
+    Parameters
+    ----------
+    path : str or Path
+    vertices : (V, 3) array_like of float
+        Millimetres; stored as metres, glTF's unit.
+    faces : (F, 3) array_like of int
+    keypoints : (K, 3) array_like of float
+        Places of the joints in millimetres; NaN for one that is missing and gets no node.
+    weights : (V, K) array_like of float
+        Not negative, rows sum to 1; 0 for missing key points.
+    names : sequence of K str
+        Of the nodes.
+    parents : sequence of K int
+        Joint that carries each joint along, -1 for none. What hangs on a missing one hangs on that one's own.
+    influences : int or None
+        Joints a vertex keeps, the rest cut off and the weights divided by what is left; None keeps all that
+        32 bits tell from 0.
+        Files hold sets of four, and most viewers read the first set only, so it holds the largest four.
+
+    Returns
+    -------
+    SkinWritten
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    ValueError
+        For wrong shapes, numbers that are not finite, negative weights, weights of missing joints or parents
+        that go round in a circle.
+
+    Notes
+    -----
+    The cut moves a vertex by at most `SkinWritten.cut` times the greatest distance between any two of the
+    places to which its joints, each by itself, would take it.
+
+    References
+    ----------
+    .. [1] Khronos Group, "glTF 2.0 Specification", section 3.7.3.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "bar.glb"
+    >>> written = write_skinned_glb(
+    ...     file, [[0, 0, 0], [9, 0, 0], [9, 1, 0]], [[0, 1, 2]], [[0, 0, 0], [9, 0, 0]],
+    ...     [[1, 0], [0.25, 0.75], [0.25, 0.75]], ["root", "end"], parents=[-1, 0])
+    >>> written.cut, file.read_bytes()[:4]
+    (0.0, b'glTF')
+    """
+    xyz, index, joints = (
+        np.asarray(a, t) for a, t in ((vertices, float), (faces, np.int64), (keypoints, float))
+    )
+    shares, parent = np.asarray(weights, np.float64), np.asarray(parents, np.int64)
+    _check(xyz, index, joints, shares, names, parent)
+    known = np.flatnonzero(np.isfinite(joints).all(1))
+    above = _known_parents(parent, set(known.tolist()))
+    order, kept, cut = _largest(shares[:, known], influences)
+    buffer = GlbBuffer()
+    mesh = _mesh(buffer, xyz * METRES_PER_MM, index, order, kept)
+    skin, nodes, roots = _skeleton(buffer, joints * METRES_PER_MM, known, above, names)
+    tree = {
+        "asset": {"version": "2.0", "generator": "scan2albedo"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
+        "nodes": [{"name": "frame", "mesh": 0, "skin": 0}, {"name": "skeleton", "children": roots}, *nodes],
+        "meshes": [mesh],
+        "skins": [skin],
+        "materials": [_MATERIAL],
+        **buffer.entries(),
+    }
+    write_bytes(path, glb_bytes(tree, bytes(buffer.data)))
+    return SkinWritten(_dense(known[order], kept, shares.shape), cut)
+
+
+def _dense(joints: IntArray, weights: NDArray[np.float32], shape: tuple[int, ...]) -> FloatArray:
+    """Return weights (V, K) of joints named in rows; rounding taken off the sums."""
+    result = np.zeros(shape)
+    np.add.at(result, (np.arange(shape[0])[:, None], joints), weights)
+    return result / result.sum(1, keepdims=True)
+
+
+def _check(
+    vertices: FloatArray,
+    faces: IntArray,
+    keypoints: FloatArray,
+    weights: FloatArray,
+    names: Sequence[str],
+    parents: IntArray,
+) -> None:
+    count, joints = len(vertices), len(names)
+    expected = {
+        "vertices": (vertices, (count, 3)),
+        "faces": (faces, (len(faces), 3)),
+        "keypoints": (keypoints, (joints, 3)),
+        "weights": (weights, (count, joints)),
+        "parents": (parents, (joints,)),
+    }
+    for name, (array, shape) in expected.items():
+        if array.shape != shape:
+            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+    if not (np.isfinite(vertices).all() and np.isfinite(weights).all() and len(faces)):
+        raise ValueError("vertices and weights must be finite, and there must be faces")
+    if faces.min() < 0 or faces.max() >= count:
+        raise ValueError(f"faces must hold 0 to {count - 1}, got {faces.min()} to {faces.max()}")
+    missing = ~np.isfinite(keypoints).all(1)
+    if weights.min() < 0 or weights[:, missing].any() or np.abs(weights.sum(1) - 1).max() > 1e-6:
+        raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
+
+
+def _known_parents(parents: IntArray, known: set[int]) -> dict[int, int]:
+    """Return the nearest joint above each known one that is known too, -1 for none."""
+    result = {}
+    for joint in known:
+        above = int(parents[joint])
+        for _ in parents:
+            if above < 0 or (above in known and above != joint):
+                break
+            above = int(parents[above])
+        else:
+            raise ValueError(f"parents go round in a circle from joint {joint}")
+        result[joint] = above
+    for joint in known:
+        climb = result[joint]
+        for _ in result:
+            climb = result[climb] if climb >= 0 else -1
+        if climb >= 0:
+            raise ValueError(f"parents go round in a circle from joint {joint}")
+    return result
+
+
+def _largest(weights: FloatArray, influences: int | None) -> tuple[IntArray, NDArray[np.float32], float]:
+    """Return joints (V, 4 n) of each vertex, heaviest first, their weights, and the most that was cut off."""
+    if influences is not None and influences < 1:
+        raise ValueError(f"influences must be 1 or more, or None, got {influences}")
+    used = int((weights > _NOTHING).sum(1).max())
+    width = used if influences is None else min(influences, used)
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :width]
+    kept = np.take_along_axis(np.where(weights > _NOTHING, weights, 0.0), order, 1)
+    total = kept.sum(1, keepdims=True)
+    cut = float((weights.sum(1) - total[:, 0]).max())
+    rounded = (kept / total).astype(np.float32)
+    # The standard wants joint 0 where a weight is 0.
+    order = np.where(rounded > 0, order, 0)
+    filling = ((0, 0), (0, -width % _A_SET))
+    return np.pad(order, filling), np.pad(rounded, filling), max(cut, 0.0)
+
+
+def _mesh(
+    buffer: GlbBuffer, vertices: FloatArray, faces: IntArray, joints: IntArray, weights: NDArray[np.float32]
+) -> dict[str, Any]:
+    normals = vertex_normals(vertices, faces)
+    normals[~normals.any(1)] = (0.0, 0.0, 1.0)
+    attributes = {
+        "POSITION": buffer.add(vertices.astype("f4"), "VEC3", VERTEX_DATA, bounds=True),
+        "NORMAL": buffer.add(normals.astype("f4"), "VEC3", VERTEX_DATA),
+    }
+    kind = "u1" if joints.max() < 256 else "u2"
+    for n, start in enumerate(range(0, joints.shape[1], _A_SET)):
+        part = slice(start, start + _A_SET)
+        attributes[f"JOINTS_{n}"] = buffer.add(joints[:, part].astype(kind), "VEC4", VERTEX_DATA)
+        attributes[f"WEIGHTS_{n}"] = buffer.add(weights[:, part].astype("f4"), "VEC4", VERTEX_DATA)
+    indices = buffer.add(faces.astype("u4").ravel(), "SCALAR", INDICES)
+    return {"name": "frame", "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
+
+
+def _skeleton(
+    buffer: GlbBuffer, keypoints: FloatArray, known: IntArray, above: dict[int, int], names: Sequence[str]
+) -> tuple[dict[str, Any], list[dict[str, Any]], list[int]]:
+    """Return the skin, the nodes of the joints, numbered from 2 on, and the numbers of the topmost."""
+    number = {int(joint): i + 2 for i, joint in enumerate(known)}
+    nodes: list[dict[str, Any]] = []
+    for joint in number:
+        origin = keypoints[above[joint]] if above[joint] >= 0 else np.zeros(3)
+        node: dict[str, Any] = {"name": names[joint], "translation": (keypoints[joint] - origin).tolist()}
+        if children := [number[j] for j in number if above[j] == joint]:
+            node["children"] = children
+        nodes.append(node)
+    inverse = np.tile(np.eye(4), (len(known), 1, 1))
+    inverse[:, :3, 3] = -keypoints[known]
+    matrices = buffer.add(inverse.transpose(0, 2, 1).astype("f4"), "MAT4")  # column by column
+    skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
+    return skin, nodes, [number[joint] for joint in number if above[joint] < 0]
