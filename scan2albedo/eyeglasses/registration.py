@@ -23,6 +23,7 @@ from scan2albedo.eyeglasses.registration_start import starting_poses
 from scan2albedo.eyeglasses.registration_terms import Linearization, RegistrationObjective
 from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.optimization import Budget, Meter, Plan, PlanStep, ProgressCallback
 
 FloatArray = NDArray[np.float64]
@@ -31,9 +32,9 @@ STAGE = "glasses"
 _ENOUGH, _ENOUGH_A_TRACE = 1e-5, 1e-3
 """Part of the cost below which an improvement ends a descent; that on one tracing of the outline."""
 _STEPS_A_TRACE = 6
-_STILL, _STILL_MM = 0.5, 0.05
-"""Movement of the key points between two tracings at which the outlines have settled: a part of what is still
-open about them. So they have where it stops getting less, for tracing jumps from pixel to pixel."""
+_STILL, _NO_LESS = 0.5, 2
+"""Movement of the key points between two tracings at which the outlines have settled, in standard deviations
+of what is still open about them; and how often it may get no less: tracing jumps from pixel to pixel."""
 
 
 def register_on_face(
@@ -235,10 +236,11 @@ class _Run:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
         outcome, first, rounds, settled = before, np.nan, 0, False
+        # What labels leave open: outlines that have found a wrong place would call it certain.
+        vague = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         ways: list[float] = []
         while rounds < self.options.outlines and not settled and not self.meter.exhausted:
             motion = self.objective.motion(outcome.state)
-            vague = mark_deviations(self.given, motion, outcome.at)
             samples = self.sampler.sample(motion, vague)
             if len(samples) == 0:
                 reach = f"{self.options.outline_reach_px:g} px"
@@ -253,9 +255,8 @@ class _Run:
             )
             rounds += 1
             first = _outline_px(found.at) if rounds == 1 else first
-            ways.append(self._moved(outcome.state, found.state))
-            known = float(np.median(mark_deviations(self.given, motion, found.at)[self.given.known]))
-            settled = ways[-1] < max(_STILL_MM, _STILL * known) or min(ways[:-1], default=np.inf) < ways[-1]
+            ways.append(self._moved(outcome.state, found))
+            settled = ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
             outcome = _Outcome(found.state, found.at, settled)
         self._note(
             "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {_outline_px(outcome.at):.2f} px"
@@ -283,15 +284,15 @@ class _Run:
         self.meter.adopt(child)
         return found
 
-    def _moved(self, before: FrameState, after: FrameState) -> float:
-        """Return the mean way of the key points between two states."""
+    def _moved(self, before: FrameState, found: Descent) -> float:
+        """Return the longest way of a key point between two states, in its standard deviations."""
         known = self.given.known
         places = []
-        for state in (before, after):
-            motion = self.objective.motion(state)
-            bent = self.given.keypoints[known] + state.shifts[known]
-            places.append(bent @ motion.world_from_frame[:3, :3].T + motion.world_from_frame[:3, 3])
-        return float(np.linalg.norm(places[1] - places[0], axis=1).mean())
+        for state in (before, found.state):
+            world = self.objective.motion(state).world_from_frame
+            places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
+        deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
+        return float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max())
 
 
 def _labels_px(at: Linearization) -> float:
