@@ -408,6 +408,28 @@ def test_the_edge_of_the_face_moves_inward_behind_minus_lenses(dioptres, sign):
     assert sign * (bare.sum() - bright.sum()) > 0.02 * lens.sum()
 
 
+def test_edges_within_one_surface_are_smoothed_too():
+    near, far = wall(-20.0, half=100.0), wall(-120.0, half=300.0)
+    corners = np.concatenate([near.vertices + [100.3, 0, 0], far.vertices])
+    albedo = np.repeat([[1.0] * 3, [0.0] * 3], 4, 0)
+    steps = Surface(corners, np.concatenate([near.faces, far.faces + 4]), albedo)
+    below = look_at([0, -60, 600], [0, -60, 0], focal_px=900, shape=(20, 60))
+    light = DistantLights([[0, -9, 1]], [9])
+    picture = insert(BENT, (None, None), surfaces=[steps], camera=below, shape=(20, 60), lights=light)
+    edge = picture.image_linear[:, 27:33, 0]
+    assert ((edge > 0.1 * edge.max()) & (edge < 0.9 * edge.max())).any(1).all()
+
+
+def test_what_a_mirror_shows_and_the_photograph_does_not_is_said():
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    behind_camera = wall(900.0, half=2000.0, albedo_linear=(0.25, 0.25, 0.25))
+    mirror = LensMaterial(beta=1.0, front_radius_mm=500.0)
+    picture = insert(BENT, mirror, surfaces=[behind_camera], picture_linear=photograph)
+    inner = (picture.lens >= 0) & np.isclose(picture.image_linear, 0.25).all(2)
+    assert inner.sum() > 0.8 * (picture.lens >= 0).sum()
+    assert picture.unknown[inner].all()
+
+
 def test_what_is_not_clear_is_refused():
     def attempt(**options):
         return insert_lenses(
