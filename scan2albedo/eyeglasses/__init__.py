@@ -8,11 +8,20 @@ from scan2albedo.eyeglasses.canonicalization import (
     CanonicalSet,
     canonicalize,
 )
+from scan2albedo.eyeglasses.environment_lights import (
+    DistantLights,
+    distant_directions,
+    environment_weights,
+)
+from scan2albedo.eyeglasses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.label_files import ViewLabels, read_labels, write_labels
+from scan2albedo.eyeglasses.lens_material import LensMaterial, LensPictureOptions
 from scan2albedo.eyeglasses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lens_picture import LensPicture, insert_lenses
 from scan2albedo.eyeglasses.lens_rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lens_scene import Surface
 from scan2albedo.eyeglasses.lens_shading import (
     blend_lens,
     environment_radiance,
@@ -41,10 +50,16 @@ __all__ = [
     "CanonicalEyeglasses",
     "CanonicalSet",
     "CanonicalizationOptions",
+    "DistantLights",
     "FaceRegistrationOptions",
+    "InsertedLens",
+    "LensMaterial",
+    "LensPicture",
+    "LensPictureOptions",
     "LensRim",
     "RefractedRays",
     "RegisteredEyeglasses",
+    "Surface",
     "ThinLens",
     "TriangulatedPoints",
     "ViewLabels",
@@ -52,8 +67,11 @@ __all__ = [
     "blend_lens",
     "bounded_biharmonic_weights",
     "canonicalize",
+    "distant_directions",
     "environment_radiance",
+    "environment_weights",
     "find_lens_rim",
+    "insert_lenses",
     "lens_mesh",
     "light_by_environment",
     "mirror_on_sphere",

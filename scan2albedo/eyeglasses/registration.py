@@ -256,7 +256,9 @@ class _Run:
             rounds += 1
             first = _outline_px(found.at) if rounds == 1 else first
             ways.append(self._moved(outcome.state, found))
-            settled = ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
+            settled = (
+                ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
+            )
             outcome = _Outcome(found.state, found.at, settled)
         self._note(
             "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {_outline_px(outcome.at):.2f} px"
