@@ -101,18 +101,18 @@ class OutlineSampler:
             np.concatenate([p.outward for p in parts]),
         )
 
-    def mask(self, motion: FrameMotion, view: ObservedView) -> BoolArray:
-        """Return (H, W) True where the view should show the frame, the head in front of it."""
+    def mask(self, motion: FrameMotion, view: ObservedView) -> tuple[BoolArray, IntArray]:
+        """Return (H, W) True where the view should show the frame, the head in front of it, and the faces."""
         assert view.shape is not None
         vertices = motion.positions(self.mesh.points)
         pixels, depth = project(view.camera, vertices)
         covered = cover(pixels, depth, self.mesh.faces, view.shape)
         at, face, share = covered_points(covered, pixels, depth, self.mesh.faces)
         place = np.einsum("nk,nki->ni", share, vertices[self.mesh.faces[face]])
-        seen = at[~hidden_by(self.head, view.camera, place)]
-        mask = np.zeros(view.shape, bool)
-        mask[seen[:, 1], seen[:, 0]] = True
-        return mask
+        seen = ~hidden_by(self.head, view.camera, place)
+        owner = np.full(view.shape, -1, np.int64)
+        owner[at[seen, 1], at[seen, 0]] = face[seen]
+        return owner >= 0, owner
 
     def _of_view(self, number: int, vertices: FloatArray, deviation_mm: FloatArray) -> OutlineSamples:
         view, mesh = self.views[number], self.mesh

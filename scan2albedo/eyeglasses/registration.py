@@ -13,11 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.frame_motion import FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.head_contact import HeadContact
 from scan2albedo.eyeglasses.outline_samples import FrameMesh, OutlineSampler
 from scan2albedo.eyeglasses.registration_descent import Descent, descend
 from scan2albedo.eyeglasses.registration_inputs import RegistrationInputs, checked_inputs
 from scan2albedo.eyeglasses.registration_options import FaceRegistrationOptions
-from scan2albedo.eyeglasses.registration_report import mark_deviations, report
+from scan2albedo.eyeglasses.registration_report import depth_open, mark_deviations, report
 from scan2albedo.eyeglasses.registration_result import RegisteredEyeglasses
 from scan2albedo.eyeglasses.registration_start import starting_poses
 from scan2albedo.eyeglasses.registration_terms import Linearization, RegistrationObjective
@@ -146,8 +147,7 @@ class _Run:
 
     def result(self) -> RegisteredEyeglasses:
         """Run the stages that the input asks for."""
-        outcome = self._bent(self._placed())
-        outcome = self._outlined(outcome)
+        outcome = self._outlined(self._rested(self._bent(self._placed())))
         return report(
             self.given,
             self.sampler,
@@ -226,6 +226,31 @@ class _Run:
             "labels ask for a bend",
             f"{_labels_px(before.at):.2f} -> {_labels_px(found.at):.2f} px",
         )
+        return _Outcome(found.state, found.at, found.converged)
+
+    def _rested(self, before: _Outcome) -> _Outcome:
+        """Rested on the nose where the labels do not tell how far away the frame is."""
+        motion = self.objective.motion(before.state)
+        depth = depth_open(self.given, motion, before.at)
+        evidence = f"depth known to {depth:.1f} mm"
+        if depth <= self.options.observed_mm:
+            self._note("contact", False, "the views see depth", evidence)
+            return before
+        if self.given.head is None or not self.options.contact:
+            self._note("contact", False, "there is no head to rest on, or options.contact is off", evidence)
+            return before
+        contact = HeadContact(self.sampler.mesh.points, *self.given.head)
+        if not contact or self.meter.exhausted:
+            self._note("contact", False, "the frame has no front, or the budget has ended", evidence)
+            return before
+        contact.watch(motion)
+        self.objective.contact = contact
+        rigid = not self.options.bend
+        found = self._descend(
+            "contact", partial(self.objective.linearize, samples=None, rigid=rigid), before.state
+        )
+        contact.watch(self.objective.motion(found.state))
+        self._note("contact", True, "the views do not see depth: the frame rests on the nose", evidence)
         return _Outcome(found.state, found.at, found.converged)
 
     def _outlined(self, before: _Outcome) -> _Outcome:

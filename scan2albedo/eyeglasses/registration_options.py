@@ -27,6 +27,10 @@ class FaceRegistrationOptions:
     frame's place is known better."""
     head_margin_px: float = 4.0
     """Pixels of the outline this near to where the head hides the frame are left out."""
+    contact: bool = True
+    """Whether the frame is made to rest on the nose where the views do not see depth and there is a head."""
+    contact_mm: float = 1.0
+    """Usual distance between nose and frame."""
     stretch: float = 0.001
     """By how much of its length a bone is usually stretched."""
     rim_turn_rad: float = 0.005

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.frame_motion import FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.mask_agreement import compare_masks, contradicted
 from scan2albedo.eyeglasses.observability import (
     Noise,
     PointDeviations,
@@ -62,6 +64,12 @@ def report(
     covariances = deviations.covariances(marks)
     deviation, mark_deviation = worst_deviation(deviations.covariances(points)), worst_deviation(covariances)
     depth = _depth_deviation(given.views, keypoints, covariances, marks_visible)
+    agreements = [
+        compare_masks(sampler, motion, view, mask, noise.outline_px)
+        for view, mask in zip(given.views, given.masks, strict=True)
+        if mask is not None and view.distance is not None
+    ]
+    wrong = contradicted(agreements, len(keypoints)) & given.known
     limit, unit = options.observed_mm, given.unit
     world = motion.world_from_frame
     lost = np.where(given.known, 1.0, np.nan)
@@ -75,20 +83,29 @@ def report(
         bend=unit * state.shifts,
         visible=visible,
         deviation=unit * deviation,
-        observed=visible.any(0) & (deviation <= limit),
+        observed=visible.any(0) & (deviation <= limit) & ~wrong[points.weights.argmax(1)],
         keypoint_deviation=unit * mark_deviation * lost,
-        keypoints_observed=marks_visible.any(0) & (mark_deviation <= limit),
+        keypoints_observed=marks_visible.any(0) & (mark_deviation <= limit) & ~wrong,
         depth_deviation=unit * depth,
         depth_observed=depth <= limit,
         label_errors_px=at.labels_px,
         inliers=at.labels_px <= 3 * max(noise.label_px, options.label_noise_px),
         outline_rms_px=_outline_rms(at, samples, len(given.views)),
-        iou=_overlaps(given, sampler, motion),
+        iou=_of_views(given, [agreement.iou for agreement in agreements]),
         converged=converged,
         iterations=meter.evaluations,
-        plan=plan + _reported(depth, limit, marks_visible, mark_deviation, given),
+        plan=plan + _reported(depth, limit, marks_visible, mark_deviation, wrong, given),
         trace=meter.trace,
     )
+
+
+def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:
+    """Return the standard deviation of the key points along the line of sight, mm, the head left aside."""
+    if not given.labelled:
+        return _ANYWHERE_MM
+    covariances = PointDeviations(motion, at.matrix).covariances(_marks(given))
+    seen = np.tile(given.known, (len(given.views), 1))
+    return _depth_deviation(given.views, motion.positions(_marks(given)), covariances, seen)
 
 
 def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> FloatArray:
@@ -109,7 +126,7 @@ def _matrix(
     options: FaceRegistrationOptions = replace(
         objective.options, label_noise_px=noise.label_px, outline_noise_px=noise.outline_px
     )
-    honest = RegistrationObjective(objective.keypoints, objective.views, options)
+    honest = RegistrationObjective(objective.keypoints, objective.views, options, objective.contact)
     return honest.linearize(state, samples, rigid=not options.bend).matrix
 
 
@@ -147,12 +164,10 @@ def _outline_rms(at: Linearization, samples: OutlineSamples, count: int) -> Floa
     return result
 
 
-def _overlaps(given: RegistrationInputs, sampler: OutlineSampler, motion: FrameMotion) -> FloatArray:
+def _of_views(given: RegistrationInputs, values: list[float]) -> FloatArray:
+    """Return (C,) values of the views with a mask that counts, NaN for the others."""
     result = np.full(len(given.views), np.nan)
-    for number, (view, mask) in enumerate(zip(given.views, given.masks, strict=True)):
-        if mask is not None and view.distance is not None:
-            own = sampler.mask(motion, view)
-            result[number] = (own & mask).sum() / (own | mask).sum()
+    result[[view.distance is not None for view in given.views]] = values
     return result
 
 
@@ -163,7 +178,12 @@ def _in_units(transform: FloatArray, unit: float) -> FloatArray:
 
 
 def _reported(
-    depth: float, limit: float, visible: BoolArray, deviation: FloatArray, given: RegistrationInputs
+    depth: float,
+    limit: float,
+    visible: BoolArray,
+    deviation: FloatArray,
+    wrong: BoolArray,
+    given: RegistrationInputs,
 ) -> Plan:
     """Return rows on what the pictures do not tell."""
     steps = []
@@ -181,4 +201,9 @@ def _reported(
             steps.append(
                 PlanStep("glasses.unobserved", False, f"{int(lost.sum())} key points are {why}", worst)
             )
+    if wrong.any():
+        names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
+        steps.append(
+            PlanStep("glasses.contradicted", False, "masks show them elsewhere or not at all", names)
+        )
     return Plan(tuple(steps))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.bend_prior import bend_prior
 from scan2albedo.eyeglasses.frame_motion import RIGID, FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.head_contact import HeadContact
 from scan2albedo.eyeglasses.mask_distance import MaskDistance
 from scan2albedo.eyeglasses.registration_options import FaceRegistrationOptions
 
@@ -73,6 +74,7 @@ class RegistrationObjective:
     labels:   sum of s^2 log(1 + |r|^2 / s^2), r in standard deviations, s = 2 (Cauchy's)
     outlines: sum of Huber's function of the mask's distance at the sample's place
     bend:     sum of squares of `bend_prior`
+    contact:  square of the frame's distance from the nose, where there is a `contact`
 
     Parameters
     ----------
@@ -80,11 +82,17 @@ class RegistrationObjective:
         The frame's key points with their own weights.
     views : tuple of ObservedView
     options : FaceRegistrationOptions
+    contact : HeadContact, optional
     """
 
     def __init__(
-        self, keypoints: FloatArray, views: tuple[ObservedView, ...], options: FaceRegistrationOptions
+        self,
+        keypoints: FloatArray,
+        views: tuple[ObservedView, ...],
+        options: FaceRegistrationOptions,
+        contact: HeadContact | None = None,
     ) -> None:
+        self.contact = contact
         self.keypoints, self.views, self.options = keypoints, views, options
         self._marks = SkinnedPoints(np.nan_to_num(keypoints), np.eye(len(keypoints)))
         self._cameras = np.stack([view.camera for view in views])
@@ -102,6 +110,8 @@ class RegistrationObjective:
         motion, sums = self.motion(state), _Sums(6 + 6 * len(self.keypoints))
         labels_px = self._add_labels(motion, sums)
         outline_px = np.zeros(0) if samples is None else self._add_outlines(motion, samples, sums)
+        if self.contact is not None:
+            self._add_contact(self.contact, motion, sums)
         if rigid:
             part = slice(RIGID)
             return Linearization(
@@ -136,6 +146,13 @@ class RegistrationObjective:
         )
         sums.cost += float(_CAUCHY**2 * np.log1p(square / _CAUCHY**2).sum())
         return errors
+
+    def _add_contact(self, contact: HeadContact, motion: FrameMotion, sums: _Sums) -> None:
+        point, place, distance, slope = contact.touch(motion)
+        sigma = self.options.contact_mm
+        value = np.array([distance / sigma])
+        sums.add(motion, point, place, slope / sigma, value, np.ones(1))
+        sums.cost += float(value[0] ** 2)
 
     def _add_outlines(self, motion: FrameMotion, samples: OutlineSamples, sums: _Sums) -> FloatArray:
         place, noise = motion.positions(samples.points), self.options.outline_noise_px
