@@ -115,6 +115,8 @@ class FrameMotion:
         slopes: FloatArray,
         values: FloatArray,
         votes: FloatArray,
+        *,
+        with_matrix: bool = True,
     ) -> tuple[FloatArray, FloatArray]:
         """Return sums of vote value row and vote row row^T over N values, turns of handles apart.
 
@@ -131,6 +133,7 @@ class FrameMotion:
             self._filled,
             self.state.rotation,
             self.state.origin,
+            with_matrix,
         )
         return gradient, matrix
 

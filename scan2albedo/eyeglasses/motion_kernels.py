@@ -31,7 +31,9 @@ def blend_positions(rest, weights, transforms):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def normal_sums(rest, weights, positions, slopes, values, votes, turns, keypoints, rotation, origin):  # type: ignore[no-untyped-def]
+def normal_sums(  # type: ignore[no-untyped-def]
+    rest, weights, positions, slopes, values, votes, turns, keypoints, rotation, origin, with_matrix
+):
     """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2.
 
     A value's derivatives: by the frame's turn and translation, by the key points' shifts at fixed turns of
@@ -49,6 +51,8 @@ def normal_sums(rest, weights, positions, slopes, values, votes, turns, keypoint
     rotation : (3, 3)
         `world_from_frame`.
     origin : (3,)
+    with_matrix : bool
+        Otherwise the matrix stays zero.
     """
     count, handles = weights.shape
     size = 6 + 6 * handles
@@ -95,8 +99,9 @@ def normal_sums(rest, weights, positions, slopes, values, votes, turns, keypoint
             pa = place[a]
             va = vote * row[a]
             gradient[pa] += va * values[n]
-            for b in range(a + 1):
-                matrix[pa, place[b]] += va * row[b]
+            if with_matrix:
+                for b in range(a + 1):
+                    matrix[pa, place[b]] += va * row[b]
     # Places within a row do not ascend, so either triangle may hold a pair.
     for a in range(size):
         for b in range(a):

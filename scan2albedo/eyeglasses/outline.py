@@ -160,7 +160,8 @@ def _border(face, first_row, first_column, height, width):  # type: ignore[no-un
             for dr in range(-_AROUND, _AROUND + 1):
                 for dc in range(-_AROUND, _AROUND + 1):
                     r, c = row + dr, column + dc
-                    if not (0 <= r < rows and 0 <= c < columns) or face[r, c] < 0:
+                    inside = 0 <= r + first_row < height and 0 <= c + first_column < width
+                    if inside and (not (0 <= r < rows and 0 <= c < columns) or face[r, c] < 0):
                         x += dc
                         y += dr
             place[found, 0], place[found, 1] = row, column

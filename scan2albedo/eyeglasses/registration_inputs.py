@@ -88,7 +88,7 @@ def checked_inputs(
                 None if mask is None else (mask.shape[0], mask.shape[1]),
             )
         )
-    skull = None if head is None else _mesh("head", head)
+    skull = None if head is None else _mesh("the head", head)
     return RegistrationInputs(
         vertices=vertices / unit,
         faces=faces,
@@ -114,7 +114,7 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
             "glasses must have vertices, faces and keypoints, or be a tuple of them and maybe weights, got "
             f"{type(glasses).__name__}"
         )
-    vertices, faces = _mesh("glasses", (parts[0], parts[1]))
+    vertices, faces = _mesh("the glasses", (parts[0], parts[1]))
     keypoints = np.array(parts[2], np.float64)
     if keypoints.shape != (KEY_POINT_COUNT, 3):
         raise ValueError(
@@ -145,17 +145,13 @@ def _mesh(name: str, mesh: Any) -> Mesh:
     vertices, faces = np.ascontiguousarray(parts[0], np.float64), np.asarray(parts[1])
     for what, array in (("vertices", vertices), ("faces", faces)):
         if array.ndim != 2 or array.shape[1] != 3:
-            raise ValueError(f"the {name}'s {what} must have shape (N, 3), got {array.shape}")
+            raise ValueError(f"{name}: {what} must have shape (N, 3), got {array.shape}")
         if len(array) == 0:
-            raise EyeglassesError(f"the {name} has no {what}; give a mesh with faces")
+            raise EyeglassesError(f"{name}: no {what}; give a mesh with faces")
     if not np.isfinite(vertices).all():
-        raise EyeglassesError(
-            f"the {name}'s vertices hold numbers that are not finite; repair the mesh first"
-        )
+        raise EyeglassesError(f"{name}: vertices are not all finite; repair the mesh first")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(
-            f"the {name}'s faces name vertices {faces.min()} to {faces.max()} of {len(vertices)}"
-        )
+        raise ValueError(f"{name}: faces name vertices {faces.min()} to {faces.max()} of {len(vertices)}")
     return vertices, np.ascontiguousarray(faces, np.int64)
 
 

@@ -104,10 +104,25 @@ class RegistrationObjective:
         return FrameMotion(self.keypoints, state)
 
     def linearize(
-        self, state: FrameState, samples: OutlineSamples | None, *, rigid: bool = False
+        self,
+        state: FrameState,
+        samples: OutlineSamples | None,
+        *,
+        rigid: bool = False,
+        with_matrix: bool = True,
     ) -> Linearization:
-        """Return the objective at a state; with `rigid` of turn and translation alone, without a prior."""
-        motion, sums = self.motion(state), _Sums(6 + 6 * len(self.keypoints))
+        """Return the objective at a state.
+
+        Parameters
+        ----------
+        state : FrameState
+        samples : OutlineSamples, optional
+        rigid : bool
+            Of turn and translation alone, without a prior.
+        with_matrix : bool
+            Otherwise labels and outlines add to cost and gradient alone, as descents of first order need.
+        """
+        motion, sums = self.motion(state), _Sums(6 + 6 * len(self.keypoints), with_matrix)
         labels_px = self._add_labels(motion, sums)
         outline_px = np.zeros(0) if samples is None else self._add_outlines(motion, samples, sums)
         if self.contact is not None:
@@ -182,8 +197,9 @@ class RegistrationObjective:
 
 
 class _Sums:
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, with_matrix: bool) -> None:
         self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
+        self._with_matrix = with_matrix
 
     def add(
         self,
@@ -194,7 +210,9 @@ class _Sums:
         values: FloatArray,
         votes: FloatArray,
     ) -> None:
-        gradient, matrix = motion.raw_sums(points, place, slopes, values, votes)
+        gradient, matrix = motion.raw_sums(
+            points, place, slopes, values, votes, with_matrix=self._with_matrix
+        )
         self.gradient += gradient
         self.matrix += matrix
 

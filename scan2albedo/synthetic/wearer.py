@@ -172,17 +172,33 @@ def _mask(
     rng: np.random.Generator,
 ) -> BoolArray:
     """Return (S, S) True where the frame is the first thing on a pixel's ray, outline off by noise."""
-    shape = (options.picture_size, options.picture_size)
-    scene = RayScene(*join([frame, head]))
-    rays = pixel_directions(camera, pixel_grid(shape))
-    hits = scene.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays)
-    mask = ((hits.face >= 0) & (hits.face < len(frame[1]))).reshape(shape)
-    if options.mask_noise_px == 0 or not mask.any():
+    size = options.picture_size
+    mask = np.zeros((size, size), bool)
+    # The frame takes a small part of the picture; noise moves its outline by some pixels.
+    margin = 2 + 6 * options.mask_noise_px
+    seen = project(camera, frame[0])[0]
+    low = np.clip(np.floor(seen.min(0) - margin), 0, size).astype(int)
+    high = np.clip(np.ceil(seen.max(0) + margin) + 1, 0, size).astype(int)
+    window = (high[1] - low[1], high[0] - low[0])
+    if min(window) <= 0:
         return mask
-    wander = gaussian_filter(rng.normal(size=shape), _WAVES_PX / 2, mode="wrap")
-    wander *= options.mask_noise_px / wander.std()
+    rays = pixel_directions(camera, pixel_grid(window) + low)
+    hits = RayScene(*join([frame, head])).first_hit(
+        np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays
+    )
+    shown = ((hits.face >= 0) & (hits.face < len(frame[1]))).reshape(window)
+    if options.mask_noise_px > 0 and shown.any():
+        shown = _wandered(shown, options.mask_noise_px, rng)
+    mask[low[1] : high[1], low[0] : high[0]] = shown
+    return mask
+
+
+def _wandered(mask: BoolArray, noise_px: float, rng: np.random.Generator) -> BoolArray:
+    """Return the mask with its outline moved by a smooth random field."""
+    wander = gaussian_filter(rng.normal(size=mask.shape), _WAVES_PX / 2, mode="wrap")
+    wander *= noise_px / wander.std()
     inside = distance_transform_edt(mask) - distance_transform_edt(~mask) - np.where(mask, 0.5, -0.5)
-    return inside + wander > 0
+    return np.asarray(inside + wander > 0)
 
 
 def _labels(
@@ -196,11 +212,12 @@ def _labels(
     """Return (C, 20, 2) noisy labels, NaN where there is none."""
     labels = np.stack([project(camera, points)[0] for camera in cameras])
     labels += rng.normal(0, options.label_noise_px, labels.shape)
-    for view in labels:
-        wrong = rng.choice(len(points), options.outliers, replace=False)
-        view[wrong] += rng.uniform(-150, 150, (options.outliers, 2))
     labels[hidden[:, glasses.keypoint_vertices]] = np.nan
     labels[:, rng.choice(len(points), options.missing, replace=False)] = np.nan
+    for view in labels:
+        labelled = np.flatnonzero(np.isfinite(view).all(1))
+        wrong = rng.choice(labelled, min(options.outliers, len(labelled)), replace=False)
+        view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
     outside = (labels < 0) | (labels > options.picture_size - 1)
     labels[outside.any(2)] = np.nan
     return labels
