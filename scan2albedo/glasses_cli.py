@@ -20,7 +20,10 @@ from scan2albedo.cli_tools import (
 if TYPE_CHECKING:
     from scan2albedo.optimization import Budget
 
-app = typer.Typer(help="Eyeglasses: canonical frames.", no_args_is_help=True)
+app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces.", no_args_is_help=True)
+
+UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")]
+BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
 
 
 @app.callback()
@@ -46,8 +49,8 @@ def canonicalize(
     handles: Annotated[
         str, typer.Option(help="turned, or translated: whether key points turn as the skeleton does.")
     ] = "turned",
-    unit: Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")] = "auto",
-    budget: Annotated[float | None, typer.Option(help="Seconds the set may take.")] = None,
+    unit: UnitOption = "auto",
+    budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
     """Bring frames to the mean of their key points: poses and bends go, shapes stay."""
@@ -62,7 +65,7 @@ def canonicalize(
     from scan2albedo.progress import ProgressLines
     from scan2albedo.result_files import check_writable
 
-    spend, carrier = _checked(unit, budget, handles)
+    carrier, spend = _carrier(handles), _checked_budget(unit, budget)
     stop_cleanly_on_interrupt(out)
     check_writable(out)
     figures: dict[str, dict[str, Any]] = {}
@@ -93,23 +96,120 @@ def canonicalize(
         raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
 
 
-def _checked(unit: str, budget: float | None, handles: str) -> tuple[Budget, Literal["turned", "translated"]]:
-    """Return budget and handles, or refuse what no library call takes."""
+def _carrier(handles: str) -> Literal["turned", "translated"]:
+    if handles not in ("turned", "translated"):
+        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
+    return "turned" if handles == "turned" else "translated"
+
+
+def _checked_budget(unit: str, budget: float | None) -> Budget:
+    """Return the budget, or refuse what no library call takes."""
     from scan2albedo.io.units import MM_PER_UNIT
     from scan2albedo.optimization import Budget
 
     if unit != "auto" and unit not in MM_PER_UNIT:
         raise typer.BadParameter(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
-    if handles not in ("turned", "translated"):
-        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
     try:
-        spend = Budget.of(budget)
+        return Budget.of(budget)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    return spend, "turned" if handles == "turned" else "translated"
 
 
 def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out: Path) -> dict[str, Any]:
     if reason is not None:
         return {"frame": str(mesh), "status": "failed", "reason": reason}
     return {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
+
+
+@app.command()
+def register(
+    mesh: Annotated[
+        Path, typer.Argument(help="OBJ, PLY, GLB, STL or OFF file, or a canonical.npz.", metavar="MESH")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    cameras: Annotated[Path, typer.Option(help="JSON file of the cameras.")],
+    labels: Annotated[Path, typer.Option(help="JSON file of key points labelled in their pictures.")],
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks, <camera>.png: where a picture shows the frame.")
+    ] = None,
+    head: Annotated[
+        Path | None,
+        typer.Option(help="Mesh of what may hide the frame, in the cameras' frame, such as a fitted.glb."),
+    ] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="Of the mesh; otherwise <mesh stem>.keypoints.json beside it.")
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="A pose, or an earlier registered.npz, where labels fix none.")
+    ] = None,
+    unit: UnitOption = "auto",
+    rigid: Annotated[bool, typer.Option("--rigid", help="Move the frame without bending it.")] = False,
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Place a frame where calibrated pictures show it on a face, bent as they show it.
+
+    Cameras and head share one frame. A fitted.glb lies in the frame of the face model: cameras that were
+    calibrated with the scanner come into it by their matrices times the inverse of fitted_from_scan in the
+    registration.json beside it.
+    """
+    from scan2albedo.errors import Scan2AlbedoError
+    from scan2albedo.glasses_registration import register_frame
+    from scan2albedo.glasses_registration_files import write_registration_files
+    from scan2albedo.glasses_registration_input import CANONICAL, RegistrationFiles, read_registration
+    from scan2albedo.progress import ProgressLines
+    from scan2albedo.result_files import check_writable
+
+    spend = _checked_budget(unit, budget)
+    if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
+        raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
+    files = RegistrationFiles(mesh, cameras, labels, masks, head, keypoints, start, unit)
+    stop_cleanly_on_interrupt(out)
+    check_writable(out)
+    with ProgressLines("glasses") as progress:
+        progress.say(f"glasses: reading {mesh}")
+        try:
+            given = read_registration(files)
+            done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
+            figures = write_registration_files(done, out)
+        except Scan2AlbedoError as error:
+            progress.say(f"scan2albedo: error: {one_line(error)}")
+            if json_summary:
+                echo_json({"frame": str(mesh), "status": "failed", "reason": one_line(error)})
+            raise typer.Exit(USAGE_ERROR) from None
+        for note in done.notes:
+            progress.say(f"{given.name}: {note}")
+        progress.say(f"{done.summary()}; files in {out}")
+    if json_summary:
+        result = done.result
+        echo_json(
+            {
+                "frame": str(mesh),
+                "status": "done",
+                "out": str(out),
+                **figures,
+                "converged": result.converged,
+                "unobserved": result.unobserved,
+                "views": done.view_figures(),
+            }
+        )
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("glasses_out"),
+    seed: Annotated[int, typer.Option(help="Of the person, the frame and the noise.", min=0)] = 0,
+    json_summary: JsonOption = False,
+) -> None:
+    """Register a synthetic person's frame on their fitted face and print the error against the truth."""
+    stop_cleanly_on_interrupt(out)
+    from scan2albedo.glasses_demo import run_glasses_demo
+    from scan2albedo.progress import ProgressLines
+
+    with ProgressLines("demo") as progress:
+        report = run_glasses_demo(out, seed=seed, on_progress=progress.update)
+        progress.say(f"{report.placed.summary()}; files in {out}")
+    if json_summary:
+        echo_json(report.figures())
+    else:
+        typer.echo(report.table())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import __version__
-from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import (
     KEY_POINT_NAMES,
     CanonicalEyeglasses,
@@ -36,7 +34,7 @@ from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.optimization import Plan
 from scan2albedo.report.glasses_overview import COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
-from scan2albedo.staging import staging_folder
+from scan2albedo.staging import publish, staging_folder, telling_where
 
 FRAME_RECORD, SET_RECORD = "result.json", "set.json"
 """They come last: a folder that has one is whole."""
@@ -58,32 +56,17 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
     OutputError
         Naming the folder and the cause.
     """
-    try:
-        with staging_folder(make_folder(out), "glasses") as staging:
-            figures = {
-                frame.name: _write_frame(frame, canonical, make_folder(staging / frame.name))
-                for frame, canonical in zip(done.frames, done.result.frames, strict=True)
-            }
-            _write_set(done, staging)
-            (out / SET_RECORD).unlink(missing_ok=True)
-            for frame in done.frames:
-                _publish(staging / frame.name, make_folder(out / frame.name), FRAME_RECORD)
-            _publish(staging, out, SET_RECORD)
-    except (OSError, OutputError) as error:
-        cause = error if isinstance(error, OSError) else error.__cause__
-        reason = getattr(cause, "strerror", None) or str(error)
-        raise OutputError(
-            f"cannot write the results into {out}: {reason}; check that the folder can be written, or choose "
-            "another"
-        ) from error
+    with telling_where(out), staging_folder(make_folder(out), "glasses") as staging:
+        figures = {
+            frame.name: _write_frame(frame, canonical, make_folder(staging / frame.name))
+            for frame, canonical in zip(done.frames, done.result.frames, strict=True)
+        }
+        _write_set(done, staging)
+        (out / SET_RECORD).unlink(missing_ok=True)
+        for frame in done.frames:
+            publish(staging / frame.name, make_folder(out / frame.name), FRAME_RECORD)
+        publish(staging, out, SET_RECORD)
     return figures
-
-
-def _publish(source: Path, target: Path, record: str) -> None:
-    (target / record).unlink(missing_ok=True)
-    files = [path for path in source.iterdir() if path.is_file()]
-    for path in sorted(files, key=lambda p: p.name == record):
-        os.replace(path, target / path.name)
 
 
 def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Path) -> dict[str, Any]:

@@ -146,12 +146,13 @@ def _write_pictures(result: ProcessResult, folder: Path) -> None:
 
 
 def _write_json(result: ProcessResult, folder: Path) -> None:
-    scan, estimate, registration = result.scan, result.albedo, result.registration
+    scan, estimate, registration, fitted = result.scan, result.albedo, result.registration, result.fitted
     if registration is not None:
         write_record(
             folder / "registration.json",
             RegistrationRecord(
                 model_from_scan=plain_json(registration.model_from_scan),
+                fitted_from_scan=None if fitted is None else plain_json(fitted.model_from_scan),
                 rmse_mm=registration.rmse_mm,
                 depth_error=registration.depth_error,
                 converged=registration.converged,

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from scan2albedo.errors import OutputError
+
 
 @contextmanager
 def staging_folder(out: Path, name: str) -> Iterator[Path]:
@@ -24,6 +26,32 @@ def staging_folder(out: Path, name: str) -> Iterator[Path]:
         yield staging
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def publish(source: Path, target: Path, record: str | None = None) -> None:
+    """Rename the files of a folder into another, over older ones of the same names.
+
+    The older `record` goes first and the new one comes last: a folder that has one is whole.
+    """
+    if record is not None:
+        (target / record).unlink(missing_ok=True)
+    files = [path for path in source.iterdir() if path.is_file()]
+    for path in sorted(files, key=lambda p: p.name == record):
+        os.replace(path, target / path.name)
+
+
+@contextmanager
+def telling_where(out: Path) -> Iterator[None]:
+    """Turn what fails while results are written in the block into an OutputError that names their folder."""
+    try:
+        yield
+    except (OSError, OutputError) as error:
+        cause = error if isinstance(error, OSError) else error.__cause__
+        reason = getattr(cause, "strerror", None) or str(error)
+        raise OutputError(
+            f"cannot write the results into {out}: {reason}; check that the folder can be written, or choose "
+            "another"
+        ) from error
 
 
 def remove_unfinished(out: Path) -> None:

@@ -75,8 +75,9 @@ def test_json_files_agree_with_their_schemas(result):
         jsonschema.validate(json.loads((result.out / f"{name}.json").read_text()), schema)
     written = json.loads((result.out / "result.json").read_text())
     assert set(written["files"]) == FILES
-    pose = np.array(json.loads((result.out / "registration.json").read_text())["model_from_scan"])
-    np.testing.assert_array_equal(pose, result.registration.model_from_scan)
+    poses = json.loads((result.out / "registration.json").read_text())
+    np.testing.assert_array_equal(poses["model_from_scan"], result.registration.model_from_scan)
+    np.testing.assert_array_equal(poses["fitted_from_scan"], result.fitted.model_from_scan)
 
 
 def test_files_hold_what_the_result_holds(result):

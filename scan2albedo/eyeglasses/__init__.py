@@ -31,10 +31,12 @@ from scan2albedo.eyeglasses.lens_shading import (
 from scan2albedo.eyeglasses.mask_files import read_masks, write_masks
 from scan2albedo.eyeglasses.options import WeightOptions
 from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
+from scan2albedo.eyeglasses.registered_files import read_registered, write_registered
 from scan2albedo.eyeglasses.registration import register_on_face
 from scan2albedo.eyeglasses.registration_options import FaceRegistrationOptions
 from scan2albedo.eyeglasses.registration_result import RegisteredEyeglasses
 from scan2albedo.eyeglasses.skinning import skin
+from scan2albedo.eyeglasses.start_files import read_start, write_start
 from scan2albedo.eyeglasses.triangulation import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.weights import (
     BoundedBiharmonicWeights,
@@ -80,6 +82,8 @@ __all__ = [
     "read_keypoints",
     "read_labels",
     "read_masks",
+    "read_registered",
+    "read_start",
     "refract",
     "register_on_face",
     "skin",
@@ -90,4 +94,6 @@ __all__ = [
     "write_keypoints",
     "write_labels",
     "write_masks",
+    "write_registered",
+    "write_start",
 ]

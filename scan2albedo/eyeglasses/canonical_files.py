@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.array_files import Shapes, read_arrays, write_arrays
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
-from scan2albedo.io.atomic import atomic_path
 from scan2albedo.optimization import Plan
 
-_SHAPES = {
-    "vertices": (-1, 3),
-    "faces": (-1, 3),
-    "weights": (-1, KEY_POINT_COUNT),
+_SHAPES: Shapes = {
+    "vertices": ("V", 3),
+    "faces": ("F", 3),
+    "weights": ("V", KEY_POINT_COUNT),
     "keypoints": (KEY_POINT_COUNT, 3),
     "canonical_from_frame": (4, 4),
     "scale": (),
@@ -26,7 +20,6 @@ _SHAPES = {
     "residual": (),
     "converged": (),
 }
-"""Arrays of a file and their shapes."""
 
 
 def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
@@ -37,9 +30,7 @@ def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
     OutputError
         When the folder cannot be written.
     """
-    with atomic_path(path) as temporary:
-        arrays: dict[str, Any] = {name: np.asarray(getattr(frame, name)) for name in _SHAPES}
-        np.savez_compressed(temporary, **arrays)
+    write_arrays(path, frame, _SHAPES)
 
 
 def read_canonical(path: str | Path) -> CanonicalEyeglasses:
@@ -50,23 +41,7 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
     EyeglassesError
         When the file is missing, damaged or something else; names it.
     """
-    try:
-        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in _SHAPES}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise EyeglassesError(
-            f"canonical frame {path} cannot be read ({' '.join(str(error).split())}); give a canonical.npz"
-        ) from error
-    for name, shape in _SHAPES.items():
-        got = arrays[name].shape
-        if len(got) != len(shape) or any(
-            want not in (-1, side) for want, side in zip(shape, got, strict=True)
-        ):
-            raise EyeglassesError(f"canonical frame {path}: {name} has shape {got}; write it again")
-    if len(arrays["weights"]) != len(arrays["vertices"]):
-        raise EyeglassesError(
-            f"canonical frame {path}: weights are not those of its vertices; write it again"
-        )
+    arrays = read_arrays(path, _SHAPES, what="canonical frame", example="canonical.npz")
     return CanonicalEyeglasses(
         vertices=arrays["vertices"],
         faces=arrays["faces"],

@@ -109,7 +109,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
         settled, mean = change <= _TOLERANCE * size and bool((both == (count[:, 0] > 0)).all()), new
         meter.count()
         meter.record(change / size)
-    return MeanKeyPoints(_in_own_axes(mean), settled, iteration)
+    return MeanKeyPoints(in_own_axes(mean), settled, iteration)
 
 
 def fullest(keypoints: Sequence[FloatArray]) -> FloatArray:
@@ -131,7 +131,7 @@ def key_point_size(points: FloatArray) -> float:
     return float(np.median(lengths)) if len(lengths) else 0.0
 
 
-def _in_own_axes(points: FloatArray) -> FloatArray:
+def in_own_axes(points: FloatArray) -> FloatArray:
     """Return key points (20, 3) turned to the glasses' own axes, as far as those that are known fix them."""
     across = points - points[list(MIRROR)]
     left = np.array([name.startswith("left") for name in KEY_POINT_NAMES])

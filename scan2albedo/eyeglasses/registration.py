@@ -41,12 +41,13 @@ of what is still open about them; and how often it may get no less: tracing jump
 def register_on_face(
     glasses: Any,
     keypoints_2d: ArrayLike,
-    masks: Sequence[ArrayLike] | ArrayLike | None,
+    masks: Sequence[ArrayLike | None] | ArrayLike | None,
     cameras: ArrayLike,
     budget: Budget | float | None = None,
     *,
     head: Any | None = None,
     start: ArrayLike | None = None,
+    shapes: Sequence[tuple[int, int]] | None = None,
     options: FaceRegistrationOptions = FaceRegistrationOptions(),
     on_progress: ProgressCallback | None = None,
 ) -> RegisteredEyeglasses:
@@ -80,6 +81,8 @@ def register_on_face(
         them, in the cameras' frame. Without it hidden temples are taken for wrongly placed ones.
     start : (4, 4) array_like, optional
         `world_from_glasses`, about; needed only where the labels fix no pose.
+    shapes : sequence of C (H, W), optional
+        Of the pictures: where a view has no mask, they tell which of the frame's points lie outside.
     options : FaceRegistrationOptions
     on_progress : callable, optional
         Called with each row of the trace.
@@ -118,7 +121,7 @@ def register_on_face(
     True
     """
     meter = Meter(STAGE, "px", Budget.of(budget), on_progress)
-    given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start)
+    given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes)
     with threadpool_limits(1, "blas"):
         # Matrices of 66 rows: more threads only wait for each other.
         return _Run(given, options, meter).result()
@@ -264,19 +267,23 @@ class _Run:
         # What labels leave open: outlines that have found a wrong place would call it certain.
         vague = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         ways: list[float] = []
-        while rounds < self.options.outlines and not settled and not self.meter.exhausted:
+        # One clock for all tracings: the rows of a stage count from its start.
+        meter = self.meter.child(f"{STAGE}.outlines", "px")
+        while rounds < self.options.outlines and not settled and not meter.exhausted:
             motion = self.objective.motion(outcome.state)
             samples = self.sampler.sample(motion, vague)
             if len(samples) == 0:
+                self.meter.adopt(meter)
                 reach = f"{self.options.outline_reach_px:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
                 return outcome
-            found = self._descend(
-                "outlines",
+            found = descend(
                 partial(self.objective.linearize, samples=samples, rigid=not self.options.bend),
                 outcome.state,
+                meter,
                 steps=_STEPS_A_TRACE,
                 enough=_ENOUGH_A_TRACE,
+                error=_outline_px,
             )
             rounds += 1
             first = _outline_px(found.at) if rounds == 1 else first
@@ -285,29 +292,15 @@ class _Run:
                 ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
             )
             outcome = _Outcome(found.state, found.at, settled)
+        self.meter.adopt(meter)
         self._note(
             "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {_outline_px(outcome.at):.2f} px"
         )
         return outcome
 
-    def _descend(
-        self,
-        step: str,
-        linearize: Any,
-        state: FrameState,
-        *,
-        steps: int | None = None,
-        enough: float = _ENOUGH,
-    ) -> Descent:
+    def _descend(self, step: str, linearize: Any, state: FrameState) -> Descent:
         child = self.meter.child(f"{STAGE}.{step}", "px")
-        found = descend(
-            linearize,
-            state,
-            child,
-            steps=self.options.steps if steps is None else steps,
-            enough=enough,
-            error=_outline_px if step == "outlines" else _labels_px,
-        )
+        found = descend(linearize, state, child, steps=self.options.steps, enough=_ENOUGH, error=_labels_px)
         self.meter.adopt(child)
         return found
 
@@ -329,6 +322,6 @@ def _labels_px(at: Linearization) -> float:
 
 
 def _outline_px(at: Linearization) -> float:
-    """Median distance of the outline from the mask's."""
+    """Mean distance of the outline from the mask's: a median of whole pixels would stand still."""
     errors = np.abs(at.outline_px[np.isfinite(at.outline_px)])
-    return float(np.median(errors)) if len(errors) else float("nan")
+    return float(np.mean(errors)) if len(errors) else float("nan")

@@ -55,10 +55,11 @@ class RegistrationInputs:
 def checked_inputs(
     glasses: Any,
     keypoints_2d: ArrayLike,
-    masks: Sequence[ArrayLike] | ArrayLike | None,
+    masks: Sequence[ArrayLike | None] | ArrayLike | None,
     cameras: ArrayLike,
     head: Any | None,
     start: ArrayLike | None,
+    shapes: Sequence[tuple[int, int]] | None = None,
 ) -> RegistrationInputs:
     """Return the inputs of `register_on_face`, checked; see there for what is raised."""
     vertices, faces, keypoints, weights = _glasses(glasses)
@@ -70,6 +71,7 @@ def checked_inputs(
         )
     unit = 1 / usual_size_factor(keypoints)
     given_masks = _masks(masks, len(matrices))
+    sizes = _shapes(shapes, given_masks)
     matrices = matrices * np.array([unit, unit, unit, 1.0])
     matrices = normalized_cameras(matrices)
     views, plan = [], []
@@ -85,7 +87,7 @@ def checked_inputs(
                 camera,
                 np.where(np.isfinite(marks).all(1)[:, None], marks, np.nan),
                 MaskDistance.of(mask) if usable and mask is not None else None,
-                None if mask is None else (mask.shape[0], mask.shape[1]),
+                sizes[number],
             )
         )
     skull = None if head is None else _mesh("the head", head)
@@ -155,7 +157,7 @@ def _mesh(name: str, mesh: Any) -> Mesh:
     return vertices, np.ascontiguousarray(faces, np.int64)
 
 
-def _masks(masks: Sequence[ArrayLike] | ArrayLike | None, count: int) -> tuple[BoolArray | None, ...]:
+def _masks(masks: Sequence[ArrayLike | None] | ArrayLike | None, count: int) -> tuple[BoolArray | None, ...]:
     if masks is None:
         return (None,) * count
     listed: list[Any] = list(masks)  # type: ignore[arg-type]
@@ -168,6 +170,21 @@ def _masks(masks: Sequence[ArrayLike] | ArrayLike | None, count: int) -> tuple[B
             raise ValueError(f"mask {number} must have shape (H, W), got {picture.shape}")
         result.append(None if picture is None else picture != 0)
     return tuple(result)
+
+
+def _shapes(
+    shapes: Sequence[tuple[int, int]] | None, masks: tuple[BoolArray | None, ...]
+) -> tuple[tuple[int, int] | None, ...]:
+    of_masks = tuple(None if mask is None else (mask.shape[0], mask.shape[1]) for mask in masks)
+    if shapes is None:
+        return of_masks
+    if len(shapes) != len(masks):
+        raise ValueError(f"shapes must have one entry for each of {len(masks)} cameras, got {len(shapes)}")
+    given = tuple((int(height), int(width)) for height, width in shapes)
+    for number, (own, said) in enumerate(zip(of_masks, given, strict=True)):
+        if own not in (None, said):
+            raise ValueError(f"mask {number} has shape {own}, expected its picture's {said}")
+    return given
 
 
 def _scaled_start(start: ArrayLike, unit: float) -> FloatArray:

@@ -122,6 +122,9 @@ class RegistrationRecord(Record):
     model_from_scan: Matrix = Field(
         description="Row-major 4x4 acting on column vectors: scan points in mm into the model's frame."
     )
+    fitted_from_scan: Matrix | None = Field(
+        None, description="The same as the fit refined it: into the frame of fitted.glb."
+    )
     rmse_mm: Number = Field(ge=0)
     depth_error: OptionalNumber = Field(
         None, description="Depth-derivative objective; null when not measured."

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 
 _PANELS_A_ROW = 6
+_LOG_FROM = 5.0
+"""Ratio of errors from which their axis is logarithmic: within a decade it has hardly a number on it."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,8 @@ class Trace:
                 continue
             axis.set_ylabel(f"error [{rows[0].unit}]")
             axis.plot([r.elapsed_s for r in rows], [r.error for r in rows], marker=".", linewidth=1)
-            if all(r.error > 0 for r in rows):
+            errors = [r.error for r in rows]
+            if min(errors) > 0 and max(errors) > _LOG_FROM * min(errors):
                 axis.set_yscale("log")
             axis.grid(True, which="both", alpha=0.3)
         return figure

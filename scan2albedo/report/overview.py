@@ -34,6 +34,8 @@ class Panel:
     picture: Picture
     dots: NDArray[np.float64] | None = None
     """(N, 2) pixel positions (column, row) to mark, such as landmarks."""
+    dot_colors: NDArray[np.float64] | None = None
+    """(N, 3) sRGB; lime when omitted."""
 
 
 def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure:
@@ -51,7 +53,8 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
         axis.imshow(panel.picture, interpolation="nearest")
         axis.set_title(panel.title, fontsize=9)
         if panel.dots is not None:
-            axis.plot(panel.dots[:, 0], panel.dots[:, 1], ".", color="lime", markersize=3)
+            colors, area = ("lime", 4) if panel.dot_colors is None else (panel.dot_colors, 12)
+            axis.scatter(panel.dots[:, 0], panel.dots[:, 1], s=area, c=colors, linewidths=0)
             axis.set_xlim(0, panel.picture.shape[1])
             axis.set_ylim(panel.picture.shape[0], 0)
     return figure

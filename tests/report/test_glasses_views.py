@@ -1,0 +1,117 @@
+"""Pictures of registered frames show what fits and what does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from scan2albedo.eyeglasses import Camera, register_on_face
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
+from scan2albedo.report import glasses_views
+from scan2albedo.report.glasses_views import SeenView, registration_panels
+from scan2albedo.synthetic import WearerOptions, wearer
+
+EXACT = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0, mask_noise_px=0)
+
+
+@pytest.fixture(scope="module")
+def person():
+    return wearer(0, options=EXACT)
+
+
+@pytest.fixture(scope="module")
+def views(person):
+    shape = person.masks.shape[1:]
+    cameras = [Camera(f"c{n}", matrix, shape) for n, matrix in enumerate(person.cameras)]
+    return [SeenView(*parts) for parts in zip(cameras, person.masks, person.labels, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def frame(person):
+    """The true frame, with the report of a registration."""
+    glasses = person.glasses
+    nearest = np.linalg.norm(glasses.rest_vertices[:, None] - glasses.rest_keypoints, axis=2).argmin(1)
+    found = register_on_face(
+        (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, np.eye(KEY_POINT_COUNT)[nearest]),
+        person.labels,
+        None,
+        person.cameras,
+    )
+    return replace(found, vertices=person.vertices, keypoints=person.keypoints)
+
+
+def painted(panel, color):
+    return (panel.picture == color).all(-1)
+
+
+def off_mask(panel):
+    """How far in pixels nine tenths of the orange outline are from the gray of the mask, at most."""
+    shade = panel.picture[:, :, 0].astype(int)
+    gray = (panel.picture == panel.picture[:, :, :1]).all(-1)
+    light = gray & (shade >= (glasses_views._MASK + glasses_views._BACKDROP) / 2)
+    outline = painted(panel, glasses_views._SEEN_COLOR)
+    assert outline.any()
+    return float(np.percentile(distance_transform_edt(~light)[outline], 90))
+
+
+def test_the_outline_of_the_true_frame_is_that_of_its_mask(person, frame, views):
+    head = (person.head_vertices, person.head_faces)
+    panels = registration_panels(frame, views, head)
+    assert len(panels) == 6
+    for panel in panels[:3]:
+        assert panel.picture.shape == panels[0].picture.shape
+        assert off_mask(panel) < 5  # a pixel of the picture
+    shifted = replace(frame, vertices=frame.vertices + [0, 8.0, 0])
+    assert off_mask(registration_panels(shifted, views, head)[1]) > 8
+
+
+def test_what_the_head_hides_is_blue(person, frame, views):
+    bare = registration_panels(frame, views)
+    assert len(bare) == 5
+    covered = registration_panels(frame, views, (person.head_vertices, person.head_faces))
+    for number in (0, 2):  # from the sides the far temple is behind the head
+        assert not painted(bare[number], glasses_views._HIDDEN_COLOR).any()
+        assert painted(covered[number], glasses_views._HIDDEN_COLOR).sum() > 50
+
+
+def test_labels_are_green_and_outliers_red(frame, views):
+    labels = views[1].labels.copy()
+    labels[0] += 90
+    errors, inliers = frame.label_errors_px.copy(), frame.inliers.copy()
+    errors[1, 0], inliers[1, 0] = 127.0, False
+    wrong = replace(frame, label_errors_px=errors, inliers=inliers)
+    panel = registration_panels(wrong, [views[0], replace(views[1], mask=None, labels=labels), views[2]])[1]
+    assert "1 outliers" in panel.title
+    assert "no mask" in panel.title
+    assert panel.dot_colors.shape == (20, 3)
+    np.testing.assert_array_equal(panel.dot_colors[0], glasses_views._OUTLIER_COLOR)
+    np.testing.assert_array_equal(panel.dot_colors[1:], [glasses_views._INLIER_COLOR] * 19)
+    assert (panel.dots >= 0).all()
+    assert (panel.dots < panel.picture.shape[0]).all()
+
+
+def test_what_is_not_observed_is_red(frame, views):
+    observed = frame.observed.copy()
+    observed[frame.vertices[:, 0] > 0] = False
+    panel = registration_panels(replace(frame, observed=observed), views)[3]
+    assert "not observed" in panel.title
+    red = (panel.picture[:, :, 0] > 60) & (panel.picture[:, :, 1] < 0.3 * panel.picture[:, :, 0])
+    middle = panel.picture.shape[1] // 2
+    # The wearer's left, x > 0, is on the right.
+    assert red[:, middle + 20 :].sum() > 1000
+    assert not red[:, : middle - 20].any()
+    nothing = registration_panels(replace(frame, observed=np.zeros_like(observed)), views)[3]
+    assert "nothing is observed" in nothing.title
+
+
+def test_a_frame_behind_the_camera_and_many_views_are_drawn(frame, views):
+    gone = replace(views[0].camera, matrix=views[0].camera.matrix @ np.diag([1, 1, 1, -1.0]))
+    nowhere = SeenView(gone, None, np.full((20, 2), np.nan))
+    twenty = 20 * [0]
+    many = replace(frame, label_errors_px=frame.label_errors_px[twenty], inliers=frame.inliers[twenty])
+    many = replace(many, outline_rms_px=frame.outline_rms_px[twenty])
+    many = replace(many, label_errors_px=np.full((20, 20), np.nan))
+    panels = registration_panels(many, 20 * [nowhere])
+    assert len(panels) == glasses_views.MOST_VIEWS + 2
+    assert not painted(panels[0], glasses_views._SEEN_COLOR).any()
