@@ -330,7 +330,7 @@ def test_another_unit_is_told_with_the_files(changed, tmp_path, monkeypatch):
     (changed / "cameras.json").write_text(json.dumps(tree))
     answer = run(monkeypatch, changed / "round" / "canonical.npz", tmp_path / "out", changed)
     assert answer.exit_code == 2
-    assert "labels.json: the labels make a frame 1.01e+03 times as large" in answer.stderr
+    assert re.search(r"labels.json: the labels make a frame [0-9.e+]+ times as large", answer.stderr)
 
 
 def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path, monkeypatch):
