@@ -68,7 +68,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_three_views_place_a_bent_frame(name, seed):
     options, bar = CASES[name]
     worn, found = person(seed, options), register(seed, options)
@@ -190,8 +190,7 @@ def test_scale_and_sign_of_cameras_do_not_matter():
     np.testing.assert_allclose(register(1, SMALL, cameras=scaled).vertices, expected.vertices, atol=0.06)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-@pytest.mark.parametrize("view", [0, 1])
+@pytest.mark.parametrize(("seed", "view"), [(1, 0), (1, 1), pytest.param(3, 0, marks=pytest.mark.slow)])
 def test_one_view_says_that_it_does_not_see_depth(seed, view):
     worn = person(seed)
     one = {"keypoints_2d": worn.labels[[view]], "masks": worn.masks[[view]], "cameras": worn.cameras[[view]]}
