@@ -15,7 +15,7 @@ SHAPE = (1024, 1024)
 
 
 def key_points(vertices):
-    """Twenty named vertices: near given places of the front's halves, in the middle of slices of the temples."""
+    """Twenty named vertices: near places of the front's halves, in the middle of slices of the temples."""
     low, high = vertices.min(0), vertices.max(0)
     middle, width, depth = (low[0] + high[0]) / 2, (high[0] - low[0]) / 2, high[2] - low[2]
     back = (high[2] - vertices[:, 2]) / depth
