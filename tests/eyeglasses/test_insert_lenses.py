@@ -166,6 +166,79 @@ def test_a_picture_is_the_weighted_sum_of_one_for_each_light():
     np.testing.assert_allclose(together, light_by_environment(apart, weights), atol=1e-12)
 
 
+def test_another_light_is_as_good_as_a_new_picture():
+    materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, tinting="filter"))
+    options = {"surfaces": [wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)], "shape": (120, 160)}
+    options["camera"] = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
+    settings = {"light_count": 16}
+
+    def render(relightable=False, **light):
+        made = LensPictureOptions(relightable=relightable, **settings)
+        return insert(BENT, materials, options=made, **options, **light)
+
+    kept = render(relightable=True, environment_linear=room(1))
+    for name in ("image_linear", "without_lenses_linear"):
+        first = getattr(kept.under(room(1)), name)
+        np.testing.assert_array_equal(first, getattr(kept, name))
+        for other in (3 * room(2), waves(5, 64)[:32]):
+            anew = getattr(render(environment_linear=other), name)
+            np.testing.assert_allclose(getattr(kept.under(other), name), anew, atol=1e-9)
+            assert np.abs(anew - first).max() > 0.1
+    # One light alone, others dark, before a given environment or none.
+    toward, alone = distant_directions(16), np.eye(16)[3]
+    lights = DistantLights(toward, alone)
+    for around in (None, room(4)):
+        anew = render(lights=lights, environment_linear=around)
+        same = kept.under(around, irradiance_linear=alone)
+        np.testing.assert_allclose(same.image_linear, anew.image_linear, atol=1e-9)
+        assert same.notes == anew.notes
+    assert kept.relighting.traced is kept.under(room(4)).relighting.traced
+    with pytest.raises(EyeglassesError, match="relightable=True"):
+        render(environment_linear=room(1)).under(room(2))
+    with pytest.raises(ValueError, match="environment_linear, irradiance_linear or both"):
+        kept.under()
+    with pytest.raises(ValueError, match=r"must be \(16,\) or \(16, 3\)"):
+        kept.under(irradiance_linear=np.ones(3))
+    with pytest.raises(EyeglassesError, match="not finite"):
+        kept.under(room(2) * np.nan)
+
+
+def test_a_photograph_takes_other_mirror_images():
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    options = {"picture_linear": photograph, "surfaces": [wall(-30.0)]}
+    kept = insert(BENT, SUNGLASSES, options=LensPictureOptions(relightable=True), **options)
+    assert "no environment" in kept.notes[-1]
+    anew = insert(BENT, SUNGLASSES, environment_linear=room(6), **options)
+    again = kept.under(room(6))
+    np.testing.assert_allclose(again.image_linear, anew.image_linear, atol=1e-9)
+    assert again.notes == anew.notes
+    assert np.abs(again.image_linear - kept.image_linear).max() > 0.1
+
+
+def test_lights_that_are_dark_cost_nothing_and_change_nothing():
+    toward = distant_directions(12)
+    strength = np.zeros(12)
+    strength[[2, 5]] = 1.0, 2.0
+    options = {"surfaces": [wall(-30.0, waves())]}
+    all_, two = (
+        insert(BENT, SUNGLASSES, lights=DistantLights(toward[which], strength[which]), **options)
+        for which in (slice(None), [2, 5])
+    )
+    np.testing.assert_array_equal(all_.image_linear, two.image_linear)
+    none = insert(BENT, SUNGLASSES, lights=DistantLights(toward, 0 * strength), **options)
+    assert not none.image_linear.any()
+
+
+def test_shared_shadows_are_those_of_every_pixel_but_for_few():
+    options = {"surfaces": [wall(-30.0, waves())], "lights": DistantLights([[0.5, 0.6, 1]], [np.pi])}
+    shared, every = (
+        insert(BENT, SUNGLASSES, options=LensPictureOptions(shadows=s), **options)
+        for s in ("shared", "every pixel")
+    )
+    differs = (shared.image_linear != every.image_linear).any(2)
+    assert differs.mean() < 2e-3
+
+
 def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
     grey = np.full((4, 8, 3), 2.0)
     mirror = insert(BENT, LensMaterial(beta=1.0), environment_linear=grey)
@@ -465,7 +538,14 @@ def test_what_is_not_clear_is_refused():
         attempt(picture_linear=photograph, camera=np.zeros((3, 3)))
     dark = attempt(picture_linear=photograph, lenses=LensMaterial(beta=0.1))
     assert "no environment" in dark.notes[-1]
-    wrong = {"supersampling": 0, "light_count": 0, "fringe_px": -1, "hidden": "?", "background": "?"}
+    wrong = {
+        "supersampling": 0,
+        "light_count": 0,
+        "fringe_px": -1,
+        "hidden": "?",
+        "background": "?",
+        "shadows": "?",
+    }
     for name, value in wrong.items():
         with pytest.raises(ValueError, match=name):
             LensPictureOptions(**{name: value})
