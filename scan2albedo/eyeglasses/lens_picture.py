@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.environment_lights import DistantLights
+from scan2albedo.eyeglasses.frame_glass import without_glass
 from scan2albedo.eyeglasses.inserted_lenses import SIDES, InsertedLens, insert_lens
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.lens_material import LensMaterial, LensPictureOptions
@@ -115,8 +116,8 @@ def insert_lenses(
     Parameters
     ----------
     frame : Surface
-        In its pose on the face, without lenses of its own. All lengths are mm: dioptres mean nothing in other
-        units.
+        In its pose on the face. Glass of its own is left out where a lens goes, unless it is of one piece
+        with the rim; `notes` tell of either. All lengths are mm: dioptres mean nothing in other units.
     keypoints : (20, 3) array_like of float
         Of the frame in the same pose, in the order of `KEY_POINT_NAMES`. Those of each rim that gets a lens
         are needed; others may be NaN.
@@ -202,7 +203,8 @@ def insert_lenses(
     toward = np.zeros((0, 3)) if lights is None else np.asarray(lights.directions)
     irradiance = np.zeros((0, 3)) if lights is None else np.asarray(lights.irradiance_linear)
     placed = _placed(frame, keypoints, lenses, lens_centers, options)
-    scene = LensScene(frame, surfaces)
+    bare = without_glass(frame, placed, np.asarray(keypoints, np.float64))
+    scene = LensScene(bare.surface, surfaces)
     region = PixelRegion.of_lenses(placed, matrix, size)
     colors: SceneColors
     if photograph is not None:
@@ -236,7 +238,7 @@ def insert_lenses(
         pasted(np.full(size, -1, np.int8), window, rendering.lens),
         pasted(np.zeros(size, bool), window, rendering.unknown),
         placed,
-        _notes(placed, rendering) + _mirror_notes(placed, around),
+        bare.notes + _notes(placed, rendering) + _mirror_notes(placed, around),
         None if traced is None else LensRelighting(traced, window, empty, toward),
     )
 

@@ -12,6 +12,7 @@ from scan2albedo.eyeglasses import (
     distant_directions,
     environment_weights,
     insert_lenses,
+    lens_mesh,
     light_by_environment,
     refract,
 )
@@ -376,6 +377,54 @@ def test_a_monocle_and_a_half_rimless_frame():
     picture = insert_lenses(half, BENT.keypoints, (lens, None), **options)
     assert "points of its rim come from its key points" in picture.notes[0]
     assert (picture.lens == 0).sum() > 5000
+
+
+def glazed(sides=(0, 1), thickness=2.0, gap=0.3):
+    """The frame with glass in its rims: two domed sheets a lens, a hair inside the outline."""
+    vertices, faces = [BENT.vertices], [BENT.faces]
+    for side in sides:
+        for lift in (0.0, -thickness):
+            outline, center = BENT.lens_outlines[side], BENT.lens_centers[side]
+            inward = (center - outline) / np.linalg.norm(center - outline, axis=1)[:, None]
+            sheet, fan = lens_mesh(center + [0, 0, 3 + lift], outline + gap * inward + [0, 0, lift])
+            faces.append(fan + sum(map(len, vertices)))
+            vertices.append(sheet)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def test_the_frames_own_glass_is_left_out_where_a_lens_goes():
+    options = {"surfaces": [wall(-30.0, waves())], "shape": SHAPE, "lights": FRONT}
+    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1000, shape=SHAPE)
+    material = LensMaterial(-4.0)
+    bare = insert(BENT, material, camera=camera, **options)
+    vertices, faces = glazed()
+    uv = np.random.default_rng(0).random((len(faces), 3, 2))
+    for finish in ({"albedo_linear": (0.1, 0.1, 0.1)}, {"uv": uv, "texture_linear": np.full((4, 4, 3), 0.1)}):
+        frame = Surface(vertices, faces, **finish)
+        both = insert_lenses(frame, BENT.keypoints, material, camera=camera, **options)
+        np.testing.assert_array_equal(both.lens, bare.lens)
+        # Rims are measured to 0.2 mm, whatever glass they hold.
+        np.testing.assert_allclose(both.image_linear, bare.image_linear, atol=1e-9)
+        assert [note for note in both.notes if "own glass there, 144 faces, is left out" in note] == list(
+            both.notes
+        )
+        assert len(both.notes) == 2
+    # Where no lens goes, the glass stays.
+    left = insert_lenses(frame, BENT.keypoints, (material, None), camera=camera, **options)
+    assert len(left.notes) == 1
+    right = bare.lens == 1
+    assert (np.abs(left.image_linear - bare.image_linear).max(2) > 1e-3)[right].mean() > 0.5
+
+
+def test_glass_of_one_piece_with_the_rim_is_told():
+    vertices, faces = glazed((0,))
+    first, rim = len(BENT.vertices), BENT.keypoint_vertices[3]
+    # One face joins each sheet to the rim.
+    joined = np.concatenate([faces, [[rim, first, first + 1], [rim, first + 73, first + 74]]])
+    frame = Surface(vertices, joined)
+    options = {"surfaces": [], "camera": before(BENT), "shape": (60, 80), "lights": FRONT}
+    picture = insert_lenses(frame, BENT.keypoints, (LensMaterial(), None), **options)
+    assert any("the left lens: the frame covers it" in note for note in picture.notes)
 
 
 @pytest.mark.parametrize("dioptres", [-20.0, 20.0])
