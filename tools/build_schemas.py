@@ -17,6 +17,7 @@ from scan2albedo.eyeglasses.keypoint_files import KeyPointsFile
 from scan2albedo.eyeglasses.label_files import LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord
+from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
@@ -30,6 +31,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "canonical_eyeglasses_set": CanonicalSetRecord,
     "eyeglasses_keypoints": KeyPointsFile,
     "eyeglasses_labels": LabelsFile,
+    "eyeglasses_lenses": LensesRecord,
 }
 
 

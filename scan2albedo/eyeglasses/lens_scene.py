@@ -74,7 +74,12 @@ class Surface:
         if self.texture_linear is not None:
             if self.uv is None:
                 raise ValueError("a texture needs uv")
-            fields["texture_linear"] = _checked("texture_linear", self.texture_linear, (None, None, 3))
+            # Pictures of floats stay in 32 bits: twice as much is a lot for a large one.
+            texture = np.asarray(self.texture_linear)
+            single = texture.dtype == np.float32
+            fields["texture_linear"] = _checked(
+                "texture_linear", texture, (None, None, 3), np.float32 if single else np.float64
+            )
             uv = np.asarray(self.uv, np.float64)
             shape = (len(xyz), 2) if uv.ndim == 2 else (len(index), 3, 2)
             fields["uv"] = _checked("uv", uv, shape)
@@ -173,8 +178,10 @@ def bilinear(image: FloatArray, pixels: FloatArray) -> FloatArray:
     return np.asarray((1 - down) * upper + down * lower)
 
 
-def _checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
-    array = np.asarray(values, np.float64)
+def _checked(
+    name: str, values: ArrayLike, shape: tuple[int | None, ...], dtype: type[np.floating] = np.float64
+) -> FloatArray:
+    array: FloatArray = np.asarray(values, dtype)
     fits = array.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, array.shape, strict=True)
     )

@@ -17,7 +17,14 @@ from scan2albedo.eyeglasses import (
     refract,
 )
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    look_at,
+    normalized_cameras,
+    pixel_directions,
+    pixel_grid,
+    project,
+)
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 from scan2albedo.synthetic.face_chart import face_surface
 from scan2albedo.synthetic.identity import person
@@ -425,6 +432,82 @@ def test_glass_of_one_piece_with_the_rim_is_told():
     options = {"surfaces": [], "camera": before(BENT), "shape": (60, 80), "lights": FRONT}
     picture = insert_lenses(frame, BENT.keypoints, (LensMaterial(), None), **options)
     assert any("the left lens: the frame covers it" in note for note in picture.notes)
+
+
+def conjugate_directions(origin, points, lens):
+    """Rays from points of a lens toward the image of the origin, by 1/u + 1/v = 1/f."""
+    axis, center = np.asarray(lens.normal), np.asarray(lens.center)
+    u = (origin - center) @ axis
+    v = 1 / (lens.dioptres / 1000 - 1 / u)
+    image = center - (origin - center) * v / u
+    return np.sign(v) * (image - points)
+
+
+@pytest.mark.parametrize("dioptres", [-8.0, -4, -0.25, 0.25, 2, 8])
+@pytest.mark.parametrize("position", [[25.0, 10, 600], [-120, 60, 420]])
+def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres, position):
+    # The wall's colour tells where a ray ends.
+    half, z = 2000.0, -30.0
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    colors = np.column_stack([corners / (2 * half) + 0.5, np.ones(4)])
+    screen = Surface(np.column_stack([corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], colors)
+    shape = (48, 64)
+    camera = look_at(position, FLAT.lens_centers[0], focal_px=700, shape=shape)
+    picture = insert(
+        FLAT,
+        LensMaterial(dioptres),
+        surfaces=[screen],
+        camera=camera,
+        shape=shape,
+        # From so high that the frame's shadow falls out of sight.
+        lights=DistantLights([[0, 9, 1]], [1.0]),
+        options=LensPictureOptions(supersampling=1),
+    )
+    lens = picture.lenses[0].optics
+    seen = picture.image_linear[picture.lens == 0]
+    # The frame is seen through the lens too.
+    wall_ = np.isclose(seen[:, 2], np.median(seen[:, 2]), rtol=1e-9)
+    seen = seen[wall_]
+    ends = np.column_stack([(seen[:, :2] / seen[:, 2:] - 0.5) * 2 * half, np.full(len(seen), z)])
+    matrix = normalized_cameras(camera[None])
+    origin, pixels = camera_centers(matrix)[0], pixel_grid(shape)[(picture.lens == 0).ravel()][wall_]
+    straight = pixel_directions(matrix[0], pixels)
+    normal = np.asarray(lens.normal)
+    along = ((np.asarray(lens.center) - origin) @ normal) / (straight @ normal)
+    points = origin + along[:, None] * straight
+    expected = conjugate_directions(origin, points, lens)
+    got = ends - points
+    got, expected = (v / np.linalg.norm(v, axis=1)[:, None] for v in (got, expected))
+    angle = np.rad2deg(2 * np.arcsin(np.linalg.norm(got - expected, axis=1) / 2))
+    assert len(angle) > 400
+    assert angle.max() <= 1e-5
+
+
+def test_no_number_is_lost_within_20_dioptres_end_to_end():
+    shape, surfaces = (30, 40), [wall(-80.0, waves(), half=50)]
+    photograph = np.random.default_rng(0).random((*shape, 3))
+    # Powers that put the camera into the lens's focus are among them: 1000 / distance.
+    for dioptres in (-20.0, -13.7, -1e-12, 1e-12, 1000 / 600, 4.0, 20.0):
+        material = LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True)
+        for camera in (
+            before(BENT, distance=600.0, focal_px=180, shape=shape),
+            before(BENT, distance=50.0, focal_px=40, shape=shape),
+            look_at([20, 10, -70], [30, 0, 0], focal_px=30, shape=shape),
+        ):
+            drawn = insert(
+                BENT,
+                material,
+                surfaces=surfaces,
+                camera=camera,
+                shape=shape,
+                environment_linear=room(),
+                options=LensPictureOptions(light_count=3),
+            )
+            taken = insert(BENT, material, surfaces=surfaces, camera=camera, picture_linear=photograph)
+            for picture in (drawn, taken):
+                assert (picture.lens >= 0).any()
+                assert np.isfinite(picture.image_linear).all()
+                assert picture.image_linear.min() >= -1e-12
 
 
 @pytest.mark.parametrize("dioptres", [-20.0, 20.0])
