@@ -165,7 +165,7 @@ def insert_lenses(
       (`LensPictureOptions.shadows`): some 40 % of the shadow rays, colours off by 1e-5 of the mean under 64
       lights, by a shadow's edge in 1 of 4000 pixels under one.
     - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights. 1024 x
-      1024 pixels, a head of 300,000 faces: 1.7 s of CPU time under 8 lights, 3.7 s under 64, then 0.2 s in
+      1024 pixels, a head of 300,000 faces: 1.9 s of CPU time under 8 lights, 3.7 s under 64, then 0.2 s in
       any other light (`LensPicture.under`).
 
     References

@@ -487,7 +487,7 @@ def test_no_number_is_lost_within_20_dioptres_end_to_end():
     shape, surfaces = (30, 40), [wall(-80.0, waves(), half=50)]
     photograph = np.random.default_rng(0).random((*shape, 3))
     # Powers that put the camera into the lens's focus are among them: 1000 / distance.
-    for dioptres in (-20.0, -13.7, -1e-12, 1e-12, 1000 / 600, 4.0, 20.0):
+    for dioptres in (-20.0, -1e-12, 1000 / 600, 20.0):
         material = LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True)
         for camera in (
             before(BENT, distance=600.0, focal_px=180, shape=shape),
