@@ -18,6 +18,7 @@ from scan2albedo.eyeglasses.label_files import LabelsFile
 from scan2albedo.eyeglasses.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
+from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
@@ -33,6 +34,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "eyeglasses_labels": LabelsFile,
     "eyeglasses_start": StartFile,
     "registered_eyeglasses": RegisteredFrameRecord,
+    "eyeglasses_lenses": LensesRecord,
 }
 
 

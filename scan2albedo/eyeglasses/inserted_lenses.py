@@ -84,7 +84,7 @@ def insert_lens(
         lens.
     """
     name = f"the {SIDES[side]} lens"
-    marks = _rim_points(keypoints, side, name)
+    marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks
     # Three of the five lie on the nose's side, so their mean would be off.
     guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
@@ -100,14 +100,20 @@ def insert_lens(
     return InsertedLens(side, material, rim, fan, triangles, optics, RayCaster(fan, triangles))
 
 
-def _rim_points(keypoints: FloatArray, side: int, name: str) -> FloatArray:
-    """Return (5, 3) key points of a rim: top, bridge, inner, bottom, outer."""
+def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
+    """Return (5, 3) key points of a rim: top, bridge, inner, bottom, outer.
+
+    Raises
+    ------
+    EyeglassesError
+        When one is missing; names it and the lens.
+    """
     wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
     marks = keypoints[wanted]
     missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
     if missing:
         raise EyeglassesError(
-            f"{name} needs the key points of its rim, but {', '.join(missing)} "
+            f"the {SIDES[side]} lens needs the key points of its rim, but {', '.join(missing)} "
             f"{'is' if len(missing) == 1 else 'are'} missing; give them, or None in place of this lens"
         )
     return marks

@@ -91,6 +91,11 @@ class LensPictureOptions:
     """How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
     shadow_offset_mm: float = 0.2
     """Shadow rays start this far off the surface."""
+    shadows: Literal["shared", "every pixel"] = "shared"
+    """Whether a pixel takes over what four neighbours on the same smooth surface agree on, which may lose
+    shadows less than two pixels wide, or shoots rays of its own."""
+    relightable: bool = False
+    """Whether the picture keeps what `LensPicture.under` needs: some 150 bytes a pixel, and one a light."""
 
     def __post_init__(self) -> None:
         counts = {"supersampling": self.supersampling, "light_count": self.light_count}
@@ -101,5 +106,7 @@ class LensPictureOptions:
             raise ValueError("fringe_px, seat_mm and shadow_offset_mm must be 0 or more")
         if self.hidden not in ("nearest", "albedo"):
             raise ValueError(f"hidden must be 'nearest' or 'albedo', got {self.hidden!r}")
+        if self.shadows not in ("shared", "every pixel"):
+            raise ValueError(f"shadows must be 'shared' or 'every pixel', got {self.shadows!r}")
         if self.background not in ("environment", "black"):
             raise ValueError(f"background must be 'environment' or 'black', got {self.background!r}")

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.inserted_lenses import InsertedLens
-from scan2albedo.eyeglasses.lens_paths import LensCrossings, LensPaths, trace_lenses
+from scan2albedo.eyeglasses.lens_paths import LensPaths, trace_lenses
 from scan2albedo.eyeglasses.lens_scene import LensScene
-from scan2albedo.eyeglasses.scene_rays import SceneColors, SceneRays
+from scan2albedo.eyeglasses.scene_rays import Illumination, RayColors, SceneColors, SceneRays
+from scan2albedo.eyeglasses.traced_rays import (
+    AddedColors,
+    RayEnds,
+    TracedPicture,
+    TracedRays,
+    with_means,
+)
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 
 FloatArray = NDArray[np.float64]
@@ -26,22 +33,26 @@ _JUMP_PX = 8.0
 
 @dataclass(frozen=True)
 class Rendering:
-    """N rays or pixels of a picture."""
+    """N pixels of a picture, row by row."""
 
-    linear: FloatArray
-    """(N, 3)."""
-    bare: FloatArray
-    """(N, 3) without lenses."""
+    colors: RayColors
     lens: IntArray
     """(N,) side of the first lens, -1 for none."""
     unknown: BoolArray
     """(N,) whether colours are guesses."""
-    surface: IntArray
-    """(N,) number of the surface at the end, -1 for none."""
-    distance: FloatArray
-    """(N,) mm from the camera to the end; inf for none."""
     glancing: int
     """Rays that left out a lens."""
+    traced: TracedPicture | None
+    """What gives the colours in another light, if it was kept."""
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Rays in a row, in parts."""
+
+    ends: RayEnds
+    colors: tuple[RayColors, ...]
+    traced: tuple[TracedRays, ...]
 
 
 @dataclass(frozen=True)
@@ -99,25 +110,33 @@ class LensRenderer:
         self._camera, self._center = camera, camera_centers(camera[None])[0]
         self._region = region
 
-    def picture(self, window: PixelRegion, supersampling: int) -> Rendering:
-        """Return the pixels of a window, row by row; those on edges are means of n x n rays."""
-        pixels = pixel_grid(window.shape) + [window.left, window.top]
-        once = self._rays(pixels)
-        edge = np.flatnonzero(self._edges(once, window.shape))
-        if supersampling == 1 or len(edge) == 0:
-            return once
-        steps = (np.arange(supersampling) + 0.5) / supersampling - 0.5
-        offsets = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-        fine = self._rays((pixels[edge, None] + offsets).reshape(-1, 2))
-        bare = fine.bare.reshape(len(edge), -1, 3)
-        change = (fine.linear - fine.bare).reshape(bare.shape)
-        once.bare[edge] = bare[:, 0] + (bare - bare[:, :1]).mean(1)
-        # Means of equal numbers may differ from them in the last digit; differences of 0 stay 0.
-        once.linear[edge] = once.bare[edge] + change.mean(1)
-        once.unknown[edge] = fine.unknown.reshape(len(edge), -1).any(1)
-        return once
+    def picture(
+        self, window: PixelRegion, supersampling: int, light: Illumination, *, keep: bool = False
+    ) -> Rendering:
+        """Return the pixels of a window; those on edges are means of n x n rays.
 
-    def _edges(self, once: Rendering, shape: tuple[int, int]) -> BoolArray:
+        With `keep` the rendering keeps its rays, which take some 150 bytes each and one for each light.
+        """
+        pixels = pixel_grid(window.shape) + [window.left, window.top]
+        once = self._rays(pixels, light, keep, window.shape[1])
+        edge = np.flatnonzero(self._edges(once.ends, window.shape))
+        unknown, fine = once.ends.unknown.copy(), _Batch(once.ends, (), ())
+        if supersampling == 1 or len(edge) == 0:
+            edge = edge[:0]
+        else:
+            steps = (np.arange(supersampling) + 0.5) / supersampling - 0.5
+            offsets = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+            fine = self._rays((pixels[edge, None] + offsets).reshape(-1, 2), light, keep, len(offsets))
+            unknown[edge] = fine.ends.unknown.reshape(len(edge), -1).any(1)
+        return Rendering(
+            with_means(once.colors, edge, fine.colors),
+            once.ends.lens,
+            unknown,
+            once.ends.glancing,
+            TracedPicture(once.traced, edge, fine.traced) if keep else None,
+        )
+
+    def _edges(self, once: RayEnds, shape: tuple[int, int]) -> BoolArray:
         """Return (N,) pixels whose ray differs from a neighbour's in lens, surface or distance."""
         kind = (once.lens + (once.surface + 1) * 4).reshape(shape)
         focal = np.sqrt(np.abs(np.linalg.det(self._camera[:, :3])))
@@ -131,58 +150,62 @@ class LensRenderer:
             mark[:-1] |= step
         return edge.ravel()
 
-    def _rays(self, pixels: FloatArray) -> Rendering:
-        """Return one ray through each of the pixels (N, 2)."""
-        parts = [self._band(pixels[i : i + _BAND]) for i in range(0, len(pixels), _BAND)]
-        arrays = ("linear", "bare", "lens", "unknown", "surface", "distance")
-        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
-        return Rendering(**joined, glancing=sum(part.glancing for part in parts))
+    def _rays(self, pixels: FloatArray, light: Illumination, keep: bool, together: int) -> _Batch:
+        """Return one ray through each of the pixels (N, 2); so many in a row are not parted."""
+        ends, colors, kept = [], [], []
+        size = max(_BAND // max(together, 1), 1) * max(together, 1)
+        for start in range(0, max(len(pixels), 1), size):
+            traced = self._band(pixels[start : start + size])
+            ends.append(traced.ends)
+            colors.append(traced.colors(light))
+            if keep:
+                kept.append(traced)
+        return _Batch(RayEnds.joined(ends), tuple(colors), tuple(kept))
 
-    def _band(self, pixels: FloatArray) -> Rendering:
+    def _band(self, pixels: FloatArray) -> TracedRays:
         directions = pixel_directions(self._camera, pixels)
         origins = np.broadcast_to(self._center, directions.shape)
         straight = SceneRays(origins, directions, self._scene.caster.first_hit(origins, directions))
         near = np.flatnonzero(self._region.holds(pixels))
         some = straight.chosen(near)
         paths = trace_lenses(self._scene, self._lenses, self._center, some.directions, some.hits)
-        colors = self._colors.straight(pixels, straight)
-        linear, unknown = colors.shaded.copy(), np.zeros(len(pixels), bool)
-        linear[near], unknown[near] = self._through(paths, linear[near])
-        lens, face = np.full(len(pixels), -1), straight.hits.face.copy()
+        bent = np.flatnonzero(paths.bent)
+        seen = self._colors.seen(SceneRays(paths.origins, paths.directions, paths.hits).chosen(bent))
+        added = tuple(self._added(paths, near))
+        unknown = np.zeros(len(pixels), bool)
+        for ray, samples in ((near[bent], seen), *((a.ray, a.samples) for a in added)):
+            unknown[ray] |= samples.unknown
+        return TracedRays(
+            self._colors.straight(pixels, straight),
+            near,
+            paths.share,
+            bent,
+            seen,
+            added,
+            self._ends(straight, near, paths, unknown),
+        )
+
+    def _ends(self, straight: SceneRays, near: IntArray, paths: LensPaths, unknown: BoolArray) -> RayEnds:
+        lens, face = np.full(len(unknown), -1), straight.hits.face.copy()
         lens[near], face[near] = paths.first, paths.hits.face
         distance = straight.hits.distance.copy()
         ends = paths.origins + paths.hits.distance[:, None] * paths.directions
         distance[near] = np.linalg.norm(ends - self._center, axis=1)
         surface = np.where(face >= 0, self._scene.surface_of_face[face], -1)
-        return Rendering(linear, colors.bare, lens, unknown, surface, distance, paths.glancing)
+        return RayEnds(lens, surface, distance, unknown, paths.glancing)
 
-    def _through(self, paths: LensPaths, straight: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return colours (N, 3) of rays, lenses included, and which are guesses."""
-        bent = np.flatnonzero(paths.bent)
-        seen = self._colors.seen(SceneRays(paths.origins, paths.directions, paths.hits).chosen(bent))
-        behind, unknown = straight.copy(), np.zeros(len(straight), bool)
-        behind[bent], unknown[bent] = seen.linear, seen.unknown
-        linear = paths.share * behind
+    def _added(self, paths: LensPaths, near: IntArray) -> Iterator[AddedColors]:
+        """Give what lenses add to the colours of the rays `near`: tints and reflections."""
         for crossings in paths.crossings:
-            linear[crossings.ray] += self._tint(crossings)
-            mirrored = np.flatnonzero(crossings.mirror_share.any(1))
-            if len(mirrored):
-                rays = self._mirrored(crossings, mirrored)
+            tint = np.asarray(crossings.lens.material.tint_linear)
+            if crossings.tint_share.any() and tint.any():
+                normal = np.asarray(crossings.lens.optics.normal)
+                toward_viewer = -np.sign(crossings.direction @ normal)[:, None] * normal
+                plate = self._colors.matte(crossings.position, toward_viewer, tint)
+                yield AddedColors(near[crossings.ray], crossings.tint_share, plate)
+            which = np.flatnonzero(crossings.mirror_share.any(1))
+            if len(which):
+                origins, directions = crossings.position[which], crossings.mirrored[which]
+                rays = SceneRays(origins, directions, self._scene.caster.first_hit(origins, directions))
                 reflected = self._colors.mirrored(rays)
-                at = crossings.ray[mirrored]
-                linear[at] += crossings.mirror_share[mirrored] * reflected.linear
-                unknown[at] |= reflected.unknown
-        return linear, unknown
-
-    def _tint(self, crossings: LensCrossings) -> FloatArray:
-        """Return (M, 3) what a painted tint adds."""
-        tint = np.asarray(crossings.lens.material.tint_linear)
-        if not crossings.tint_share.any() or not tint.any():
-            return np.zeros_like(crossings.tint_share)
-        normal = np.asarray(crossings.lens.optics.normal)
-        toward_viewer = -np.sign(crossings.direction @ normal)[:, None] * normal
-        return crossings.tint_share * self._colors.matte(crossings.position, toward_viewer, tint)
-
-    def _mirrored(self, crossings: LensCrossings, which: IntArray) -> SceneRays:
-        origins, directions = crossings.position[which], crossings.mirrored[which]
-        return SceneRays(origins, directions, self._scene.caster.first_hit(origins, directions))
+                yield AddedColors(near[crossings.ray[which]], crossings.mirror_share[which], reflected)

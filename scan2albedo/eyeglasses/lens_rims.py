@@ -102,7 +102,7 @@ def find_lens_rim(
     plane = _plane(xyz, middle, marks, normal)
     angles = np.linspace(-np.pi, np.pi, count, endpoint=False)
     lens_radius = None if marks is None else float(plane.profile(marks).radius.mean())
-    rims = without_panes(xyz, index, plane, lens_radius)
+    rims = without_panes(xyz, index, plane, marks)
     shot = shoot_rim(RayCaster(xyz, rims), plane, angles, lens_radius)
     measured = np.isfinite(shot.radius)
     gaps: Literal["none", "interpolated", "subdivided"] = "none"

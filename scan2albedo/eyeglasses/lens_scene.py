@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
+from scan2albedo.eyeglasses.light_kernels import seen_normals
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster, RayHits
 
@@ -73,7 +74,12 @@ class Surface:
         if self.texture_linear is not None:
             if self.uv is None:
                 raise ValueError("a texture needs uv")
-            fields["texture_linear"] = _checked("texture_linear", self.texture_linear, (None, None, 3))
+            # Pictures of floats stay in 32 bits: twice as much is a lot for a large one.
+            texture = np.asarray(self.texture_linear)
+            single = texture.dtype == np.float32
+            fields["texture_linear"] = _checked(
+                "texture_linear", texture, (None, None, 3), np.float32 if single else np.float64
+            )
             uv = np.asarray(self.uv, np.float64)
             shape = (len(xyz), 2) if uv.ndim == 2 else (len(index), 3, 2)
             fields["uv"] = _checked("uv", uv, shape)
@@ -108,6 +114,8 @@ class SeenPoints:
     """(N, 3) unit, smooth, on the side of the viewer."""
     toward_viewer: FloatArray
     """(N, 3) unit, back along the ray."""
+    distance: FloatArray
+    """(N,) mm along the ray."""
     surface: IntArray
     """(N,) number of the surface: 0 is the frame, then the others in their order."""
 
@@ -129,23 +137,21 @@ class LensScene:
         self.caster = RayCaster(self.vertices, self.faces)
 
     @cached_property
-    def _normals(self) -> tuple[FloatArray, FloatArray]:
-        return face_normals(self.vertices, self.faces), vertex_normals(self.vertices, self.faces)
+    def _normals(self) -> FloatArray:
+        return vertex_normals(self.vertices, self.faces)
 
     def points(self, origins: FloatArray, directions: FloatArray, hits: RayHits) -> SeenPoints:
         """Return what rays (N, 3) found that all hit."""
-        of_face, of_vertex = self._normals
-        flat = of_face[hits.face]
-        flat = flat * -np.sign(np.einsum("ni,ni->n", flat, directions))[:, None]
-        smooth = normalized(np.einsum("nk,nki->ni", hits.barycentric, of_vertex[self.faces[hits.face]]))
-        agreement = np.einsum("ni,ni->n", smooth, flat)
-        smooth = np.where((np.abs(agreement) > _SMOOTH)[:, None], smooth * np.sign(agreement)[:, None], flat)
+        normal = seen_normals(
+            directions, hits.face, hits.barycentric, self.vertices, self.faces, self._normals, _SMOOTH
+        )
         return SeenPoints(
             hits.face,
             hits.barycentric,
             origins + directions * hits.distance[:, None],
-            smooth,
+            normal,
             -directions,
+            hits.distance,
             self.surface_of_face[hits.face],
         )
 
@@ -172,8 +178,10 @@ def bilinear(image: FloatArray, pixels: FloatArray) -> FloatArray:
     return np.asarray((1 - down) * upper + down * lower)
 
 
-def _checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
-    array = np.asarray(values, np.float64)
+def _checked(
+    name: str, values: ArrayLike, shape: tuple[int | None, ...], dtype: type[np.floating] = np.float64
+) -> FloatArray:
+    array: FloatArray = np.asarray(values, dtype)
     fits = array.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, array.shape, strict=True)
     )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.environment_map import map_places, radiance_at
 from scan2albedo.geometry.mesh import normalized
 
 FloatArray = NDArray[np.float64]
@@ -100,16 +101,7 @@ def environment_radiance(environment_linear: ArrayLike, directions: ArrayLike) -
     image = np.asarray(environment_linear, np.float64)
     if image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"environment_linear must have shape (H, W, 3), got {image.shape}")
-    height, width = image.shape[:2]
-    x, y, z = normalized(np.asarray(directions, np.float64)).T
-    column = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * width - 0.5
-    row = np.clip(np.arccos(np.clip(y, -1, 1)) / np.pi * height - 0.5, 0, height - 1)
-    top, left = np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
-    down, across = (row - top)[:, None], (column - left)[:, None]
-    below, right = np.minimum(top + 1, height - 1), (left + 1) % width
-    upper = (1 - across) * image[top, left % width] + across * image[top, right]
-    lower = (1 - across) * image[below, left % width] + across * image[below, right]
-    return (1 - down) * upper + down * lower
+    return radiance_at(image, map_places(np.asarray(directions, np.float64)))
 
 
 def light_by_environment(images_linear: ArrayLike, weights: ArrayLike) -> FloatArray:

@@ -8,19 +8,75 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.eyeglasses.environment_lights import DistantLights
 from scan2albedo.eyeglasses.inserted_lenses import InsertedLens
-from scan2albedo.eyeglasses.lens_scene import LensScene, Surface
-from scan2albedo.eyeglasses.lens_shading import environment_radiance
-from scan2albedo.eyeglasses.light_kernel import add_light
-from scan2albedo.eyeglasses.scene_rays import SceneRays, SeenColors, StraightColors
-from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.eyeglasses.lens_scene import LensScene, SeenPoints
+from scan2albedo.eyeglasses.light_kernels import shade
+from scan2albedo.eyeglasses.light_paths import light_paths
+from scan2albedo.eyeglasses.scene_rays import Illumination, RayColors, SceneRays, Surroundings
+from scan2albedo.eyeglasses.shadow_stages import PointStage, all_at_once, pixel_stages
+from scan2albedo.geometry.blocks import blocks, each_block
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_MATTE = Surface(np.eye(3), np.array([[0, 1, 2]]))
-"""A finish for tints; its mesh is not used."""
+_MATTE = (0.0, 0.0, 1.0)
+"""Roughness, highlight and exponent of painted tints."""
+_BLOCK = 2**14
+
+
+@dataclass(frozen=True)
+class LitSamples:
+    """N rays, M of which meet a surface: all that their colours depend on but for the light."""
+
+    count: int
+    """N"""
+    ray: IntArray
+    """(M,)"""
+    normal: FloatArray
+    """(M, 3)"""
+    toward_viewer: FloatArray
+    """(M, 3)"""
+    albedo: FloatArray
+    """(M, 3)"""
+    surface: IntArray
+    """(M,) row in the scene's table of finishes."""
+    paths: NDArray[np.uint8]
+    """(M, K) as from `light_paths`."""
+    surroundings: Surroundings
+    scene: LitScene
+
+    @property
+    def unknown(self) -> NDArray[np.bool_]:
+        """(N,) nowhere is the colour a guess."""
+        return np.zeros(self.count, bool)
+
+    def colors(self, light: Illumination) -> RayColors:
+        """Return the colours in a light."""
+        bare, shaded = np.empty((2, len(self.ray), 3))
+
+        def work(part: slice) -> None:
+            shade(
+                self.normal[part],
+                self.toward_viewer[part],
+                self.albedo[part],
+                self.surface[part],
+                self.scene.finish,
+                self.paths[part],
+                self.scene.passed,
+                self.scene.toward,
+                light.irradiance_linear,
+                bare[part],
+                shaded[part],
+            )
+
+        each_block(work, blocks(len(self.ray), _BLOCK))
+        return RayColors(self._placed(bare, light), self._placed(shaded, light))
+
+    def _placed(self, of_hits: FloatArray, light: Illumination) -> FloatArray:
+        colors = np.zeros((self.count, 3))
+        colors[self.ray] = of_hits
+        self.surroundings.add(colors, light)
+        return colors
 
 
 class LitScene:
@@ -35,117 +91,101 @@ class LitScene:
     ----------
     scene : LensScene
     lenses : sequence of InsertedLens
-    lights : DistantLights
-    environment : (H, W, 3) float64, optional
-        Seen in mirrors; black otherwise.
-    background : (H, W, 3) float64, optional
-        Seen past all surfaces; black otherwise.
+    toward : (K, 3) float64
+        Unit directions to the lights.
+    background : bool
+        Whether the environment is seen past all surfaces, and not only in mirrors.
     offset_mm : float
         Of shadow rays.
+    every_pixel : bool
+        Whether each pixel shoots shadow rays of its own, and not only where its neighbours differ.
     """
 
     def __init__(
         self,
         scene: LensScene,
         lenses: Sequence[InsertedLens],
-        lights: DistantLights,
+        toward: FloatArray,
         *,
-        environment: FloatArray | None,
-        background: FloatArray | None,
+        background: bool,
         offset_mm: float,
+        every_pixel: bool,
     ) -> None:
-        self._scene, self._offset_mm = scene, offset_mm
+        self._scene, self._background = scene, background
+        self._offset_mm, self._every_pixel = offset_mm, every_pixel
         self._dimming = [lens for lens in lenses if not lens.material.clear]
-        self._toward = np.asarray(lights.directions)
-        self._irradiance = np.asarray(lights.irradiance_linear)
-        self._environment, self._background = environment, background
+        self.toward = np.ascontiguousarray(toward)
+        self.finish = np.array(
+            [[s.roughness_rad, s.specular, s.shininess] for s in scene.surfaces] + [_MATTE]
+        )
+        self.passed = _passed(self._dimming)
 
-    def straight(self, pixels: FloatArray, rays: SceneRays) -> StraightColors:
-        """Return colours of straight rays."""
-        return self._colors(rays, self._background)
+    def straight(self, pixels: FloatArray, rays: SceneRays) -> LitSamples:
+        """Look at straight rays through pixels (N, 2)."""
+        return self._samples(rays, self._background, pixels)
 
-    def seen(self, rays: SceneRays) -> SeenColors:
-        """Return colours of rays behind a lens; all are known."""
-        return SeenColors(self._colors(rays, self._background).shaded, np.zeros(len(rays.origins), bool))
+    def seen(self, rays: SceneRays) -> LitSamples:
+        """Look at rays behind a lens."""
+        return self._samples(rays, self._background)
 
-    def mirrored(self, rays: SceneRays) -> SeenColors:
-        """Return colours of mirrored rays; all are known."""
-        return SeenColors(self._colors(rays, self._environment).shaded, np.zeros(len(rays.origins), bool))
+    def mirrored(self, rays: SceneRays) -> LitSamples:
+        """Look at rays that a lens mirrors."""
+        return self._samples(rays, True)
 
-    def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> FloatArray:
-        """Return (N, 3) colours of a matte plate."""
-        plate = _Finish(position, normal, normal, np.broadcast_to(albedo, position.shape), _MATTE)
-        return self._radiance(plate, ()).bare
+    def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> LitSamples:
+        """Look at a matte plate."""
+        count = len(position)
+        paths = self._paths(position, normal, (), all_at_once(count))
+        finish = np.full(count, len(self.finish) - 1)
+        colors = np.tile(np.asarray(albedo, np.float64), (count, 1))
+        return LitSamples(
+            count, np.arange(count), normal, normal, colors, finish, paths, Surroundings.none(), self
+        )
 
-    def _colors(self, rays: SceneRays, away: FloatArray | None) -> StraightColors:
-        bare = np.zeros((len(rays.origins), 3))
-        hit = rays.hits.face >= 0
-        if away is not None:
-            bare[~hit] = environment_radiance(away, rays.directions[~hit])
-        shaded = bare.copy()
-        if not hit.any():
-            return StraightColors(bare, shaded)
+    def _samples(self, rays: SceneRays, around: bool, pixels: FloatArray | None = None) -> LitSamples:
+        hit = np.flatnonzero(rays.hits.face >= 0)
         on = rays.chosen(hit)
         points = self._scene.points(on.origins, on.directions, on.hits)
-        albedo = self._scene.albedo(points)
-        for number, surface in enumerate(self._scene.surfaces):
-            own = points.surface == number
-            finish = _Finish(
-                points.position[own], points.normal[own], points.toward_viewer[own], albedo[own], surface
-            )
-            colors, place = self._radiance(finish, self._dimming), np.flatnonzero(hit)[own]
-            bare[place], shaded[place] = colors.bare, colors.shaded
-        return StraightColors(bare, shaded)
+        stages = self._stages(points, None if pixels is None else pixels[hit])
+        paths = self._paths(points.position, points.normal, self._dimming, stages)
+        return LitSamples(
+            len(rays.origins),
+            hit,
+            points.normal,
+            points.toward_viewer,
+            self._scene.albedo(points),
+            points.surface,
+            paths,
+            Surroundings.of(rays) if around else Surroundings.none(),
+            self,
+        )
 
-    def _radiance(self, points: _Finish, dimming: Sequence[InsertedLens]) -> StraightColors:
-        """Return radiances (N, 3) without and with the shadows of lenses."""
-        surface = points.surface
-        map_ = ShadowMap(self._scene.caster, points.position, points.normal, self._offset_mm)
-        diffuse, highlight = np.zeros((2, len(points.position)))
-        bare, lost = np.zeros((2, len(points.position), 3))
-        for toward, irradiance in zip(self._toward, self._irradiance, strict=True):
-            visible = map_.visible(toward)
-            add_light(
-                points.normal,
-                points.toward_viewer,
-                points.albedo,
-                visible,
-                toward,
-                irradiance,
-                surface.roughness_rad,
-                surface.specular,
-                surface.shininess,
-                diffuse,
-                highlight,
-                bare,
-            )
-            if dimming:
-                lit = np.flatnonzero(visible)
-                behind, kept = _through_lenses(dimming, points.position[lit], toward)
-                at = lit[behind]
-                matte = points.albedo[at] / np.pi * diffuse[at, None]
-                lost[at] += irradiance * (1 - kept) * (matte + surface.specular * highlight[at, None])
-        return StraightColors(bare, bare - lost)
+    def _paths(
+        self,
+        position: FloatArray,
+        normal: FloatArray,
+        lenses: Sequence[InsertedLens],
+        stages: Sequence[PointStage],
+    ) -> NDArray[np.uint8]:
+        return light_paths(
+            self._scene.caster,
+            lenses,
+            position,
+            normal,
+            self.toward,
+            stages=stages,
+            offset_mm=self._offset_mm,
+        )
+
+    def _stages(self, points: SeenPoints, pixels: FloatArray | None) -> list[PointStage]:
+        if pixels is None or self._every_pixel:
+            return all_at_once(len(points.face))
+        return pixel_stages(pixels, points)
 
 
-@dataclass(frozen=True)
-class _Finish:
-    """Points of one surface: (N, 3) position, normal, direction to the viewer, albedo."""
-
-    position: FloatArray
-    normal: FloatArray
-    toward_viewer: FloatArray
-    albedo: FloatArray
-    surface: Surface
-
-
-def _through_lenses(
-    lenses: Sequence[InsertedLens], position: FloatArray, toward: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Return which points (M,) get a light through lenses, and the share (M, 3) that passes them."""
-    hidden = np.stack([lens.caster.occluded(position, toward) for lens in lenses])
-    behind = np.flatnonzero(hidden.any(0))
-    kept = np.ones((len(behind), 3))
-    for lens, hides in zip(lenses, hidden[:, behind], strict=True):
-        kept[hides] *= lens.material.transmission
-    return behind, kept
+def _passed(lenses: Sequence[InsertedLens]) -> FloatArray:
+    """Return (2^L, 3) shares of light for each set of lenses, numbered by the sum of 2^j."""
+    passed = np.ones((1, 3))
+    for lens in lenses:
+        passed = np.concatenate([passed, passed * lens.material.transmission])
+    return passed

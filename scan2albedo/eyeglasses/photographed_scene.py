@@ -11,8 +11,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from scan2albedo.eyeglasses.lens_scene import LensScene, SeenPoints
-from scan2albedo.eyeglasses.lens_shading import environment_radiance
-from scan2albedo.eyeglasses.scene_rays import SceneRays, SeenColors, StraightColors
+from scan2albedo.eyeglasses.scene_rays import KnownSamples, SceneRays, Surroundings
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 
 FloatArray = NDArray[np.float64]
@@ -54,8 +53,6 @@ class PhotographedScene:
         Linear.
     camera : (3, 4) float64
         Normalised.
-    environment : (H, W, 3) float64, optional
-        Seen in mirrors that miss all surfaces; black otherwise.
     nearest : bool
         Whether points that were not seen take the colour of the nearest one of their surface, or its albedo.
     fringe_px : int
@@ -70,25 +67,22 @@ class PhotographedScene:
         picture: FloatArray,
         camera: FloatArray,
         *,
-        environment: FloatArray | None,
         nearest: bool,
         fringe_px: int,
         region: tuple[slice, slice],
     ) -> None:
         self._scene, self._picture, self._camera = scene, picture, camera
         self._center = camera_centers(camera[None])[0]
-        self._environment, self._nearest = environment, nearest
-        self._fringe_px, self._region = fringe_px, region
+        self._nearest, self._fringe_px, self._region = nearest, fringe_px, region
         self._shown: dict[int, _ShownSurface] = {}
 
-    def straight(self, pixels: FloatArray, rays: SceneRays) -> StraightColors:
+    def straight(self, pixels: FloatArray, rays: SceneRays) -> KnownSamples:
         """Return the photograph's own pixels."""
         last = np.array(self._picture.shape[1::-1]) - 1
         column, row = np.clip(np.round(pixels).astype(np.int64), 0, last).T
-        colors = self._picture[row, column]
-        return StraightColors(colors, colors)
+        return _known(self._picture[row, column], np.zeros(len(pixels), bool))
 
-    def seen(self, rays: SceneRays) -> SeenColors:
+    def seen(self, rays: SceneRays) -> KnownSamples:
         """Return what the photograph shows at the ends of rays, and where it does not."""
         linear, unknown = np.zeros((len(rays.origins), 3)), np.zeros(len(rays.origins), bool)
         hit = rays.hits.face >= 0
@@ -98,21 +92,19 @@ class PhotographedScene:
             linear[hit], unknown[hit] = self._surface_colors(points)
         if not hit.all():
             linear[~hit], unknown[~hit] = self._background(rays.chosen(~hit))
-        return SeenColors(linear, unknown)
+        return _known(linear, unknown)
 
-    def mirrored(self, rays: SceneRays) -> SeenColors:
+    def mirrored(self, rays: SceneRays) -> KnownSamples:
         """Return what mirrors show: points of the photograph, or the environment."""
         hit = rays.hits.face >= 0
         linear, unknown = np.zeros((len(hit), 3)), np.zeros(len(hit), bool)
-        if self._environment is not None:
-            linear[~hit] = environment_radiance(self._environment, rays.directions[~hit])
         on_surface = self.seen(rays.chosen(hit))
         linear[hit], unknown[hit] = on_surface.linear, on_surface.unknown
-        return SeenColors(linear, unknown)
+        return KnownSamples(linear, unknown, Surroundings.of(rays))
 
-    def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> FloatArray:
+    def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> KnownSamples:
         """Return the tint as it is: its light is the photograph's."""
-        return np.broadcast_to(albedo, position.shape).copy()
+        return _known(np.broadcast_to(albedo, position.shape), np.zeros(len(position), bool))
 
     @cached_property
     def _labels(self) -> IntArray:
@@ -208,3 +200,7 @@ class PhotographedScene:
         colors, albedo = self._picture[rows[on], columns[on]], self._scene.albedo(points)
         brightness = np.median(colors, axis=0) / np.maximum(np.median(albedo, axis=0), _DARK)
         return _ShownSurface(cKDTree(points.position), colors, brightness)
+
+
+def _known(linear: FloatArray, unknown: BoolArray) -> KnownSamples:
+    return KnownSamples(linear, unknown, Surroundings.none())

@@ -12,11 +12,19 @@ from scan2albedo.eyeglasses import (
     distant_directions,
     environment_weights,
     insert_lenses,
+    lens_mesh,
     light_by_environment,
     refract,
 )
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    look_at,
+    normalized_cameras,
+    pixel_directions,
+    pixel_grid,
+    project,
+)
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 from scan2albedo.synthetic.face_chart import face_surface
 from scan2albedo.synthetic.identity import person
@@ -166,6 +174,79 @@ def test_a_picture_is_the_weighted_sum_of_one_for_each_light():
     np.testing.assert_allclose(together, light_by_environment(apart, weights), atol=1e-12)
 
 
+def test_another_light_is_as_good_as_a_new_picture():
+    materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, tinting="filter"))
+    options = {"surfaces": [wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)], "shape": (120, 160)}
+    options["camera"] = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
+    settings = {"light_count": 16}
+
+    def render(relightable=False, **light):
+        made = LensPictureOptions(relightable=relightable, **settings)
+        return insert(BENT, materials, options=made, **options, **light)
+
+    kept = render(relightable=True, environment_linear=room(1))
+    for name in ("image_linear", "without_lenses_linear"):
+        first = getattr(kept.under(room(1)), name)
+        np.testing.assert_array_equal(first, getattr(kept, name))
+        for other in (3 * room(2), waves(5, 64)[:32]):
+            anew = getattr(render(environment_linear=other), name)
+            np.testing.assert_allclose(getattr(kept.under(other), name), anew, atol=1e-9)
+            assert np.abs(anew - first).max() > 0.1
+    # One light alone, others dark, before a given environment or none.
+    toward, alone = distant_directions(16), np.eye(16)[3]
+    lights = DistantLights(toward, alone)
+    for around in (None, room(4)):
+        anew = render(lights=lights, environment_linear=around)
+        same = kept.under(around, irradiance_linear=alone)
+        np.testing.assert_allclose(same.image_linear, anew.image_linear, atol=1e-9)
+        assert same.notes == anew.notes
+    assert kept.relighting.traced is kept.under(room(4)).relighting.traced
+    with pytest.raises(EyeglassesError, match="relightable=True"):
+        render(environment_linear=room(1)).under(room(2))
+    with pytest.raises(ValueError, match="environment_linear, irradiance_linear or both"):
+        kept.under()
+    with pytest.raises(ValueError, match=r"must be \(16,\) or \(16, 3\)"):
+        kept.under(irradiance_linear=np.ones(3))
+    with pytest.raises(EyeglassesError, match="not finite"):
+        kept.under(room(2) * np.nan)
+
+
+def test_a_photograph_takes_other_mirror_images():
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    options = {"picture_linear": photograph, "surfaces": [wall(-30.0)]}
+    kept = insert(BENT, SUNGLASSES, options=LensPictureOptions(relightable=True), **options)
+    assert "no environment" in kept.notes[-1]
+    anew = insert(BENT, SUNGLASSES, environment_linear=room(6), **options)
+    again = kept.under(room(6))
+    np.testing.assert_allclose(again.image_linear, anew.image_linear, atol=1e-9)
+    assert again.notes == anew.notes
+    assert np.abs(again.image_linear - kept.image_linear).max() > 0.1
+
+
+def test_lights_that_are_dark_cost_nothing_and_change_nothing():
+    toward = distant_directions(12)
+    strength = np.zeros(12)
+    strength[[2, 5]] = 1.0, 2.0
+    options = {"surfaces": [wall(-30.0, waves())]}
+    all_, two = (
+        insert(BENT, SUNGLASSES, lights=DistantLights(toward[which], strength[which]), **options)
+        for which in (slice(None), [2, 5])
+    )
+    np.testing.assert_array_equal(all_.image_linear, two.image_linear)
+    none = insert(BENT, SUNGLASSES, lights=DistantLights(toward, 0 * strength), **options)
+    assert not none.image_linear.any()
+
+
+def test_shared_shadows_are_those_of_every_pixel_but_for_few():
+    options = {"surfaces": [wall(-30.0, waves())], "lights": DistantLights([[0.5, 0.6, 1]], [np.pi])}
+    shared, every = (
+        insert(BENT, SUNGLASSES, options=LensPictureOptions(shadows=s), **options)
+        for s in ("shared", "every pixel")
+    )
+    differs = (shared.image_linear != every.image_linear).any(2)
+    assert differs.mean() < 2e-3
+
+
 def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
     grey = np.full((4, 8, 3), 2.0)
     mirror = insert(BENT, LensMaterial(beta=1.0), environment_linear=grey)
@@ -303,6 +384,130 @@ def test_a_monocle_and_a_half_rimless_frame():
     picture = insert_lenses(half, BENT.keypoints, (lens, None), **options)
     assert "points of its rim come from its key points" in picture.notes[0]
     assert (picture.lens == 0).sum() > 5000
+
+
+def glazed(sides=(0, 1), thickness=2.0, gap=0.3):
+    """The frame with glass in its rims: two domed sheets a lens, a hair inside the outline."""
+    vertices, faces = [BENT.vertices], [BENT.faces]
+    for side in sides:
+        for lift in (0.0, -thickness):
+            outline, center = BENT.lens_outlines[side], BENT.lens_centers[side]
+            inward = (center - outline) / np.linalg.norm(center - outline, axis=1)[:, None]
+            sheet, fan = lens_mesh(center + [0, 0, 3 + lift], outline + gap * inward + [0, 0, lift])
+            faces.append(fan + sum(map(len, vertices)))
+            vertices.append(sheet)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def test_the_frames_own_glass_is_left_out_where_a_lens_goes():
+    options = {"surfaces": [wall(-30.0, waves())], "shape": SHAPE, "lights": FRONT}
+    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1000, shape=SHAPE)
+    material = LensMaterial(-4.0)
+    bare = insert(BENT, material, camera=camera, **options)
+    vertices, faces = glazed()
+    uv = np.random.default_rng(0).random((len(faces), 3, 2))
+    for finish in ({"albedo_linear": (0.1, 0.1, 0.1)}, {"uv": uv, "texture_linear": np.full((4, 4, 3), 0.1)}):
+        frame = Surface(vertices, faces, **finish)
+        both = insert_lenses(frame, BENT.keypoints, material, camera=camera, **options)
+        np.testing.assert_array_equal(both.lens, bare.lens)
+        # Rims are measured to 0.2 mm, whatever glass they hold.
+        np.testing.assert_allclose(both.image_linear, bare.image_linear, atol=1e-9)
+        assert [note for note in both.notes if "own glass there, 144 faces, is left out" in note] == list(
+            both.notes
+        )
+        assert len(both.notes) == 2
+    # Where no lens goes, the glass stays.
+    left = insert_lenses(frame, BENT.keypoints, (material, None), camera=camera, **options)
+    assert len(left.notes) == 1
+    right = bare.lens == 1
+    assert (np.abs(left.image_linear - bare.image_linear).max(2) > 1e-3)[right].mean() > 0.5
+
+
+def test_glass_of_one_piece_with_the_rim_is_told():
+    vertices, faces = glazed((0,))
+    first, rim = len(BENT.vertices), BENT.keypoint_vertices[3]
+    # One face joins each sheet to the rim.
+    joined = np.concatenate([faces, [[rim, first, first + 1], [rim, first + 73, first + 74]]])
+    frame = Surface(vertices, joined)
+    options = {"surfaces": [], "camera": before(BENT), "shape": (60, 80), "lights": FRONT}
+    picture = insert_lenses(frame, BENT.keypoints, (LensMaterial(), None), **options)
+    assert any("the left lens: the frame covers it" in note for note in picture.notes)
+
+
+def conjugate_directions(origin, points, lens):
+    """Rays from points of a lens toward the image of the origin, by 1/u + 1/v = 1/f."""
+    axis, center = np.asarray(lens.normal), np.asarray(lens.center)
+    u = (origin - center) @ axis
+    v = 1 / (lens.dioptres / 1000 - 1 / u)
+    image = center - (origin - center) * v / u
+    return np.sign(v) * (image - points)
+
+
+@pytest.mark.parametrize("dioptres", [-8.0, -4, -0.25, 0.25, 2, 8])
+@pytest.mark.parametrize("position", [[25.0, 10, 600], [-120, 60, 420]])
+def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres, position):
+    # The wall's colour tells where a ray ends.
+    half, z = 2000.0, -30.0
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    colors = np.column_stack([corners / (2 * half) + 0.5, np.ones(4)])
+    screen = Surface(np.column_stack([corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], colors)
+    shape = (48, 64)
+    camera = look_at(position, FLAT.lens_centers[0], focal_px=700, shape=shape)
+    picture = insert(
+        FLAT,
+        LensMaterial(dioptres),
+        surfaces=[screen],
+        camera=camera,
+        shape=shape,
+        # From so high that the frame's shadow falls out of sight.
+        lights=DistantLights([[0, 9, 1]], [1.0]),
+        options=LensPictureOptions(supersampling=1),
+    )
+    lens = picture.lenses[0].optics
+    seen = picture.image_linear[picture.lens == 0]
+    # The frame is seen through the lens too.
+    wall_ = np.isclose(seen[:, 2], np.median(seen[:, 2]), rtol=1e-9)
+    seen = seen[wall_]
+    ends = np.column_stack([(seen[:, :2] / seen[:, 2:] - 0.5) * 2 * half, np.full(len(seen), z)])
+    matrix = normalized_cameras(camera[None])
+    origin, pixels = camera_centers(matrix)[0], pixel_grid(shape)[(picture.lens == 0).ravel()][wall_]
+    straight = pixel_directions(matrix[0], pixels)
+    normal = np.asarray(lens.normal)
+    along = ((np.asarray(lens.center) - origin) @ normal) / (straight @ normal)
+    points = origin + along[:, None] * straight
+    expected = conjugate_directions(origin, points, lens)
+    got = ends - points
+    got, expected = (v / np.linalg.norm(v, axis=1)[:, None] for v in (got, expected))
+    angle = np.rad2deg(2 * np.arcsin(np.linalg.norm(got - expected, axis=1) / 2))
+    assert len(angle) > 400
+    assert angle.max() <= 1e-5
+
+
+def test_no_number_is_lost_within_20_dioptres_end_to_end():
+    shape, surfaces = (30, 40), [wall(-80.0, waves(), half=50)]
+    photograph = np.random.default_rng(0).random((*shape, 3))
+    # Powers that put the camera into the lens's focus are among them: 1000 / distance.
+    for dioptres in (-20.0, -1e-12, 1000 / 600, 20.0):
+        material = LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True)
+        for camera in (
+            before(BENT, distance=600.0, focal_px=180, shape=shape),
+            before(BENT, distance=50.0, focal_px=40, shape=shape),
+            look_at([20, 10, -70], [30, 0, 0], focal_px=30, shape=shape),
+        ):
+            drawn = insert(
+                BENT,
+                material,
+                surfaces=surfaces,
+                camera=camera,
+                shape=shape,
+                environment_linear=room(),
+                options=LensPictureOptions(light_count=3),
+            )
+            taken = insert(BENT, material, surfaces=surfaces, camera=camera, picture_linear=photograph)
+            for picture in (drawn, taken):
+                assert (picture.lens >= 0).any()
+                assert np.isfinite(picture.image_linear).all()
+                assert picture.image_linear.min() >= -1e-12
 
 
 @pytest.mark.parametrize("dioptres", [-20.0, 20.0])
@@ -465,7 +670,14 @@ def test_what_is_not_clear_is_refused():
         attempt(picture_linear=photograph, camera=np.zeros((3, 3)))
     dark = attempt(picture_linear=photograph, lenses=LensMaterial(beta=0.1))
     assert "no environment" in dark.notes[-1]
-    wrong = {"supersampling": 0, "light_count": 0, "fringe_px": -1, "hidden": "?", "background": "?"}
+    wrong = {
+        "supersampling": 0,
+        "light_count": 0,
+        "fringe_px": -1,
+        "hidden": "?",
+        "background": "?",
+        "shadows": "?",
+    }
     for name, value in wrong.items():
         with pytest.raises(ValueError, match=name):
             LensPictureOptions(**{name: value})

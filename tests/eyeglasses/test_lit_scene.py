@@ -1,14 +1,16 @@
 """Surfaces under distant lights: closed forms, shadows where the geometry says, colours of meshes."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.environment_lights import DistantLights
 from scan2albedo.eyeglasses.lens_scene import LensScene, Surface, bilinear
-from scan2albedo.eyeglasses.light_kernel import add_light
+from scan2albedo.eyeglasses.light_kernels import AWAY, shade
 from scan2albedo.eyeglasses.lit_scene import LitScene
-from scan2albedo.eyeglasses.scene_rays import SceneRays
+from scan2albedo.eyeglasses.scene_rays import Illumination, SceneRays
 from scan2albedo.lighting.brdf import oren_nayar, phong
 
 
@@ -24,9 +26,27 @@ def look_down(scene, xy, z=100.0):
     return SceneRays(origins, directions, scene.caster.first_hit(origins, directions))
 
 
-def lit(scene, lights, **options):
-    settings = {"environment": None, "background": None, "offset_mm": 0.1, **options}
-    return LitScene(scene, (), lights, **settings)
+@dataclass(frozen=True)
+class Lit:
+    """A scene in a light: colours of rays at once."""
+
+    scene: LitScene
+    light: Illumination
+
+    def bare(self, rays):
+        return self.scene.straight(np.zeros((len(rays.origins), 2)), rays).colors(self.light).bare
+
+    def seen(self, rays):
+        return self.scene.seen(rays).colors(self.light).shaded
+
+    def mirrored(self, rays):
+        return self.scene.mirrored(rays).colors(self.light).shaded
+
+
+def lit(scene, lights, *, environment=None, background=False):
+    toward = np.asarray(lights.directions)
+    drawn = LitScene(scene, (), toward, background=background, offset_mm=0.1, every_pixel=True)
+    return Lit(drawn, Illumination(np.asarray(lights.irradiance_linear), environment))
 
 
 def test_the_kernel_does_what_the_reference_says():
@@ -34,18 +54,26 @@ def test_the_kernel_does_what_the_reference_says():
     normal, viewer = rng.normal(size=(2, 500, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     viewer /= np.linalg.norm(viewer, axis=1)[:, None]
-    toward = np.array([0.48, 0.6, 0.64])
-    albedo, visible = rng.random((500, 3)), rng.integers(0, 2, 500).astype(np.uint8)
-    n_l, n_v, l_v = normal @ toward, (normal * viewer).sum(1), viewer @ toward
-    for sigma, specular, exponent in ((0.0, 0.0, 5.0), (0.4, 0.3, 20.0), (0.0, 1.0, 1.0)):
-        f_d, f_s, radiance = np.zeros(500), np.zeros(500), np.ones((500, 3))
-        light = np.array([1.0, 2, 3])
-        add_light(
-            normal, viewer, albedo, visible, toward, light, sigma, specular, exponent, f_d, f_s, radiance
-        )
-        matte = albedo / np.pi * oren_nayar(n_l, n_v, l_v, sigma)[:, None]
-        glossy = specular * phong(n_l, n_v, l_v, exponent)[:, None]
-        np.testing.assert_allclose(radiance, 1 + visible[:, None] * light * (matte + glossy), rtol=1e-12)
+    toward = np.array([[0.48, 0.6, 0.64], [0, -1, 0]])
+    light = np.array([[1.0, 2, 3], [0.5, 0.1, 0]])
+    albedo, surface = rng.random((500, 3)), rng.integers(0, 3, 500)
+    finish = np.array([[0.0, 0.0, 5.0], [0.4, 0.3, 20.0], [0.0, 1.0, 1.0]])
+    passed = np.array([[1.0, 1, 1], [0.5, 0.2, 0]])
+    paths = rng.integers(0, 3, (500, 2)).astype(np.uint8)
+    expected_bare, expected = np.zeros((2, 500, 3))
+    for k in range(2):
+        n_l, n_v, l_v = normal @ toward[k], (normal * viewer).sum(1), viewer @ toward[k]
+        paths[n_l <= 0, k] = AWAY
+        for number, (sigma, specular, exponent) in enumerate(finish):
+            own = (surface == number) & (paths[:, k] > 0) & (n_l > 0)
+            matte = albedo[own] / np.pi * oren_nayar(n_l, n_v, l_v, sigma)[own, None]
+            glossy = specular * phong(n_l, n_v, l_v, exponent)[own, None]
+            expected_bare[own] += light[k] * (matte + glossy)
+            expected[own] += light[k] * passed[paths[own, k] - 1] * (matte + glossy)
+    bare, shaded = np.ones((2, 500, 3))
+    shade(normal, viewer, albedo, surface, finish, paths, passed, toward, light, bare, shaded)
+    np.testing.assert_allclose(bare, expected_bare, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(shaded, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
@@ -55,9 +83,9 @@ def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
     for faces in ([[0, 1, 2], [0, 2, 3]], [[0, 2, 1], [0, 2, 3]]):
         plate = Surface(square(10, 0).vertices, faces, albedo_linear=[0.5, 0.5, 1])
         scene = LensScene(plate, ())
-        seen = lit(scene, lights).seen(look_down(scene, xy)).linear
+        seen = lit(scene, lights).seen(look_down(scene, xy))
         np.testing.assert_allclose(seen, np.tile([0.4 / np.pi, 0.8 / np.pi, 2.4 / np.pi], (2, 1)), rtol=1e-12)
-    behind = lit(scene, DistantLights(-toward, [1.0])).seen(look_down(scene, xy)).linear
+    behind = lit(scene, DistantLights(-toward, [1.0])).seen(look_down(scene, xy))
     assert not behind.any()
 
 
@@ -70,23 +98,25 @@ def test_shadows_fall_where_the_geometry_says():
     at = xy + 30 * toward[:2] / toward[2]
     from_edge = 10 - np.abs(at).max(1)
     below = look_down(scene, xy, z=20.0)
-    dark = colors.straight(xy, below).bare[:, 0] == 0
+    dark = colors.bare(below)[:, 0] == 0
     clear = np.abs(from_edge) > 0.2
     assert (dark == (from_edge > 0))[clear].all()
     assert dark.sum() > 50
-    np.testing.assert_allclose(colors.straight(xy, below).bare[~dark], 0.5 * 0.8, rtol=1e-12)
+    np.testing.assert_allclose(colors.bare(below)[~dark], 0.5 * 0.8, rtol=1e-12)
 
 
 def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
     scene = LensScene(square(10, 0), ())
-    sky, room = np.full((4, 8, 3), 2.0), np.full((4, 8, 3), 5.0)
+    room = np.full((4, 8, 3), 5.0)
     lights = DistantLights([[0, 0, 1]], [1.0])
     past = look_down(scene, np.array([[50.0, 0]]))
-    colors = lit(scene, lights, environment=room, background=sky)
-    assert colors.straight(np.zeros((1, 2)), past).bare.tolist() == [[2, 2, 2]]
-    assert colors.seen(past).linear.tolist() == [[2, 2, 2]]
-    assert colors.mirrored(past).linear.tolist() == [[5, 5, 5]]
-    assert not lit(scene, lights).mirrored(past).linear.any()
+    seen = lit(scene, lights, environment=room, background=True)
+    assert seen.bare(past).tolist() == seen.seen(past).tolist() == seen.mirrored(past).tolist() == [[5] * 3]
+    black = lit(scene, lights, environment=room)
+    assert not black.bare(past).any()
+    assert not black.seen(past).any()
+    assert black.mirrored(past).tolist() == [[5, 5, 5]]
+    assert not lit(scene, lights, background=True).mirrored(past).any()
 
 
 def test_colours_come_from_vertices_or_textures():

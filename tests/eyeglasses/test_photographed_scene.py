@@ -36,7 +36,7 @@ def photograph():
 
 def scene_of(nearest=True, fringe_px=1):
     scene = LensScene(frame(), [two_sheets()])
-    options = {"environment": None, "nearest": nearest, "fringe_px": fringe_px, "region": WHOLE}
+    options = {"nearest": nearest, "fringe_px": fringe_px, "region": WHOLE}
     return scene, PhotographedScene(scene, photograph(), CAMERA, **options)
 
 
@@ -94,7 +94,7 @@ def test_points_outside_the_picture_or_behind_the_camera_are_unknown():
     big = Surface(sheet((-900, 900), (-900, 900), -30.0), [[0, 1, 2], [0, 2, 3]])
     back = Surface(sheet((-900, 900), (-900, 900), 900.0), [[0, 1, 2], [0, 2, 3]], (0.3, 0.3, 0.3))
     scene = LensScene(frame(), [big, back])
-    options = {"environment": None, "fringe_px": 1, "region": WHOLE}
+    options = {"fringe_px": 1, "region": WHOLE}
     photographed = PhotographedScene(scene, photograph(), CAMERA, nearest=True, **options)
     rays = toward(scene, np.array([[500.0, 0, -30], [0, 0, 900], [10, 0, -30]]))
     seen = photographed.seen(rays)
