@@ -201,13 +201,13 @@ def demo(
     seed: Annotated[int, typer.Option(help="Of the person, the frame and the noise.", min=0)] = 0,
     json_summary: JsonOption = False,
 ) -> None:
-    """Register a synthetic person's frame on their fitted face and print the error against the truth."""
+    """Register a synthetic person's frame on their fitted face, print the error, put lenses in."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.glasses_demo import run_glasses_demo
     from scan2albedo.progress import ProgressLines
 
     with ProgressLines("demo") as progress:
-        report = run_glasses_demo(out, seed=seed, on_progress=progress.update)
+        report = run_glasses_demo(out, seed=seed, on_progress=progress.update, say=progress.say)
         progress.say(f"{report.placed.summary()}; files in {out}")
     if json_summary:
         echo_json(report.figures())

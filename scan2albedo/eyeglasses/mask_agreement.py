@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.frame_motion import FrameMotion
-from scan2albedo.eyeglasses.outline_samples import OutlineSampler, hidden_by
+from scan2albedo.eyeglasses.outline_samples import OutlineSampler
 from scan2albedo.eyeglasses.registration_terms import ObservedView
 from scan2albedo.geometry.pinhole import project
 
@@ -53,12 +53,12 @@ def compare_masks(
         if here is own:
             owner = sampler.mesh.faces[face[rows, columns], 0]
         else:
+            # Vertices that the head should hide too: the mask may be what shows that it does not.
             pixels, depth = project(view.camera, vertices)
-            seen = np.flatnonzero((depth > 0) & ~hidden_by(sampler.head, view.camera, vertices))
-            if not len(seen):
+            front = np.flatnonzero(depth > 0)
+            if not len(front):
                 continue
-            nearest = cKDTree(pixels[seen]).query(np.stack([columns, rows], 1))[1]
-            owner = seen[nearest]
+            owner = front[cKDTree(pixels[front]).query(np.stack([columns, rows], 1))[1]]
         differing += weights[owner].sum(0)
     return MaskAgreement(float((own & mask).sum() / max(union.sum(), 1)), differing)
 
