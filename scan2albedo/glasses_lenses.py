@@ -20,8 +20,8 @@ from scan2albedo.eyeglasses import (
     Surface,
     insert_lenses,
 )
-from scan2albedo.eyeglasses.frame_glass import without_glass
-from scan2albedo.eyeglasses.soft_environment import soft_environment
+from scan2albedo.eyeglasses.lenses.frame_glass import without_glass
+from scan2albedo.eyeglasses.lenses.soft_environment import soft_environment
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 
 FloatArray = NDArray[np.float64]

@@ -20,7 +20,7 @@ from scan2albedo.eyeglasses import (
     write_cameras,
     write_keypoints,
 )
-from scan2albedo.eyeglasses.soft_environment import soft_environment
+from scan2albedo.eyeglasses.lenses.soft_environment import soft_environment
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.glasses_lens_input import material_pair, read_lens_input, surface_of

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from scan2albedo.eyeglasses.camera_files import CamerasFile
-from scan2albedo.eyeglasses.keypoint_files import KeyPointsFile
-from scan2albedo.eyeglasses.label_files import LabelsFile
-from scan2albedo.eyeglasses.start_files import StartFile
+from scan2albedo.eyeglasses.files.camera_files import CamerasFile
+from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile
+from scan2albedo.eyeglasses.files.label_files import LabelsFile
+from scan2albedo.eyeglasses.files.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
 from scan2albedo.io.lens_json import LensesRecord
