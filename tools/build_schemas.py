@@ -19,6 +19,7 @@ from scan2albedo.eyeglasses.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
+from scan2albedo.recognition.template_files import TemplatesHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
@@ -33,6 +34,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "eyeglasses_labels": LabelsFile,
     "eyeglasses_start": StartFile,
     "registered_eyeglasses": RegisteredFrameRecord,
+    "template_set": TemplatesHeader,
 }
 
 
