@@ -56,7 +56,7 @@ def steerable_pyramid(image: FloatArray, *, scales: int = 3, orientations: int =
     References
     ----------
     Simoncelli, Freeman, "The steerable pyramid: a flexible architecture for multi-scale derivative
-    computation", ICIP 1995; Portilla, Simoncelli, IJCV 40, 2000, section 2.1 (complex).
+    computation", ICIP 1995; Portilla, Simoncelli, IJCV 40, 2000 (complex).
     """
     image = np.asarray(image, np.float64)
     if image.ndim != 2 or min(image.shape) < 2 ** (scales + 2) or any(n % 2**scales for n in image.shape):

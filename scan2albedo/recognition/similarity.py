@@ -54,9 +54,9 @@ def cw_ssim(
 
     References
     ----------
-    Wang, Simoncelli, "Translation insensitive image similarity in complex wavelet domain", ICASSP 2005,
-    eq. (5); Sampat, Wang, Gupta, Bovik, Markey, "Complex wavelet structural similarity: a new image
-    similarity index", IEEE TIP 18(11), 2009, eq. (9).
+    Wang, Simoncelli, "Translation insensitive image similarity in complex wavelet domain", ICASSP 2005;
+    Sampat, Wang, Gupta, Bovik, Markey, "Complex wavelet structural similarity: a new image
+    similarity index", IEEE TIP 18(11), 2009.
 
     Examples
     --------

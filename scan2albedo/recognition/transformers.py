@@ -66,7 +66,7 @@ class TemplateTransformer(_Parameters):
         size: int | None = 128,
         scales: int = 3,
         orientations: int = 10,
-        channel: Channel = "value",
+        channel: Channel = "luminance",
         unit_mean: bool = True,
         mask: NDArray[np.bool_] | None = None,
     ) -> None:

@@ -21,22 +21,20 @@ def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figur
     Raises
     ------
     ValueError
-        When there is no curve.
+        When there is no curve, or their confidences differ.
     """
-    from matplotlib.ticker import MaxNLocator
-
     figure, axis = _figure(curves)
     for name, curve in curves.items():
         shown = curve.rank <= most_ranks
-        label = f"{name}: rank 1 {curve.rate[0]:.1%} ({curve.low[0]:.1%} to {curve.high[0]:.1%})"
+        first = f"{curve.rate[0]:.1%} ({curve.low[0]:.1%} to {curve.high[0]:.1%})"
+        label = f"{name}, {curve.probes} probes: rank 1 {first}"
         _draw(
             axis, curve.rank[shown], curve.rate[shown], curve.low[shown], curve.high[shown], label, marker="o"
         )
     last = max(min(int(curve.rank[-1]), most_ranks) for curve in curves.values())
     axis.set_xlim(0.8, last + 0.2)
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    first = next(iter(curves.values()))
-    axis.set_title(f"CMC, {first.probes} probes, {first.confidence:.0%} intervals", fontsize=11)
+    axis.set_xticks(sorted({1, *range(max(1, last // 4), last + 1, max(1, last // 4))}))
+    axis.set_title(f"CMC, {_confidence(curves)} intervals", fontsize=11)
     axis.set_xlabel("rank")
     axis.set_ylabel("share of probes with the right person among the first")
     axis.legend(loc="lower right", fontsize=9)
@@ -49,22 +47,29 @@ def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
     Raises
     ------
     ValueError
-        When there is no curve.
+        When there is no curve, or their confidences differ.
     """
     figure, axis = _figure(curves)
     for name, curve in curves.items():
         shown = curve.false_accept_rate > 0
         least, most = curve.equal_error_interval
-        label = f"{name}: equal error {curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
+        equal = f"{curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
+        label = f"{name}, {curve.genuine} genuine claims: equal error {equal}"
         rate, low, high = curve.true_accept_rate[shown], curve.low[shown], curve.high[shown]
         _draw(axis, curve.false_accept_rate[shown], rate, low, high, label)
     axis.set_xscale("log")
-    first = next(iter(curves.values()))
-    axis.set_title(f"ROC, {first.genuine} genuine claims, {first.confidence:.0%} intervals", fontsize=11)
+    axis.set_title(f"ROC, {_confidence(curves)} intervals", fontsize=11)
     axis.set_xlabel("false accept rate")
     axis.set_ylabel("true accept rate")
     axis.legend(loc="lower right", fontsize=9)
     return figure
+
+
+def _confidence(curves: Mapping[str, CmcCurve] | Mapping[str, RocCurve]) -> str:
+    found = {curve.confidence for curve in curves.values()}
+    if len(found) > 1:
+        raise ValueError(f"the curves' intervals have confidences {sorted(found)}, expected one")
+    return f"{found.pop():.0%}"
 
 
 def _figure(curves: Mapping[str, object]) -> tuple[Figure, Axes]:

@@ -11,7 +11,7 @@ from scan2albedo.recognition import TemplateOptions, albedo_templates, read_temp
 
 @pytest.fixture
 def templates(albedo, face_like_mask):
-    options = TemplateOptions(channel="luminance", orientations=4)
+    options = TemplateOptions(channel="value", orientations=4)
     return albedo_templates(
         [albedo(0), albedo(1)], ["Ann Ö", "bob"], masks=[face_like_mask, None], options=options
     )
