@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan2albedo import eyeglasses, synthetic
+    from scan2albedo import eyeglasses, recognition, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
@@ -53,7 +53,7 @@ _HOMES = {
     "read_geometry_image": "io",
     "register": "registration",
 }
-_SUBPACKAGES = ("eyeglasses", "synthetic")
+_SUBPACKAGES = ("eyeglasses", "recognition", "synthetic")
 
 __all__ = [
     "AlbedoEstimate",
@@ -78,6 +78,7 @@ __all__ = [
     "load_scan",
     "process",
     "read_geometry_image",
+    "recognition",
     "register",
     "synthetic",
 ]

@@ -22,6 +22,7 @@ _IMPORT_NAMES = {
     "opencv-python-headless": "cv2",
     "OpenEXR": "OpenEXR",
     "pydantic": "pydantic",
+    "pyrtools": "pyrtools",
     "rich": "rich",
     "scipy": "scipy",
     "threadpoolctl": "threadpoolctl",

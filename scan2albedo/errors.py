@@ -33,6 +33,10 @@ class EyeglassesError(Scan2AlbedoError):
     """Eyeglasses cannot be weighted, deformed or registered."""
 
 
+class RecognitionError(Scan2AlbedoError):
+    """Images or templates cannot be compared, or persons not identified."""
+
+
 class OutputError(Scan2AlbedoError):
     """Results cannot be written."""
 

@@ -10,9 +10,9 @@ import pytest
 import scan2albedo
 
 PACKAGE = Path(scan2albedo.__file__).parent
-STAGES = ("registration", "fitting", "sampling", "albedo", "eyeglasses")
+STAGES = ("registration", "fitting", "sampling", "albedo", "eyeglasses", "recognition")
 GROUND = ("errors", "optimization", "geometry", "io", "face_model", "lighting")
-HEAVY = ("open3d", "igl", "embreex", "matplotlib", "cv2", "trimesh", "numba", "xatlas", "scipy")
+HEAVY = ("open3d", "igl", "embreex", "matplotlib", "cv2", "trimesh", "numba", "xatlas", "scipy", "pyrtools")
 
 
 def imported_modules(path: Path) -> set[str]:

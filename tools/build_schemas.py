@@ -20,6 +20,7 @@ from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
 from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
+from scan2albedo.recognition.template_files import TemplatesHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
@@ -35,6 +36,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "eyeglasses_start": StartFile,
     "registered_eyeglasses": RegisteredFrameRecord,
     "eyeglasses_lenses": LensesRecord,
+    "template_set": TemplatesHeader,
 }
 
 

@@ -1,0 +1,34 @@
+"""Recognition of persons by their albedo: templates, similarity, identification and its curves."""
+
+from scan2albedo.recognition.all_pairs import similarity_matrix
+from scan2albedo.recognition.cumulative_match import CmcCurve, cmc_curve
+from scan2albedo.recognition.identification import Identification, identify, identify_by_similarity
+from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.pyramid import SteerablePyramid, steerable_pyramid
+from scan2albedo.recognition.receiver_operating import RocCurve, roc_curve
+from scan2albedo.recognition.similarity import cw_ssim
+from scan2albedo.recognition.template_files import read_templates, write_templates
+from scan2albedo.recognition.templates import Templates, albedo_templates
+from scan2albedo.recognition.transformers import DistanceTransformer, TemplateTransformer
+
+__all__ = [
+    "CmcCurve",
+    "DistanceTransformer",
+    "Identification",
+    "RocCurve",
+    "SimilarityOptions",
+    "SteerablePyramid",
+    "TemplateOptions",
+    "TemplateTransformer",
+    "Templates",
+    "albedo_templates",
+    "cmc_curve",
+    "cw_ssim",
+    "identify",
+    "identify_by_similarity",
+    "read_templates",
+    "roc_curve",
+    "similarity_matrix",
+    "steerable_pyramid",
+    "write_templates",
+]

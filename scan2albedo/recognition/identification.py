@@ -1,0 +1,186 @@
+"""Closed-set identification: who of a gallery is on each probe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.all_pairs import similarity_matrix
+from scan2albedo.recognition.options import SimilarityOptions
+from scan2albedo.recognition.templates import Templates
+
+FloatArray = NDArray[np.float64]
+Combine = Literal["best", "mean"]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Who the probes were taken for.
+
+    Parameters
+    ----------
+    persons : tuple of G str
+        Of the gallery, in alphabetical order.
+    probe_names : tuple of P str
+        Who the probes show.
+    similarities : (P, G) float64
+        Of each probe to each person.
+    ranks : (P,) int64
+        Place of the right person, 1 for the most similar; persons as similar as the right one count before.
+    predicted : tuple of P str
+        The most similar person, the first in the alphabet of several.
+    tied : (P,) bool
+        Whether several persons are the most similar, or as similar as the right one.
+    combine : {"best", "mean"}
+        What is taken of a person's several gallery images.
+    """
+
+    persons: tuple[str, ...]
+    probe_names: tuple[str, ...]
+    similarities: FloatArray
+    ranks: NDArray[np.int64]
+    predicted: tuple[str, ...]
+    tied: NDArray[np.bool_]
+    combine: Combine
+
+    def rate(self, rank: int = 1) -> float:
+        """Return the share of probes whose person is among the first `rank`."""
+        return float((self.ranks <= rank).mean())
+
+    @property
+    def genuine(self) -> NDArray[np.bool_]:
+        """(P, G): whether the probe shows the person."""
+        return np.array(self.probe_names)[:, None] == np.array(self.persons)[None]
+
+
+def identify(
+    gallery: Templates,
+    probes: Templates,
+    *,
+    combine: Combine = "best",
+    similarity: SimilarityOptions = SimilarityOptions(),
+) -> Identification:
+    """Identify the person of every probe among the persons of a gallery.
+
+    Parameters
+    ----------
+    gallery : Templates
+        Of the persons known, one or more each.
+    probes : Templates
+        Their names are not used to predict, but to tell whether that was right.
+    combine : {"best", "mean"}
+        A person's similarity is the best of, or the mean over, the images in the gallery.
+    similarity : SimilarityOptions
+
+    Raises
+    ------
+    ValueError
+        When `combine` is something else.
+    RecognitionError
+        When a set is empty, a probe's person is not in the gallery, or templates cannot be compared.
+
+    References
+    ----------
+    Toderici, Passalis, Theoharis, Kakadiaris, "An automated method for human face modeling and relighting
+    with application to face recognition": closed set, CW-SSIM of the coarsest of three scales.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scan2albedo.recognition import albedo_templates, identify
+    >>> random = np.random.default_rng(0)
+    >>> albedos = random.random((3, 128, 128))
+    >>> gallery = albedo_templates(albedos, ["ann", "bob", "cy"])
+    >>> probes = albedo_templates(albedos[1:] + 0.2 * random.random((2, 128, 128)), ["bob", "cy"])
+    >>> identify(gallery, probes).predicted
+    ('bob', 'cy')
+    """
+    _check_closed(gallery.names, probes.names)
+    scores = similarity_matrix(probes, gallery, options=similarity)
+    return identify_by_similarity(scores, gallery.names, probes.names, combine=combine)
+
+
+def identify_by_similarity(
+    similarities: FloatArray,
+    gallery_names: Sequence[str],
+    probe_names: Sequence[str],
+    *,
+    combine: Combine = "best",
+) -> Identification:
+    """Identify, as `identify`, by similarities (probes, gallery images) of any kind; larger is more alike.
+
+    Raises
+    ------
+    ValueError
+        When the shape does not fit the names or `combine` is unknown.
+    RecognitionError
+        When a set is empty, a probe's person is not in the gallery, or a similarity is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], ["ann", "bob"])
+    >>> found.ranks.tolist(), found.rate(1)
+    ([1, 2], 0.5)
+    """
+    scores = np.asarray(similarities, np.float64)
+    _check_closed(gallery_names, probe_names)
+    if scores.shape != (len(probe_names), len(gallery_names)):
+        raise ValueError(
+            f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
+            "probes by gallery images"
+        )
+    if not np.isfinite(scores).all():
+        i, j = np.argwhere(~np.isfinite(scores))[0]
+        raise RecognitionError(
+            f"the similarity of probe {i} ({probe_names[i]}) and gallery image {j} ({gallery_names[j]}) is "
+            f"{scores[i, j]}; leave one of them out"
+        )
+    persons = tuple(sorted(set(gallery_names)))
+    scores = _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
+    right = np.searchsorted(persons, probe_names)
+    own = scores[np.arange(len(scores)), right]
+    best = scores.max(axis=1, keepdims=True)
+    tied = ((scores == best).sum(axis=1) > 1) | ((scores == own[:, None]).sum(axis=1) > 1)
+    return Identification(
+        persons,
+        tuple(probe_names),
+        scores,
+        (scores >= own[:, None]).sum(axis=1),
+        tuple(persons[k] for k in scores.argmax(axis=1)),
+        tied,
+        combine,
+    )
+
+
+def _by_person(scores: FloatArray, person: NDArray[np.int64], count: int, combine: Combine) -> FloatArray:
+    """Return (P, count) of scores (P, images), images of `person` (images,) taken together."""
+    if combine == "best":
+        result = np.full((count, len(scores)), -np.inf)
+        np.maximum.at(result, person, scores.T)
+        return result.T
+    if combine == "mean":
+        result = np.zeros((count, len(scores)))
+        np.add.at(result, person, scores.T)
+        return (result / np.bincount(person, minlength=count)[:, None]).T
+    raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
+
+
+def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str]) -> None:
+    if len(gallery_names) == 0:
+        raise RecognitionError("the gallery is empty; give one image or more of each person")
+    if len(probe_names) == 0:
+        raise RecognitionError("no probe was given; give one or more")
+    known = set(gallery_names)
+    strangers = [f"{k} ({name})" for k, name in enumerate(probe_names) if name not in known]
+    if strangers:
+        shown = ", ".join(strangers[:5]) + (f" and {len(strangers) - 5} more" if len(strangers) > 5 else "")
+        raise RecognitionError(
+            f"the gallery has no image of the person of probe {shown}; identification is among the "
+            "persons of the gallery: add their images, or leave these probes out"
+        )

@@ -1,0 +1,85 @@
+"""Choices of templates and of their comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Channel = Literal["value", "luminance"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemplateOptions:
+    """How an image becomes a template.
+
+    Parameters
+    ----------
+    size : int or None
+        Side in pixels that square images are averaged down to; None keeps each image as it is. 256 tells
+        persons apart better than 128 where charts slip by less than half a per cent of their side, and
+        worse where by more.
+    scales : int
+        Scales of the pyramid; the coarsest, a factor of 2^(scales - 1) smaller than the image, is kept.
+    orientations : int
+        Orientations of the pyramid, 2 to 16.
+    channel : {"value", "luminance"}
+        What is kept of three channels: their maximum, V of HSV, on which the albedo is estimated, or the
+        luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour. V of skin is its red, which pigment and
+        blood hardly darken; luminance tells persons apart better (`tools/bench_recognition.py --faces`).
+    unit_mean : bool
+        Divide by the mean over the mask: an albedo is known up to a scale, and the index is not blind to it.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    size: int | None = 128
+    scales: int = 3
+    orientations: int = 10
+    channel: Channel = "luminance"
+    unit_mean: bool = True
+
+    def __post_init__(self) -> None:
+        if self.scales < 1:
+            raise ValueError(f"scales is {self.scales}, expected >= 1")
+        if not 2 <= self.orientations <= 16:
+            raise ValueError(f"orientations is {self.orientations}, expected 2 to 16")
+        if self.channel not in ("value", "luminance"):
+            raise ValueError(f"channel is {self.channel!r}, expected 'value' or 'luminance'")
+        if self.size is not None and self.size < 1:
+            raise ValueError(f"size is {self.size}, expected >= 1 or None")
+
+    @property
+    def step(self) -> int:
+        """Pixels of the image between coefficients of the coarsest scale."""
+        return 2 ** (self.scales - 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimilarityOptions:
+    """How templates are compared.
+
+    Parameters
+    ----------
+    window : int
+        Side of the square windows in coefficients.
+    stabilizer : float
+        K of the index, in squared coefficients summed over a window: windows with less energy count as
+        alike. Images have mean 1 before the pyramid, unless `unit_mean` is off.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    window: int = 7
+    stabilizer: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.window < 1:
+            raise ValueError(f"window is {self.window}, expected >= 1")
+        if not 0 < self.stabilizer < float("inf"):
+            raise ValueError(f"stabilizer is {self.stabilizer}, expected > 0 and finite")

@@ -1,0 +1,127 @@
+"""From an albedo to what the pyramid takes: one channel, averaged down, filled outside its mask, mirrored."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.options import Channel
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def checked_image(
+    image: ArrayLike, mask: ArrayLike | None, channel: Channel, what: str
+) -> tuple[FloatArray, BoolArray]:
+    """Return one channel (H, W), 0 outside the mask, and the mask (H, W).
+
+    Raises
+    ------
+    ValueError
+        When the image is not (H, W) or (H, W, 3).
+    RecognitionError
+        When the mask has another size or nothing in it, or the image is not finite within it; names `what`.
+    """
+    pixels = np.asarray(image, np.float64)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
+        raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
+    valid = np.ones(pixels.shape[:2], bool) if mask is None else np.asarray(mask)
+    if valid.shape != pixels.shape[:2]:
+        raise RecognitionError(
+            f"{what} has {_size(pixels)} pixels, its mask {_size(valid)}; give a mask of the image's size"
+        )
+    if valid.dtype != np.bool_:
+        raise ValueError(f"{what}: its mask is of {valid.dtype}, expected bool")
+    if not valid.any():
+        raise RecognitionError(f"{what} is masked everywhere; leave it out, or give a mask with valid pixels")
+    if not np.isfinite(pixels[valid]).all():
+        bad = int((~np.isfinite(pixels[valid].reshape(valid.sum(), -1)).all(axis=1)).sum())
+        raise RecognitionError(
+            f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
+        )
+    pixels = np.where(valid if pixels.ndim == 2 else valid[..., None], pixels, 0.0)
+    if pixels.ndim == 3:
+        pixels = pixels.max(axis=2) if channel == "value" else pixels @ _LUMINANCE
+    return pixels, valid
+
+
+def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
+    """Return the image and its mask with sides of `size`; a pixel is valid where half of its area is.
+
+    Raises
+    ------
+    RecognitionError
+        When the image is not square or smaller.
+    """
+    if image.shape == (size, size):
+        return image, mask
+    if image.shape[0] != image.shape[1] or image.shape[0] < size:
+        raise RecognitionError(
+            f"{what} has {_size(image)} pixels, expected a square of {size} or more; "
+            "sample it larger, or choose a smaller size (None keeps the images' own)"
+        )
+    import cv2
+
+    # The area average of OpenCV holds for factors above 1, the only ones here.
+    total = cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA)
+    share = cv2.resize(mask.astype(np.float64), (size, size), interpolation=cv2.INTER_AREA)
+    valid = share >= 0.5
+    if not valid.any():
+        raise RecognitionError(f"{what} has no valid pixel left at {size} pixels a side; widen its mask")
+    return np.where(valid, total / np.maximum(share, 0.5), 0.0), valid
+
+
+def filled(image: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return the image with the nearest valid pixel outside its mask, whose outline is no feature."""
+    if mask.all():
+        return image
+    from scipy.ndimage import distance_transform_edt
+
+    rows, columns = distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    return np.asarray(image[rows, columns])
+
+
+def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatArray:
+    """Return the image over its mean in the mask.
+
+    Raises
+    ------
+    RecognitionError
+        When that is not above 0.
+    """
+    mean = float(image[mask].mean())
+    if not mean > 0:
+        raise RecognitionError(
+            f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "
+            "compare as it is (unit_mean=False)"
+        )
+    return image / mean
+
+
+def mirrored(image: FloatArray, multiple: int) -> FloatArray:
+    """Return the image with its mirror image after it on both axes, on to a multiple of pixels a side.
+
+    The pyramid's filters wrap around; they find the image's own edge there instead of the opposite one.
+    """
+    after = [n + -2 * n % multiple for n in image.shape]
+    return np.pad(image, [(0, a) for a in after], mode="symmetric")
+
+
+def carried_mask(mask: BoolArray, step: int) -> BoolArray:
+    """Return the mask (ceil(H / step), ceil(W / step)) of coefficients.
+
+    A coefficient lies on pixel `step` times its index; it is valid when all pixels up to `step` / 2 away are.
+    """
+    if step == 1:
+        return mask
+    from scipy.ndimage import minimum_filter
+
+    return np.asarray(minimum_filter(mask, size=step + 1, mode="nearest")[::step, ::step])
+
+
+def _size(image: NDArray[np.generic]) -> str:
+    return " x ".join(map(str, image.shape[:2]))

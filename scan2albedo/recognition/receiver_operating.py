@@ -1,0 +1,192 @@
+"""Receiver operating characteristics: claims accepted of the right person against those of others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.identification import Identification
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_FALSE_ACCEPT_RATES = tuple(float(rate) for rate in np.geomspace(1e-3, 1.0, 61))
+
+
+@dataclass(frozen=True)
+class RocCurve:
+    """Verification rates, with intervals that a bootstrap over persons gives.
+
+    Parameters
+    ----------
+    false_accept_rate : (F,) float64
+        Ascending; bounds on the share of impostors' claims accepted.
+    true_accept_rate : (F,) float64
+        Largest share of genuine claims accepted within that bound.
+    low, high : (F,) float64
+        Bounds of its interval.
+    area, equal_error_rate : float
+        Under the curve; and where as many are falsely accepted as falsely refused.
+    area_interval, equal_error_interval : (2,) tuple of float
+    genuine, impostors : int
+        Claims.
+    persons, resamples : int
+    confidence : float
+    """
+
+    false_accept_rate: FloatArray
+    true_accept_rate: FloatArray
+    low: FloatArray
+    high: FloatArray
+    area: float
+    area_interval: tuple[float, float]
+    equal_error_rate: float
+    equal_error_interval: tuple[float, float]
+    genuine: int
+    impostors: int
+    persons: int
+    resamples: int
+    confidence: float
+
+
+def roc_curve(
+    identification: Identification,
+    *,
+    false_accept_rates: ArrayLike = DEFAULT_FALSE_ACCEPT_RATES,
+    confidence: float = 0.95,
+    resamples: int = 500,
+    seed: int | np.random.Generator = 0,
+) -> RocCurve:
+    """Return the receiver operating characteristic of claims: every probe claims to be every person.
+
+    The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times,
+    a genuine claim counts c_p times, one of p to be q c_p c_q times.
+
+    Parameters
+    ----------
+    identification : Identification
+    false_accept_rates : (F,)
+        Ascending, within [0, 1].
+    confidence : float
+        Of the two-sided intervals, within (0, 1).
+    resamples : int
+        0 leaves the intervals out: their bounds are the values.
+    seed : int or numpy.random.Generator
+
+    Raises
+    ------
+    ValueError
+        When a choice is out of range.
+    RecognitionError
+        When the gallery has one person only: then nobody is an impostor.
+
+    Notes
+    -----
+    Rates below one over the number of impostors' claims accept none of them. About 60 ms a resample for
+    1,000 probes of 1,000 persons.
+
+    References
+    ----------
+    Bolle, Ratha, Pankanti, "Error analysis of pattern recognition systems: the subsets bootstrap", CVIU 93,
+    2004 (why persons are resampled and not claims).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scan2albedo.recognition import identify_by_similarity
+    >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.3, 0.4]]), ["ann", "bob"], ["ann", "bob"])
+    >>> roc_curve(found).area
+    1.0
+    """
+    rates = np.asarray(false_accept_rates, np.float64)
+    if (
+        rates.ndim != 1
+        or len(rates) == 0
+        or not ((rates >= 0) & (rates <= 1)).all()
+        or (np.diff(rates) < 0).any()
+    ):
+        raise ValueError("false_accept_rates are expected to be (F,), ascending, within [0, 1]")
+    if not 0 < confidence < 1 or resamples < 0:
+        raise ValueError(f"confidence is {confidence} and resamples {resamples}, expected in (0, 1) and >= 0")
+    if len(identification.persons) < 2:
+        raise RecognitionError("the gallery has one person only, so nobody is an impostor; add persons")
+    claims = _Claims.of(identification)
+    found = claims.rates(np.ones(len(identification.persons)), rates)
+    random = np.random.default_rng(seed)
+    drawn = [found] if resamples == 0 else [claims.resampled(random, rates) for _ in range(resamples)]
+    tail = 50 * (1 - confidence)
+    low, high = np.percentile(drawn, [tail, 100 - tail], axis=0)
+    genuine = int(claims.genuine.sum())
+    return RocCurve(
+        rates,
+        found[2:],
+        low[2:],
+        high[2:],
+        float(found[0]),
+        (float(low[0]), float(high[0])),
+        float(found[1]),
+        (float(low[1]), float(high[1])),
+        genuine,
+        len(claims.genuine) - genuine,
+        len(identification.persons),
+        resamples,
+        confidence,
+    )
+
+
+@dataclass(frozen=True)
+class _Claims:
+    """All claims in order of falling similarity."""
+
+    genuine: NDArray[np.bool_]
+    prober: NDArray[np.int64]
+    """Index of the person on the probe."""
+    claimed: NDArray[np.int64]
+    last: NDArray[np.int64]
+    """Of each run of equal similarities, which a threshold takes whole."""
+    persons: int
+
+    @classmethod
+    def of(cls, identification: Identification) -> _Claims:
+        scores = identification.similarities
+        own = np.searchsorted(identification.persons, identification.probe_names)
+        order = np.argsort(-scores, axis=None, kind="stable")
+        probe, claimed = np.unravel_index(order, scores.shape)
+        falling = scores[probe, claimed]
+        last = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
+        return cls(own[probe] == claimed, own[probe], claimed, last, len(identification.persons))
+
+    def rates(self, times: FloatArray, false_accept_rates: FloatArray) -> FloatArray:
+        """Return area, equal error rate and true accept rates when person p was drawn `times[p]` times.
+
+        NaN when no genuine claim, or no impostor's, is left.
+        """
+        own = times[self.prober]
+        weight = np.where(self.genuine, own, own * times[self.claimed])
+        accepted = np.cumsum(np.where(self.genuine, weight, 0.0))[self.last]
+        fooled = np.cumsum(np.where(self.genuine, 0.0, weight))[self.last]
+        if not (accepted[-1] > 0 and fooled[-1] > 0):
+            return np.full(2 + len(false_accept_rates), np.nan)
+        true_rate = np.concatenate([[0.0], accepted / accepted[-1]])
+        false_rate = np.concatenate([[0.0], fooled / fooled[-1]])
+        within = np.searchsorted(false_rate, false_accept_rates, side="right") - 1
+        area = np.trapezoid(true_rate, false_rate)
+        return np.concatenate([[area, _equal_error(false_rate, true_rate)], true_rate[within]])
+
+    def resampled(self, random: np.random.Generator, false_accept_rates: FloatArray) -> FloatArray:
+        """Return `rates` of a draw of the persons that leaves claims of both kinds."""
+        while True:
+            drawn = np.bincount(random.integers(self.persons, size=self.persons), minlength=self.persons)
+            values = self.rates(drawn.astype(np.float64), false_accept_rates)
+            if np.isfinite(values).all():
+                return values
+
+
+def _equal_error(false_rate: FloatArray, true_rate: FloatArray) -> float:
+    """Return where false accepts cross false refusals, on straight lines between thresholds."""
+    gap = false_rate + true_rate - 1.0
+    after = int(np.argmax(gap >= 0))
+    share = -gap[after - 1] / (gap[after] - gap[after - 1])
+    return float(false_rate[after - 1] + share * (false_rate[after] - false_rate[after - 1]))

@@ -1,0 +1,101 @@
+"""Templates as NPZ files: coefficients, masks and a header with whose they are and how they were made."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.io.atomic import atomic_path
+from scan2albedo.recognition.options import Channel, TemplateOptions
+from scan2albedo.recognition.templates import Templates
+
+
+class TemplateOptionsRecord(BaseModel):
+    """How the templates were made; see `TemplateOptions`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    size: int | None = Field(ge=1)
+    scales: int = Field(ge=1)
+    orientations: int = Field(ge=2, le=16)
+    channel: Channel
+    unit_mean: bool
+
+
+class TemplatesHeader(BaseModel):
+    """The text "header" in a file of templates, as JSON."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["scan2albedo templates"] = "scan2albedo templates"
+    format_version: Literal[1] = 1
+    names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
+    options: TemplateOptionsRecord
+
+
+def write_templates(path: str | Path, templates: Templates) -> None:
+    """Write templates as an NPZ file, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        When the name does not end in .npz.
+    RecognitionError
+        When there is no template.
+    OutputError
+        When the file cannot be written.
+
+    Notes
+    -----
+    82 kB a template of 128 pixels; not compressed, for the bits of coefficients do not repeat.
+    """
+    if Path(path).suffix != ".npz":
+        raise ValueError(f"templates are written as .npz, got {Path(path).name}")
+    if len(templates) == 0:
+        raise RecognitionError("there is no template to write; give one or more")
+    options = TemplateOptionsRecord.model_validate(templates.options, from_attributes=True)
+    header = TemplatesHeader(names=templates.names, options=options).model_dump_json()
+    with atomic_path(path) as temporary:
+        np.savez(temporary, header=np.array(header), coefficients=templates.coefficients, mask=templates.mask)
+
+
+def read_templates(path: str | Path) -> Templates:
+    """Return the templates of a file that `write_templates` wrote.
+
+    Raises
+    ------
+    RecognitionError
+        When the file is missing, damaged, something else, or holds templates that cannot be used; names it.
+    """
+    arrays = _read_arrays(path)
+    try:
+        header = TemplatesHeader.model_validate_json(str(arrays["header"]))
+        options = TemplateOptions(**header.options.model_dump())
+        return Templates(arrays["coefficients"], arrays["mask"], header.names, options)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the header"
+        raise RecognitionError(
+            f"templates {path}: {where}: {first['msg']} ({error.error_count()} problems); expected a header "
+            "as in data_schemas/template_set.schema.json"
+        ) from error
+    except (ValueError, RecognitionError) as error:
+        raise RecognitionError(f"templates {path}: {error}; write the file again") from error
+
+
+def _read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
+            return {name: file[name] for name in ("header", "coefficients", "mask")}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
+        raise RecognitionError(
+            f"templates {path} cannot be read ({' '.join(str(error).split())}); give a file that "
+            "write_templates wrote"
+        ) from error

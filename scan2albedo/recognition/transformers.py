@@ -1,0 +1,178 @@
+"""The steps of recognition as scikit-learn has them; scikit-learn itself is not needed."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.all_pairs import similarity_matrix
+from scan2albedo.recognition.options import Channel, SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.templates import Templates, albedo_templates
+
+
+class _Parameters:
+    """`get_params` and `set_params` over the arguments of `__init__`, as scikit-learn's estimators have."""
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the parameters by name; `deep` changes nothing, for none has parameters of its own."""
+        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def set_params(self, **parameters: Any) -> Self:
+        """Set parameters by name and return the transformer.
+
+        Raises
+        ------
+        ValueError
+            When there is no such parameter.
+        """
+        known = inspect.signature(type(self)).parameters
+        for name, value in parameters.items():
+            if name not in known:
+                raise ValueError(f"{type(self).__name__} has no parameter {name!r}, but {', '.join(known)}")
+            setattr(self, name, value)
+        return self
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={value!r}" for name, value in self.get_params().items())
+        return f"{type(self).__name__}({values})"
+
+
+class TemplateTransformer(_Parameters):
+    """Albedos to templates.
+
+    Parameters
+    ----------
+    size, scales, orientations, channel, unit_mean
+        See `TemplateOptions`.
+    mask : (H, W) bool, optional
+        Where the albedos are known, in all of them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> albedos = np.random.default_rng(0).random((3, 128, 128))
+    >>> TemplateTransformer(size=64).fit_transform(albedos, ["ann", "bob", "cy"]).coefficients.shape
+    (3, 10, 16, 16)
+    """
+
+    def __init__(
+        self,
+        *,
+        size: int | None = 128,
+        scales: int = 3,
+        orientations: int = 10,
+        channel: Channel = "luminance",
+        unit_mean: bool = True,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self.size = size
+        self.scales = scales
+        self.orientations = orientations
+        self.channel = channel
+        self.unit_mean = unit_mean
+        self.mask = mask
+
+    def fit(self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None) -> Self:
+        """Check the parameters and keep the images' size, which `transform` then expects.
+
+        Raises
+        ------
+        ValueError
+            When a parameter is out of range.
+        RecognitionError
+            When there is no image.
+        """
+        if len(images) == 0:
+            raise RecognitionError("no image was given; templates need one or more")
+        self.options_ = TemplateOptions(
+            size=self.size,
+            scales=self.scales,
+            orientations=self.orientations,
+            channel=self.channel,
+            unit_mean=self.unit_mean,
+        )
+        self.image_shape_ = np.shape(images[0])[:2]
+        return self
+
+    def transform(
+        self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None
+    ) -> Templates:
+        """Return the templates of images (N, H, W) or (N, H, W, 3), named by number by default.
+
+        Raises
+        ------
+        RecognitionError
+            Before `fit`, when an image has another size than those, or cannot be used.
+        """
+        _check_fitted(self, "options_")
+        for k, image in enumerate(images):
+            if np.shape(image)[:2] != self.image_shape_:
+                raise RecognitionError(
+                    f"image {k} has {np.shape(image)[:2]} pixels, those that were fitted "
+                    f"{self.image_shape_}; give images of one size"
+                )
+        chosen = [str(k) for k in range(len(images))] if names is None else names
+        masks = None if self.mask is None else [self.mask] * len(images)
+        return albedo_templates(images, chosen, masks=masks, options=self.options_)
+
+    def fit_transform(
+        self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None
+    ) -> Templates:
+        """Return `fit(images).transform(images, names)`."""
+        return self.fit(images).transform(images, names)
+
+
+class DistanceTransformer(_Parameters):
+    """Templates to their distances 1 - S from those that were fitted, for classifiers of given distances.
+
+    Parameters
+    ----------
+    window, stabilizer
+        See `SimilarityOptions`.
+    """
+
+    def __init__(self, *, window: int = 7, stabilizer: float = 1e-3) -> None:
+        self.window = window
+        self.stabilizer = stabilizer
+
+    def fit(self, templates: Templates, names: Sequence[str] | None = None) -> Self:
+        """Keep the templates of the gallery.
+
+        Raises
+        ------
+        ValueError
+            When a parameter is out of range.
+        RecognitionError
+            When there is none.
+        """
+        if len(templates) == 0:
+            raise RecognitionError("the gallery is empty; give one template or more")
+        self.options_ = SimilarityOptions(window=self.window, stabilizer=self.stabilizer)
+        self.gallery_ = templates
+        return self
+
+    def transform(self, templates: Templates) -> NDArray[np.float64]:
+        """Return distances (N, gallery), 0 to 1.
+
+        Raises
+        ------
+        RecognitionError
+            Before `fit`, or when the templates cannot be compared.
+        """
+        _check_fitted(self, "gallery_")
+        similarity = similarity_matrix(templates, self.gallery_, options=self.options_)
+        return np.clip(1.0 - similarity, 0.0, 1.0)
+
+    def fit_transform(self, templates: Templates, names: Sequence[str] | None = None) -> NDArray[np.float64]:
+        """Return `fit(templates).transform(templates)`."""
+        return self.fit(templates).transform(templates)
+
+
+def _check_fitted(transformer: _Parameters, attribute: str) -> None:
+    if not hasattr(transformer, attribute):
+        raise RecognitionError(f"{type(transformer).__name__} was not fitted; call fit first")

@@ -1,0 +1,97 @@
+"""CMC and ROC curves with their intervals, several in one figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from scan2albedo.recognition import CmcCurve, RocCurve
+
+
+def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figure:
+    """Return a figure of identification rate against rank, a curve for each name.
+
+    Raises
+    ------
+    ValueError
+        When there is no curve, or their confidences differ.
+    """
+    figure, axis = _figure(curves)
+    for name, curve in curves.items():
+        shown = curve.rank <= most_ranks
+        first = f"{curve.rate[0]:.1%} ({curve.low[0]:.1%} to {curve.high[0]:.1%})"
+        label = f"{name}, {curve.probes} probes: rank 1 {first}"
+        _draw(
+            axis, curve.rank[shown], curve.rate[shown], curve.low[shown], curve.high[shown], label, marker="o"
+        )
+    last = max(min(int(curve.rank[-1]), most_ranks) for curve in curves.values())
+    axis.set_xlim(0.8, last + 0.2)
+    axis.set_xticks(sorted({1, *range(max(1, last // 4), last + 1, max(1, last // 4))}))
+    axis.set_title(f"CMC, {_confidence(curves)} intervals", fontsize=11)
+    axis.set_xlabel("rank")
+    axis.set_ylabel("share of probes with the right person among the first")
+    axis.legend(loc="lower right", fontsize=9)
+    return figure
+
+
+def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
+    """Return a figure of true against false accept rate, the latter logarithmic, a curve for each name.
+
+    Raises
+    ------
+    ValueError
+        When there is no curve, or their confidences differ.
+    """
+    figure, axis = _figure(curves)
+    for name, curve in curves.items():
+        shown = curve.false_accept_rate > 0
+        least, most = curve.equal_error_interval
+        equal = f"{curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
+        label = f"{name}, {curve.genuine} genuine claims: equal error {equal}"
+        rate, low, high = curve.true_accept_rate[shown], curve.low[shown], curve.high[shown]
+        _draw(axis, curve.false_accept_rate[shown], rate, low, high, label)
+    axis.set_xscale("log")
+    axis.set_title(f"ROC, {_confidence(curves)} intervals", fontsize=11)
+    axis.set_xlabel("false accept rate")
+    axis.set_ylabel("true accept rate")
+    axis.legend(loc="lower right", fontsize=9)
+    return figure
+
+
+def _confidence(curves: Mapping[str, CmcCurve] | Mapping[str, RocCurve]) -> str:
+    found = {curve.confidence for curve in curves.values()}
+    if len(found) > 1:
+        raise ValueError(f"the curves' intervals have confidences {sorted(found)}, expected one")
+    return f"{found.pop():.0%}"
+
+
+def _figure(curves: Mapping[str, object]) -> tuple[Figure, Axes]:
+    if not curves:
+        raise ValueError("no curve was given, expected one or more")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.8), dpi=110, layout="constrained")
+    axis = figure.subplots()
+    axis.set_ylim(0, 1.02)
+    axis.grid(alpha=0.3)
+    return figure, axis
+
+
+def _draw(
+    axis: Axes,
+    x: NDArray[np.generic],
+    y: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    label: str,
+    marker: str = "",
+) -> None:
+    (line,) = axis.plot(x, y, label=label, marker=marker, markersize=3.5)
+    axis.fill_between(x, low, high, color=line.get_color(), alpha=0.18, linewidth=0)

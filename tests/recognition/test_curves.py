@@ -1,0 +1,124 @@
+"""CMC and ROC curves against counting, SciPy's intervals and the rank statistic."""
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, mannwhitneyu
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
+from scan2albedo.recognition.receiver_operating import _Claims
+from scan2albedo.report.recognition_curves import cmc_figure, roc_figure
+
+
+def build_identification(seed=0, persons=20, each=2, separation=1.5, decimals=9):
+    """Normal similarities, higher by `separation` for the right person; rounded to make ties."""
+    names = [f"p{k:03d}" for k in range(persons)]
+    probes = names * each
+    scores = np.random.default_rng(seed).standard_normal((len(probes), persons))
+    scores += separation * (np.array(probes)[:, None] == np.array(names))
+    return identify_by_similarity(scores.round(decimals), names, probes)
+
+
+@pytest.mark.parametrize(("interval", "method"), [("clopper-pearson", "exact"), ("wilson", "wilson")])
+def test_cmc_counts_ranks_with_the_intervals_of_scipy(interval, method):
+    found = build_identification()
+    curve = cmc_curve(found, confidence=0.9, interval=interval)
+    assert curve.rank.tolist() == list(range(1, 21))
+    for k, rate, low, high in zip(curve.rank, curve.rate, curve.low, curve.high, strict=True):
+        hits = sum(rank <= k for rank in found.ranks)
+        assert rate == hits / 40
+        expected = binomtest(hits, 40).proportion_ci(0.9, method)
+        assert (low, high) == pytest.approx((expected.low, expected.high), abs=1e-9)
+    assert 0 < curve.rate[0] < curve.rate[-1] == 1
+
+
+def test_no_hit_at_all_still_has_an_interval():
+    found = identify_by_similarity([[0.1, 0.9]] * 3, ["ann", "bob"], ["ann"] * 3)
+    curve = cmc_curve(found)
+    assert curve.rate.tolist() == [0, 1]
+    assert curve.low[0] == 0
+    assert curve.high[0] == pytest.approx(binomtest(0, 3).proportion_ci(0.95, "exact").high)
+
+
+@pytest.mark.parametrize("decimals", [9, 0])
+def test_roc_is_what_thresholds_accept(decimals):
+    found = build_identification(decimals=decimals)
+    own, others = found.similarities[found.genuine], found.similarities[~found.genuine]
+    curve = roc_curve(found, false_accept_rates=[0.0, 0.01, 0.1, 0.5, 1.0], resamples=0)
+    for bound, rate in zip(curve.false_accept_rate, curve.true_accept_rate, strict=True):
+        within = [
+            t for t in [*np.unique(found.similarities), np.inf] if (others >= t).mean() <= bound + 1e-12
+        ]
+        assert rate == pytest.approx((own >= min(within)).mean())
+    statistic = mannwhitneyu(own, others).statistic
+    assert curve.area == pytest.approx(statistic / (len(own) * len(others)))
+    assert curve.area_interval == (curve.area, curve.area)
+    assert (curve.genuine, curve.impostors) == (40, 760)
+
+
+def test_the_equal_error_rate_of_two_normals():
+    found = build_identification(persons=300, each=1, separation=2.0)
+    # The threshold half-way errs with the tail beyond one standard deviation on both sides.
+    assert roc_curve(found, resamples=0).equal_error_rate == pytest.approx(0.1587, abs=0.03)
+
+
+def test_a_resample_counts_claims_as_if_they_were_repeated():
+    found = build_identification(persons=4, each=2)
+    times = np.array([2, 0, 1, 3])
+    own, others = [], []
+    for i, prober in enumerate(np.searchsorted(found.persons, found.probe_names)):
+        for j, claimed in enumerate(times):
+            if prober == j:
+                own += [found.similarities[i, j]] * times[prober]
+            else:
+                others += [found.similarities[i, j]] * (times[prober] * claimed)
+    area = _Claims.of(found).rates(times.astype(float), np.array([0.1]))[0]
+    assert area == pytest.approx(mannwhitneyu(own, others).statistic / (len(own) * len(others)))
+
+
+def test_intervals_hold_the_truth_and_shrink_with_persons():
+    # Of two normals 1.5 apart the area is the normal distribution at 1.5 / sqrt(2).
+    covered, widths = 0, {}
+    for persons in (20, 80):
+        sets = [build_identification(seed, persons, 1) for seed in range(30)]
+        curves = [roc_curve(found, resamples=100, false_accept_rates=[0.1]) for found in sets]
+        covered += sum(c.area_interval[0] < 0.8556 < c.area_interval[1] for c in curves)
+        widths[persons] = np.mean([np.ptp(c.area_interval) for c in curves])
+    assert covered >= 50  # of 60, at 95 %
+    assert widths[80] == pytest.approx(widths[20] / 2, rel=0.15)
+
+
+def test_one_seed_gives_one_result():
+    found = build_identification()
+    first, again, other = (roc_curve(found, resamples=20, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.low, again.low)
+    assert first.area_interval == again.area_interval != other.area_interval
+
+
+def test_choices_out_of_range_are_refused():
+    found = build_identification()
+    with pytest.raises(ValueError, match="confidence"):
+        cmc_curve(found, confidence=1.0)
+    with pytest.raises(ValueError, match="'wilson'"):
+        cmc_curve(found, interval="wald")
+    with pytest.raises(ValueError, match="ascending"):
+        roc_curve(found, false_accept_rates=[0.5, 0.1])
+    with pytest.raises(RecognitionError, match="one person only"):
+        roc_curve(identify_by_similarity([[0.5]], ["ann"], ["ann"]))
+
+
+def test_figures_show_every_curve_with_its_interval():
+    found = {"albedo": build_identification(separation=3.0), "texture": build_identification()}
+    curves = {name: cmc_curve(one) for name, one in found.items()}
+    axis = cmc_figure(curves, most_ranks=5).axes[0]
+    assert [len(line.get_xdata()) for line in axis.lines] == [5, 5]
+    assert len(axis.collections) == 2
+    assert axis.get_legend().get_texts()[1].get_text().startswith("texture, 40 probes: rank 1")
+    rocs = {name: roc_curve(one, resamples=20) for name, one in found.items()}
+    axis = roc_figure(rocs).axes[0]
+    assert axis.get_xscale() == "log"
+    np.testing.assert_array_equal(axis.lines[1].get_ydata(), rocs["texture"].true_accept_rate)
+    with pytest.raises(ValueError, match="no curve"):
+        cmc_figure({})
+    with pytest.raises(ValueError, match=r"confidences \[0\.9, 0\.95\]"):
+        cmc_figure(curves | {"other": cmc_curve(found["albedo"], confidence=0.9)})

@@ -1,0 +1,65 @@
+"""Ranks, ties and closed sets."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition import albedo_templates, identify, identify_by_similarity
+
+
+def test_persons_are_found_through_noise_and_shifts(albedo):
+    random = np.random.default_rng(0)
+    names = [f"p{k}" for k in range(8)]
+    albedos = [albedo(k) for k in range(8)]
+    gallery = albedo_templates(albedos, names)
+    seen = [0.8 * np.roll(a, (2, -1), (0, 1)) + 0.05 * random.standard_normal(a.shape) for a in albedos]
+    found = identify(gallery, albedo_templates(seen[::-1], names[::-1]))
+    assert found.predicted == tuple(names[::-1])
+    assert found.rate(1) == 1
+    assert not found.tied.any()
+    assert found.similarities.shape == (8, 8)
+    assert found.genuine.sum() == 8
+
+
+def test_several_images_of_a_person_count_by_best_or_mean():
+    names = ["bob", "ann", "bob", "ann"]
+    scores = [[0.1, 0.5, 0.9, 0.6]]
+    best = identify_by_similarity(scores, names, ["ann"])
+    assert best.persons == ("ann", "bob")
+    np.testing.assert_allclose(best.similarities, [[0.6, 0.9]])
+    assert best.predicted == ("bob",)
+    assert best.ranks.tolist() == [2]
+    mean = identify_by_similarity(scores, names, ["ann"], combine="mean")
+    np.testing.assert_allclose(mean.similarities, [[0.55, 0.5]])
+    assert mean.predicted == ("ann",)
+    with pytest.raises(ValueError, match="expected 'best' or 'mean'"):
+        identify_by_similarity(scores, names, ["ann"], combine="worst")
+
+
+def test_ties_count_against_the_right_person_and_are_told():
+    names = ["ann", "bob", "cy"]
+    scores = [[0.5, 0.5, 0.1], [0.9, 0.3, 0.3], [0.1, 0.2, 0.9], [0.4, 0.4, 0.9]]
+    found = identify_by_similarity(scores, names, ["bob", "cy", "cy", "cy"])
+    assert found.ranks.tolist() == [2, 3, 1, 1]
+    assert found.tied.tolist() == [True, True, False, False]
+    assert found.predicted == ("ann", "ann", "cy", "cy")
+    assert found.rate(2) == 0.75
+
+
+def test_a_probe_of_nobody_in_the_gallery_is_named():
+    with pytest.raises(RecognitionError, match=r"probe 1 \(zoe\); .*add their images"):
+        identify_by_similarity(np.zeros((2, 1)), ["ann"], ["ann", "zoe"])
+    with pytest.raises(RecognitionError, match="and 2 more"):
+        identify_by_similarity(np.zeros((7, 1)), ["ann"], list("bcdefgh"))
+
+
+def test_empty_sets_and_similarities_that_are_no_numbers_are_refused(albedo):
+    templates = albedo_templates([albedo(0)], ["ann"])
+    with pytest.raises(RecognitionError, match="gallery is empty"):
+        identify(templates.select([]), templates)
+    with pytest.raises(RecognitionError, match="no probe was given"):
+        identify(templates, templates.select([]))
+    with pytest.raises(RecognitionError, match=r"probe 0 \(ann\) and gallery image 1 \(bob\) is nan"):
+        identify_by_similarity([[0.5, np.nan]], ["ann", "bob"], ["ann"])
+    with pytest.raises(ValueError, match=r"expected \(1, 2\)"):
+        identify_by_similarity([[0.5]], ["ann", "bob"], ["ann"])

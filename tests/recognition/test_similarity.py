@@ -1,0 +1,171 @@
+"""CW-SSIM: what it must not see, what it must see, and the compiled blocks beside a plain reference."""
+
+import time
+
+import numpy as np
+import pytest
+from skimage.metrics import structural_similarity
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition import (
+    SimilarityOptions,
+    TemplateOptions,
+    Templates,
+    albedo_templates,
+    all_pairs,
+    cw_ssim,
+    similarity_matrix,
+)
+
+
+def reference(a, b, mask_a, mask_b, window=7, k=1e-3):
+    """CW-SSIM of coefficients (O, h, w), window by window."""
+    values = []
+    for x, y in zip(a.astype(complex), b.astype(complex), strict=True):
+        for row in range(x.shape[0] - window + 1):
+            for column in range(x.shape[1] - window + 1):
+                here = (slice(row, row + window), slice(column, column + window))
+                if mask_a[here].all() and mask_b[here].all():
+                    shared = abs((x[here] * y[here].conj()).sum())
+                    energy = (abs(x[here]) ** 2).sum() + (abs(y[here]) ** 2).sum()
+                    values.append((2 * shared + k) / (energy + k))
+    return np.mean(values)
+
+
+def random_templates(seed, count, shape=(12, 15), contrast=1.0):
+    """Templates of noise, some of its places `contrast` times stronger, each with a corner masked."""
+    random = np.random.default_rng(seed)
+    size = (count, 10, *shape)
+    values = random.standard_normal(size) + 1j * random.standard_normal(size)
+    values *= np.where(random.random(size) < 0.1, contrast, 1.0)
+    mask = np.ones((count, *shape), bool)
+    for k in range(count):
+        mask[k, : random.integers(0, 4), : random.integers(0, 6)] = False
+    return Templates(
+        np.where(mask[:, None], values, 0).astype(np.complex64), mask, tuple(f"p{k}" for k in range(count))
+    )
+
+
+def test_an_image_is_like_itself(albedo, face_like_mask):
+    image = albedo(0)
+    assert cw_ssim(image, image) == pytest.approx(1, abs=1e-12)
+    assert cw_ssim(image, image, face_like_mask) == pytest.approx(1, abs=1e-12)
+    templates = albedo_templates([image], ["ann"])
+    assert similarity_matrix(templates, templates)[0, 0] == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_shift_of_two_pixels_is_not_seen(albedo, seed, axis):
+    wide = albedo(seed, (160, 160))
+    image = wide[16:144, 16:144]
+    shifted = np.roll(wide, 2, axis)[16:144, 16:144]
+    assert cw_ssim(image, shifted) >= 0.97
+    assert structural_similarity(image, shifted, data_range=1.0) <= 0.8
+
+
+def test_another_image_is_seen(albedo):
+    assert cw_ssim(albedo(0), albedo(1)) < 0.6
+
+
+def test_brightness_is_not_seen_unless_asked_for(albedo):
+    image = albedo(0)
+    assert cw_ssim(image, 0.5 * image) == pytest.approx(1, abs=1e-12)
+    as_it_is = TemplateOptions(size=None, unit_mean=False)
+    # 2 a / (1 + a^2) with a = 1/2
+    assert cw_ssim(image, 0.5 * image, options=as_it_is) == pytest.approx(0.8, abs=1e-3)
+
+
+def test_what_is_masked_does_not_count(albedo, face_like_mask):
+    a, b = albedo(0), albedo(1)
+    plain = cw_ssim(a, b, face_like_mask)
+    spoilt = np.where(face_like_mask, a, np.nan)
+    assert cw_ssim(spoilt, b, face_like_mask) == plain
+    assert cw_ssim(a, b) != plain
+
+
+@pytest.mark.parametrize("window", [1, 4, 7, 12])
+def test_blocks_are_the_plain_reference(window):
+    a, b = random_templates(0, 3), random_templates(1, 4)
+    options = SimilarityOptions(window=window)
+    fast = similarity_matrix(a, b, options=options)
+    if window == 12:
+        a, b = (Templates(t.coefficients, np.ones_like(t.mask), t.names) for t in (a, b))
+        fast = similarity_matrix(a, b, options=options)
+    for i in range(3):
+        for j in range(4):
+            pair = (a.coefficients[i], b.coefficients[j], a.mask[i], b.mask[j])
+            assert fast[i, j] == pytest.approx(reference(*pair, window), abs=2e-6)
+
+
+def test_strong_neighbours_do_not_spoil_weak_windows():
+    a, b = random_templates(2, 2, (32, 32), contrast=100), random_templates(3, 2, (32, 32), contrast=100)
+    slow = reference(a.coefficients[0], b.coefficients[1], a.mask[0], b.mask[1])
+    assert similarity_matrix(a, b)[0, 1] == pytest.approx(slow, abs=1e-5)
+
+
+def test_cw_ssim_is_the_plain_reference(albedo, face_like_mask):
+    a, b = albedo(0), albedo(1)
+    templates = albedo_templates([a, b], ["a", "b"], masks=[face_like_mask] * 2)
+    slow = reference(*templates.coefficients, *templates.mask)
+    assert cw_ssim(a, b, face_like_mask) == pytest.approx(slow, abs=1e-5)
+
+
+def test_many_blocks_hold_what_pairs_hold(monkeypatch):
+    a, b = random_templates(4, 11), random_templates(5, 131)
+    at_once = similarity_matrix(a, b)
+    monkeypatch.setattr(all_pairs, "_ROWS", 4)
+    np.testing.assert_array_equal(similarity_matrix(a, b), at_once)
+    np.testing.assert_allclose(similarity_matrix(b, a).T, at_once, atol=2e-6)
+    for i, j in ((0, 0), (10, 130), (5, 64)):
+        assert similarity_matrix(a.select([i]), b.select([j]))[0, 0] == pytest.approx(at_once[i, j], abs=1e-7)
+
+
+def test_a_pair_costs_less_than_sixty_microseconds():
+    templates = random_templates(6, 192, (32, 32))
+    similarity_matrix(templates.select([0]), templates.select([1]))
+    start = time.process_time()
+    similarity_matrix(templates, templates)
+    assert (time.process_time() - start) / len(templates) ** 2 < 60e-6
+
+
+def test_images_of_other_sizes_are_refused(albedo):
+    with pytest.raises(RecognitionError, match=r"\(128, 128\) and \(64, 64\)"):
+        cw_ssim(albedo(0), albedo(0, (64, 64)))
+    with pytest.raises(RecognitionError, match="its mask 64 x 64"):
+        cw_ssim(albedo(0), albedo(1), np.ones((64, 64), bool))
+    with pytest.raises(ValueError, match="expected \\(H, W\\) or"):
+        cw_ssim(np.zeros((64, 64, 2)), np.zeros((64, 64, 2)))
+
+
+def test_images_without_a_number_or_a_window_are_refused(albedo):
+    image, other = albedo(0), albedo(1)
+    other[5, 6] = np.nan
+    with pytest.raises(RecognitionError, match="the second image: 1 of 16384 pixels"):
+        cw_ssim(image, other)
+    with pytest.raises(RecognitionError, match="masked everywhere"):
+        cw_ssim(image, image, np.zeros((128, 128), bool))
+    small = np.zeros((128, 128), bool)
+    small[60:80, 60:80] = True
+    with pytest.raises(RecognitionError, match="no window of 7 x 7"):
+        cw_ssim(image, image, small)
+    with pytest.raises(RecognitionError, match="mean 0"):
+        cw_ssim(image, np.zeros((128, 128)))
+
+
+def test_templates_that_cannot_be_compared_are_refused():
+    a = random_templates(0, 2)
+    with pytest.raises(RecognitionError, match="second set of templates is empty"):
+        similarity_matrix(a, a.select([]))
+    with pytest.raises(RecognitionError, match="images of one size"):
+        similarity_matrix(a, random_templates(0, 2, (12, 12)))
+    with pytest.raises(RecognitionError, match="differ in their options"):
+        similarity_matrix(a, Templates(a.coefficients, a.mask, a.names, TemplateOptions(size=64)))
+    with pytest.raises(RecognitionError, match="window of 13"):
+        similarity_matrix(a, a, options=SimilarityOptions(window=13))
+    left, right = a.mask.copy(), a.mask.copy()
+    left[1, :, 7:] = False
+    right[0, :, :7] = False
+    apart = (Templates(a.coefficients, mask, a.names) for mask in (left, right))
+    with pytest.raises(RecognitionError, match=r"template 1 \(p1\) and template 0 \(p0\)"):
+        similarity_matrix(*apart)

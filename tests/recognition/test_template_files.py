@@ -1,0 +1,105 @@
+"""Templates come back from their files bit for bit; files that hold something else say so."""
+
+import json
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import OutputError, RecognitionError
+from scan2albedo.recognition import TemplateOptions, albedo_templates, read_templates, write_templates
+
+
+@pytest.fixture
+def templates(albedo, face_like_mask):
+    options = TemplateOptions(channel="value", orientations=4)
+    return albedo_templates(
+        [albedo(0), albedo(1)], ["Ann Ö", "bob"], masks=[face_like_mask, None], options=options
+    )
+
+
+def rewritten(path, **changes):
+    """Replace arrays of a file."""
+    with np.load(path) as file:
+        arrays = dict(file) | changes
+    np.savez(path, **arrays)
+
+
+def test_templates_come_back(tmp_path, templates):
+    write_templates(tmp_path / "gallery.npz", templates)
+    back = read_templates(tmp_path / "gallery.npz")
+    np.testing.assert_array_equal(back.coefficients, templates.coefficients)
+    np.testing.assert_array_equal(back.mask, templates.mask)
+    assert back.names == templates.names
+    assert back.options == templates.options
+    assert [p.name for p in tmp_path.iterdir()] == ["gallery.npz"]
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path, templates, monkeypatch):
+    path = tmp_path / "gallery.npz"
+    write_templates(path, templates)
+    before = path.read_bytes()
+
+    def fail(file, **arrays):
+        file.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        write_templates(path, templates.select([0]))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["gallery.npz"]
+
+
+def test_what_is_no_file_of_templates_is_named(tmp_path, templates):
+    path = tmp_path / "gallery.npz"
+    with pytest.raises(RecognitionError, match=r"gallery\.npz cannot be read"):
+        read_templates(path)
+    write_templates(path, templates)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(RecognitionError, match="cannot be read"):
+        read_templates(path)
+    np.savez(path, mask=templates.mask)
+    with pytest.raises(RecognitionError, match="cannot be read"):
+        read_templates(path)
+    np.savez(
+        path, header=np.array({"a": 1}, object), coefficients=templates.coefficients, mask=templates.mask
+    )
+    with pytest.raises(RecognitionError, match="cannot be read"):
+        read_templates(path)
+
+
+def test_headers_that_do_not_fit_are_named(tmp_path, templates):
+    path = tmp_path / "gallery.npz"
+    write_templates(path, templates)
+    with np.load(path) as file:
+        header = json.loads(str(file["header"]))
+    for change, complaint in (
+        ({"format": "scan2albedo cameras"}, "format: "),
+        ({"names": ["ann"]}, "do not fit"),
+        ({"options": header["options"] | {"scales": 0}}, "options.scales"),
+        ({"options": {"size": 128}}, "options.scales"),
+    ):
+        rewritten(path, header=np.array(json.dumps(header | change)))
+        with pytest.raises(RecognitionError, match=complaint):
+            read_templates(path)
+    rewritten(path, header=np.array("no json"))
+    with pytest.raises(RecognitionError, match="template_set"):
+        read_templates(path)
+
+
+def test_numbers_that_are_not_finite_are_found_when_read(tmp_path, templates):
+    path = tmp_path / "gallery.npz"
+    write_templates(path, templates)
+    spoilt = templates.coefficients.copy()
+    spoilt[1, 0, 5, 5] = np.nan
+    rewritten(path, coefficients=spoilt)
+    with pytest.raises(RecognitionError, match=r"template 1 \(bob\) is not finite"):
+        read_templates(path)
+
+
+def test_nothing_to_write_and_other_endings_are_refused(tmp_path, templates):
+    with pytest.raises(RecognitionError, match="no template to write"):
+        write_templates(tmp_path / "gallery.npz", templates.select([]))
+    with pytest.raises(ValueError, match=r"\.npz"):
+        write_templates(tmp_path / "gallery.json", templates)

@@ -1,0 +1,102 @@
+"""Albedos of any size become templates of one size; what cannot is named."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition import TemplateOptions, Templates, albedo_templates, similarity_matrix
+from scan2albedo.recognition.preparation import averaged_down, carried_mask, filled
+from scan2albedo.recognition.pyramid import coarsest_bands
+
+
+def test_sizes_are_brought_to_one(albedo):
+    large = albedo(0, (384, 384), steepness=1.5)
+    half = large.reshape(192, 2, 192, 2).mean(axis=(1, 3))
+    templates = albedo_templates([large, half, albedo(1)], ["ann", "ann", "bob"])
+    assert templates.coefficients.shape == (3, 10, 32, 32)
+    similarity = similarity_matrix(templates, templates)
+    assert similarity[0, 1] > 0.999
+    assert similarity[0, 2] < 0.6
+
+
+def test_averages_take_valid_pixels_only():
+    image = np.array([[1.0, 3, 5, 0], [0, 0, 7, 0], [2, 2, 0, 0], [2, 2, 0, 0]])
+    mask = np.array([[1, 1, 1, 0], [0, 0, 1, 0], [1, 1, 1, 0], [1, 1, 0, 0]], bool)
+    small, valid = averaged_down(np.where(mask, image, 0), mask, 2, "image")
+    np.testing.assert_array_equal(valid, [[True, True], [True, False]])
+    np.testing.assert_allclose(small, [[2, 6], [2, 0]])
+
+
+def test_channels(albedo):
+    color = np.stack([albedo(0), 0.5 * albedo(1), 0.2 * albedo(2)], axis=2)
+    for channel, gray in (("value", color.max(axis=2)), ("luminance", color @ [0.2126, 0.7152, 0.0722])):
+        options = TemplateOptions(channel=channel)
+        of_color, of_gray = (albedo_templates([x], ["ann"], options=options) for x in (color, gray))
+        np.testing.assert_allclose(of_color.coefficients, of_gray.coefficients, atol=1e-7)
+
+
+def test_a_coefficient_is_valid_when_its_surroundings_are():
+    mask = np.ones((16, 16), bool)
+    mask[6, 9] = False
+    expected = np.ones((4, 4), bool)
+    expected[1:3, 2] = False  # pixel 6 is two away from pixels 4 and 8; 9 is one away from 8, three from 12
+    np.testing.assert_array_equal(carried_mask(mask, 4), expected)
+
+
+def test_the_outline_of_a_mask_is_no_feature(face_like_mask):
+    flat = np.where(face_like_mask, 0.5, 0.0)
+    assert (filled(flat, face_like_mask) == 0.5).all()
+    coefficients = albedo_templates([flat], ["ann"], masks=[face_like_mask]).coefficients
+    assert np.abs(coefficients).max() < 1e-4
+
+
+@pytest.mark.parametrize("side", [128, 121])
+def test_edges_do_not_wrap_around(side):
+    # A ramp has no feature but the jump that wrapping it around would make.
+    ramp = np.tile(np.linspace(0.5, 1.5, side), (side, 1))
+    kept = albedo_templates([ramp], ["ann"], options=TemplateOptions(size=None)).coefficients
+    wrapped = coarsest_bands(ramp[: side // 8 * 8, : side // 8 * 8])
+    assert np.abs(kept).max() < 0.1 * np.abs(wrapped).max()
+
+
+@pytest.mark.parametrize("shape", [(128, 128), (100, 130), (33, 47)])
+def test_images_keep_their_size_when_asked(albedo, shape):
+    templates = albedo_templates([albedo(0, shape)], ["ann"], options=TemplateOptions(size=None))
+    assert templates.coefficients.shape == (1, 10, -(-shape[0] // 4), -(-shape[1] // 4))
+
+
+def test_images_that_cannot_be_used_are_named(albedo):
+    good, bad = albedo(0), albedo(1)
+    bad[3, 3] = np.inf
+    with pytest.raises(RecognitionError, match=r"image 1 \(bob\): 1 of 16384 pixels"):
+        albedo_templates([good, bad], ["ann", "bob"])
+    with pytest.raises(RecognitionError, match=r"image 0 \(ann\) has 100 x 120 pixels, expected a square"):
+        albedo_templates([albedo(0, (100, 120))], ["ann"])
+    with pytest.raises(RecognitionError, match="give images of one size"):
+        albedo_templates([good, albedo(0, (64, 64))], ["ann", "bob"], options=TemplateOptions(size=None))
+    with pytest.raises(RecognitionError, match="no image was given"):
+        albedo_templates([], [])
+    with pytest.raises(ValueError, match="1 images, 2 names"):
+        albedo_templates([good], ["ann", "bob"])
+    with pytest.raises(RecognitionError, match="masked everywhere"):
+        albedo_templates([good], ["ann"], masks=[np.zeros((128, 128), bool)])
+
+
+def test_templates_that_cannot_be_used_are_named(albedo):
+    good = albedo_templates([albedo(0), albedo(1)], ["ann", "bob"])
+    spoilt = good.coefficients.copy()
+    spoilt[1, 0, 0, 0] = np.nan
+    with pytest.raises(RecognitionError, match=r"template 1 \(bob\) is not finite"):
+        Templates(spoilt, good.mask, good.names)
+    with pytest.raises(RecognitionError, match=r"template 0 \(ann\) is masked"):
+        Templates(good.coefficients, good.mask & np.array([False, True])[:, None, None], good.names)
+    with pytest.raises(RecognitionError, match="template 1 has an empty name"):
+        Templates(good.coefficients, good.mask, ("ann", " "))
+    with pytest.raises(ValueError, match="do not fit"):
+        Templates(good.coefficients, good.mask, ("ann",))
+
+
+@pytest.mark.parametrize("values", [{"scales": 0}, {"orientations": 1}, {"channel": "hue"}, {"size": 0}])
+def test_options_out_of_range_are_refused(values):
+    with pytest.raises(ValueError, match=next(iter(values))):
+        TemplateOptions(**values)
