@@ -33,6 +33,10 @@ class EyeglassesError(Scan2AlbedoError):
     """Eyeglasses cannot be weighted, deformed or registered."""
 
 
+class ApplicationError(Scan2AlbedoError):
+    """Processed faces cannot be relit, swapped, blended or given another's expression."""
+
+
 class OutputError(Scan2AlbedoError):
     """Results cannot be written."""
 
