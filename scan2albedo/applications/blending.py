@@ -126,6 +126,6 @@ def _blended_reflectance(
 
 def _blended_exponent(a: Reflectance, b: Reflectance, weight: float) -> float:
     """Return the exponent between two; a face without highlight has none to say."""
-    if a.specular_strength == 0 or b.specular_strength == 0:
+    if 0 < weight < 1 and 0 in (a.specular_strength, b.specular_strength):
         return b.exponent if a.specular_strength == 0 else a.exponent
-    return math.exp((1 - weight) * math.log(a.exponent) + weight * math.log(b.exponent))
+    return float(a.exponent ** (1 - weight) * b.exponent**weight)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.scene_light import SceneLight, shade
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import (
@@ -15,7 +15,7 @@ from scan2albedo.geometry.pinhole import (
     look_at,
     normalized_cameras,
     pixel_directions,
-    pixel_grid,
+    project,
 )
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
@@ -118,36 +118,52 @@ def photograph(
         Cast shadows, beside attached ones.
     """
     given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
-    fine = (shape[0] * samples, shape[1] * samples)
-    eye, through = _rays(normalized_cameras(given[None])[0], fine, samples)
-    mesh, caster = face.mesh, RayCaster(face.mesh.vertices, face.mesh.faces)
-    hits = caster.first_hit(np.broadcast_to(eye, through.shape), through)
-    corners = mesh.faces[hits.face]
-    normal = normalized(np.einsum("nk,nkc->nc", hits.barycentric, mesh.normals[corners]))
-    # A face is an open shell: its inside is nothing to see.
-    seen = (hits.face >= 0) & (np.einsum("ij,ij->i", normal, through) < 0)
-    corners, weight = corners[seen], hits.barycentric[seen]
+    projection, fine = normalized_cameras(given[None])[0], (shape[0] * samples, shape[1] * samples)
+    mesh = face.mesh
+    sample, corners, weight, through = _visible_samples(mesh, projection, fine, samples)
     position = np.einsum("nk,nkc->nc", weight, mesh.vertices[corners])
-    uv = np.einsum("nk,nkc->nc", weight, mesh.uv[corners])
-    shadow_map = ShadowMap(
-        RayCaster(*face.image.occluder_mesh()) if shadows else None,
-        position,
-        normal[seen],
-        face.shadow_offset_mm,
-    )
-    albedo, scale = _lookup(face, uv)
-    lit = shade(shadow_map, light, face.reflectance, -through[seen], scale)
-    color, alpha = np.zeros((len(seen), 3)), seen.astype(np.float64)
-    color[seen] = albedo * lit.diffuse + lit.specular
-    return Picture(
-        _pooled(color.reshape(*fine, 3), samples), _pooled(alpha.reshape(*fine, 1), samples)[..., 0]
-    )
+    normal = normalized(np.einsum("nk,nkc->nc", weight, mesh.normals[corners]))
+    occluder = RayCaster(*face.image.occluder_mesh()) if shadows else None
+    shadow_map = ShadowMap(occluder, position, normal, face.shadow_offset_mm)
+    albedo, scale = _lookup(face, np.einsum("nk,nkc->nc", weight, mesh.uv[corners]))
+    lit = shade(shadow_map, light, face.reflectance, -through, scale)
+    color = np.zeros((fine[0] * fine[1], 4))
+    color[sample, :3], color[sample, 3] = albedo * lit.diffuse + lit.specular, 1.0
+    pooled = _pooled(color.reshape(*fine, 4), samples)
+    return Picture(pooled[..., :3], pooled[..., 3])
 
 
-def _rays(camera: FloatArray, fine: tuple[int, int], samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return the eye (3,) and unit directions (N, 3) through the samples of all pixels, row by row."""
-    pixels = (pixel_grid(fine) - (samples - 1) / 2) / samples
-    return camera_centers(camera[None])[0], pixel_directions(camera, pixels)
+def _visible_samples(
+    mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+    """Return what the face covers of the samples `fine` (H, W) of all pixels, row by row.
+
+    That is, of N of them: index (N,), the vertices (N, 3) of the triangle seen, barycentric coordinates
+    (N, 3) and the unit direction of sight (N, 3). A face is an open shell: its inside is nothing to see.
+    """
+    row, column = _window(mesh, camera, fine, samples)
+    index = (row[:, None] * fine[1] + column).ravel()
+    pixels = np.stack(np.broadcast_arrays(column[None], row[:, None]), -1).reshape(-1, 2)
+    through = pixel_directions(camera, (pixels - (samples - 1) / 2) / samples)
+    eye = camera_centers(camera[None])[0]
+    hits = RayCaster(mesh.vertices, mesh.faces).first_hit(np.broadcast_to(eye, through.shape), through)
+    seen = np.flatnonzero(hits.face >= 0)
+    corners, weight, sight = mesh.faces[hits.face[seen]], hits.barycentric[seen], through[seen]
+    normal = np.einsum("nk,nkc->nc", weight, mesh.normals[corners])
+    outside = np.einsum("ij,ij->i", normal, sight) < 0
+    return index[seen[outside]], corners[outside], weight[outside], sight[outside]
+
+
+def _window(
+    mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return rows and columns of samples that the mesh can cover; all when part of it is behind the eye."""
+    pixels, depth = project(camera, mesh.vertices)
+    if not (depth > 0).all():
+        return np.arange(fine[0]), np.arange(fine[1])
+    low = np.clip(np.floor(pixels.min(0) * samples - 1), 0, fine[::-1]).astype(np.int64)
+    high = np.clip(np.ceil(pixels.max(0) * samples + samples + 1), 0, fine[::-1]).astype(np.int64)
+    return np.arange(low[1], high[1]), np.arange(low[0], high[0])
 
 
 def _pooled(values: FloatArray, samples: int) -> NDArray[np.float32]:

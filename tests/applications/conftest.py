@@ -50,7 +50,7 @@ def scene():
 
 @pytest.fixture(scope="session")
 def person():
-    """Make the truth of such a scene as if it had been estimated: (seed, expression, size) -> ProcessedFace."""
+    """Make the truth of a scene as if it had been estimated: (seed, expression, size) -> ProcessedFace."""
     return _person
 
 
