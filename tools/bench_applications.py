@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
-from scan2albedo.applications import FaceMesh, ProcessedFace, TransferOptions, relight
+from scan2albedo.applications import FaceMesh, ProcessedFace, TransferOptions, personal_model, relight
 from scan2albedo.applications.expression_transfer import expression_displacement
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.nearest_surface import surface_query
@@ -124,12 +124,15 @@ def bench_expression() -> None:
             options = TransferOptions(method=method)  # type: ignore[arg-type]
             made = meshes[2].vertices + expression_displacement(*meshes, options=options)
             print(f"  {move} {method}: {np.linalg.norm(made - truth[:count], axis=1).mean():.3f} mean")
-    for model in (s2a.AnnotatedFaceModel.default(), own):
+    default = s2a.AnnotatedFaceModel.default()
+    for model, personal in ((default, False), (default, True), (own, False), (own, True)):
         fits = {}
         for name in (GENERIC, OTHER, *MOVES):
             scan = s2a.RawScan(shapes[name], faces)
-            fits[name] = s2a.fit(scan, model, s2a.register(scan, model))
-        print(f"mm; each head registered and fitted by itself: {model.name}")
+            start = personal_model(fits[GENERIC]) if personal and name in MOVES else model
+            fits[name] = s2a.fit(scan, start, s2a.register(scan, start))
+        how = "expressions with the personal model" if personal else "each head by itself"
+        print(f"mm; registered and fitted, {how}: {model.name}")
         for move, truth in truths.items():
             for method in ("addition", "local-frames"):
                 row = carried_error(fits, move, truth[:inner], shapes[OTHER][:inner], method)

@@ -5,6 +5,7 @@ from scan2albedo.applications.expression_transfer import TransferOptions, transf
 from scan2albedo.applications.files import write_face
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
 from scan2albedo.applications.loading import load_result
+from scan2albedo.applications.personal_model import personal_model
 from scan2albedo.applications.pictures import Picture, default_camera
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, RelitFace, relight
@@ -23,6 +24,7 @@ __all__ = [
     "frames_srgb",
     "light_arc",
     "load_result",
+    "personal_model",
     "relight",
     "swap_texture",
     "sweep",

@@ -68,7 +68,7 @@ def transfer_expression(
     -----
     Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out. On
     light-stage shapes addition errs less than local frames do, so it is the default; local frames carry over
-    to a head that is turned or of another size.
+    to a head that is turned or of another size. Best fit A's expression with `personal_model` of A at rest.
 
     References
     ----------
