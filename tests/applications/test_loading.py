@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo.applications import load_result, relight
+from scan2albedo.albedo import EstimateOptions
+from scan2albedo.applications import ProcessedFace, load_result, relight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.io.images import write_exr
 
@@ -39,6 +40,19 @@ def test_relighting_is_what_the_estimate_does(result):
     np.testing.assert_allclose(
         relight(load_result(result), [LIGHT]).texture_linear, estimate.relit([LIGHT]), rtol=1e-5, atol=1e-7
     )
+
+
+def test_a_glossy_face_under_its_own_light_is_its_texture(scene):
+    image = scene(0).image
+    estimate = s2a.estimate_albedo(image, lights=1, options=EstimateOptions(specular=True))
+    assert estimate.reflectance.specular_strength > 0
+    given = ProcessedFace.of(
+        "glossy", image, estimate.albedo_linear, reflectance=estimate.reflectance, lights=estimate.lights
+    )
+    truth, mask = image.texture_linear, image.mask
+    ours = relight(given, given.lights).texture_linear
+    np.testing.assert_allclose(ours, estimate.relit(estimate.lights), rtol=1e-4, atol=1e-6)
+    assert np.linalg.norm((ours - truth)[mask]) / np.linalg.norm(truth[mask]) < 0.02
 
 
 @pytest.mark.parametrize("name", ["result.json", "geometry_image.npz", "albedo.exr", "fitted.glb"])
