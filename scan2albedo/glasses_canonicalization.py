@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
 from scan2albedo.eyeglasses import CanonicalizationOptions, CanonicalSet, canonicalize
-from scan2albedo.eyeglasses.keypoint_files import read_keypoints_with_unit
+from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
 from scan2albedo.glasses_input import GlassesFrame, read_frame
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.optimization import Budget, ProgressCallback

@@ -201,15 +201,93 @@ def demo(
     seed: Annotated[int, typer.Option(help="Of the person, the frame and the noise.", min=0)] = 0,
     json_summary: JsonOption = False,
 ) -> None:
-    """Register a synthetic person's frame on their fitted face and print the error against the truth."""
+    """Register a synthetic person's frame on their fitted face, print the error, put lenses in."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.glasses_demo import run_glasses_demo
     from scan2albedo.progress import ProgressLines
 
     with ProgressLines("demo") as progress:
-        report = run_glasses_demo(out, seed=seed, on_progress=progress.update)
+        report = run_glasses_demo(out, seed=seed, on_progress=progress.update, say=progress.say)
         progress.say(f"{report.placed.summary()}; files in {out}")
     if json_summary:
         echo_json(report.figures())
     else:
         typer.echo(report.table())
+
+
+@app.command()
+def lenses(
+    frame: Annotated[
+        Path, typer.Argument(help="The frame's mesh where it sits on the head.", metavar="FRAME")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    cameras: Annotated[Path, typer.Option(help="cameras.json.")],
+    head: Annotated[Path, typer.Option(help="The head's mesh, in the same world.")],
+    view: Annotated[
+        list[str] | None, typer.Option(help="Name of a camera; may be repeated. All when omitted.")
+    ] = None,
+    keypoints: Annotated[
+        Path | None,
+        typer.Option(help="Otherwise <frame stem>.keypoints.json or keypoints.json beside the frame."),
+    ] = None,
+    picture: Annotated[
+        list[Path] | None,
+        typer.Option(help="Photograph to put the lenses into, once a view; otherwise the scene is drawn."),
+    ] = None,
+    environment: Annotated[
+        Path | None,
+        typer.Option(help="Equirectangular EXR, HDR or PNG: light of a drawn scene, and what lenses mirror."),
+    ] = None,
+    dioptres: Annotated[str, typer.Option(help="D, or L,R: one number for both lenses or two.")] = "0",
+    tint: Annotated[str | None, typer.Option(help="R,G,B, linear: the glass's colour.")] = None,
+    alpha: Annotated[float | None, typer.Option(help="Share of the tint, 0 to 1.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Share of the reflection, 0 to 1.")] = None,
+    sunglasses: Annotated[
+        bool, typer.Option("--sunglasses", help="Dark glass that filters light, and mirrors.")
+    ] = False,
+    fresnel: Annotated[
+        bool, typer.Option("--fresnel", help="Let the reflection grow towards glancing angles.")
+    ] = False,
+    supersampling: Annotated[int, typer.Option(help="n x n rays for pixels on edges.", min=1)] = 3,
+    lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 64,
+    unit: Annotated[str, typer.Option(help="Of frame and head: auto, mm, cm or m.")] = "auto",
+    json_summary: JsonOption = False,
+) -> None:
+    """Put lenses into a frame on a face and show them, drawn or in photographs."""
+    from scan2albedo.errors import Scan2AlbedoError
+    from scan2albedo.eyeglasses import LensPictureOptions
+    from scan2albedo.glasses_lens_input import check_unit, material_pair, read_lens_input
+    from scan2albedo.glasses_lens_run import run_lenses
+    from scan2albedo.progress import ProgressLines
+    from scan2albedo.result_files import check_writable
+
+    try:
+        check_unit(unit)
+        materials = material_pair(
+            dioptres, tint=tint, alpha=alpha, beta=beta, sunglasses=sunglasses, fresnel=fresnel
+        )
+    except (ValueError, Scan2AlbedoError) as error:
+        raise typer.BadParameter(one_line(error)) from None
+    stop_cleanly_on_interrupt(out)
+    with ProgressLines("lenses") as progress:
+        try:
+            source = read_lens_input(
+                frame,
+                head,
+                cameras,
+                keypoints=keypoints,
+                views=view or (),
+                pictures=picture or (),
+                environment=environment,
+                unit=unit,
+            )
+            check_writable(out)
+            options = LensPictureOptions(supersampling=supersampling, light_count=lights)
+            record = run_lenses(source, materials, options, out, progress.say)
+        except Scan2AlbedoError as error:
+            progress.say(f"scan2albedo: error: {one_line(error)}")
+            if json_summary:
+                echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
+            raise typer.Exit(USAGE_ERROR) from None
+    if json_summary:
+        echo_json({"frame": str(frame), "status": "done", "out": str(out), **record.model_dump(mode="json")})

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import OutputError
-from scan2albedo.eyeglasses import Camera, write_cameras, write_keypoints, write_labels, write_masks
+from scan2albedo.eyeglasses import (
+    Camera,
+    LensMaterial,
+    LensPictureOptions,
+    read_cameras,
+    write_cameras,
+    write_keypoints,
+    write_labels,
+    write_masks,
+)
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.glasses_demo_report import GlassesDemoReport, Head, compare_with_wearer
 from scan2albedo.glasses_input import keypoints_beside
+from scan2albedo.glasses_lens_input import read_lens_input
+from scan2albedo.glasses_lens_run import run_lenses
 from scan2albedo.glasses_registration import register_frame
 from scan2albedo.glasses_registration_files import write_registration_files
 from scan2albedo.glasses_registration_input import RegistrationFiles, read_registration
@@ -31,6 +43,8 @@ Mesh = tuple[FloatArray, IntArray]
 
 INPUT = "input"
 """Folder with what a person who takes pictures would bring."""
+LENSES = "lenses"
+"""Folder with the picture through lenses."""
 _SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
 """Neither registration nor fit look at the scan's pictures."""
 
@@ -41,9 +55,13 @@ def run_glasses_demo(
     seed: int = 0,
     head: Head = "fitted",
     options: WearerOptions = WearerOptions(),
+    dioptres: float | None = -6.0,
     on_progress: ProgressCallback | None = None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
+
+    Then lenses are put into the registered frame and drawn in the middle view, into `LENSES`.
 
     Parameters
     ----------
@@ -57,8 +75,12 @@ def run_glasses_demo(
         "none".
     options : WearerOptions
         Of the pictures.
+    dioptres : float, optional
+        Of both lenses; None, and no head to see through them, for no lenses.
     on_progress : callable, optional
         Called with every `TraceRow`.
+    say : callable, optional
+        Called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
@@ -66,7 +88,20 @@ def run_glasses_demo(
     files = write_wearer(person, _head(person, head, seed, on_progress), folder)
     placed = register_frame(read_registration(files), on_progress=on_progress)
     write_registration_files(placed, folder)
+    if dioptres is not None and files.head is not None:
+        _draw_lenses(folder, files, dioptres, say)
     return compare_with_wearer(placed, person, head)
+
+
+def _draw_lenses(folder: Path, files: RegistrationFiles, dioptres: float, say: Callable[[str], None]) -> None:
+    """Draw lenses in the registered frame, from the files that `glasses lenses` would read."""
+    assert files.head is not None
+    names = [camera.name for camera in read_cameras(files.cameras)]
+    source = read_lens_input(
+        folder / "registered.glb", files.head, files.cameras, views=[names[len(names) // 2]]
+    )
+    lens = LensMaterial(dioptres=dioptres, beta=0.04)
+    run_lenses(source, (lens, lens), LensPictureOptions(), folder / LENSES, say)
 
 
 def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoint_files import KeyPoints, read_keypoints_with_unit
+from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.load_scan import load_scan_with
 from scan2albedo.io.units import MM_PER_UNIT, glasses_millimetres_per_unit

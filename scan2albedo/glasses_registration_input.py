@@ -20,7 +20,7 @@ from scan2albedo.eyeglasses import (
     read_registered,
     read_start,
 )
-from scan2albedo.eyeglasses.mask_files import mask_path
+from scan2albedo.eyeglasses.files.mask_files import mask_path
 from scan2albedo.glasses_input import read_frame
 from scan2albedo.io import RawScan, input_sha256, load_scan
 

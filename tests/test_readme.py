@@ -27,6 +27,10 @@ def test_commands_exist():
     named = set(re.findall(r"scan2albedo (process|demo|validate|doctor)\b", README))
     assert named
     assert named <= commands
+    from scan2albedo.glasses_cli import app as glasses
+
+    commands = {command.name or command.callback.__name__ for command in glasses.registered_commands}
+    assert set(re.findall(r"scan2albedo glasses (\w+)", README)) <= commands
 
 
 def test_named_folders_exist():
@@ -39,7 +43,7 @@ def test_python_examples_run(tmp_path, monkeypatch):
     """Every Python block, with a synthetic scan in place of the reader's."""
     import trimesh
 
-    from scan2albedo.synthetic import raw_scan
+    from scan2albedo.synthetic import raw_scan, wearer
 
     scan, _ = raw_scan(0)
     height, width = scan.texture_linear.shape[:2]
@@ -51,10 +55,19 @@ def test_python_examples_run(tmp_path, monkeypatch):
     mesh = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False)
     mesh.export(tmp_path / "subject.ply")
     monkeypatch.chdir(tmp_path)
-    names = {}
+    worn = wearer(0)
+    frame = worn.glasses
+    names = {
+        "meshes": [(frame.rest_vertices, frame.faces), (frame.vertices, frame.faces)],
+        "keypoints": [frame.rest_keypoints, frame.keypoints],
+        "labels": worn.labels,
+        "masks": worn.masks,
+        "cameras": worn.cameras,
+    }
     for block in re.findall(r"```python\n(.*?)```", README, re.DOTALL):
         exec(block.replace("subject.obj", "subject.ply"), names)
     assert names["albedo"].shape == (512, 512, 3)
     assert names["relit"].shape == (512, 512, 3)
     assert names["landmarks"].shape == (68, 3)
+    assert names["frame"].deviation.shape == (len(frame.vertices),)
     assert (tmp_path / "out" / "subject" / "overview.png").is_file()

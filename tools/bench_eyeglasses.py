@@ -35,13 +35,13 @@ from eyeglasses_rims import bench_real, bench_synthetic
 from numpy.typing import NDArray
 from scipy import sparse
 
-from scan2albedo.eyeglasses.biharmonic import biharmonic_energy
-from scan2albedo.eyeglasses.bounded_quadratic import minimize_bounded, optimality_residual
-from scan2albedo.eyeglasses.embedding import Embedding, embed
-from scan2albedo.eyeglasses.lattice import CORNERS, Lattice
-from scan2albedo.eyeglasses.lattice_weights import solve_lattice
-from scan2albedo.eyeglasses.options import WeightOptions
-from scan2albedo.eyeglasses.weights import solve_weights
+from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy
+from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual
+from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
+from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
+from scan2albedo.eyeglasses.weighting.lattice_weights import solve_lattice
+from scan2albedo.eyeglasses.weighting.options import WeightOptions
+from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.io import load_scan
 from scan2albedo.optimization import Meter
 

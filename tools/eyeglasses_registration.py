@@ -17,13 +17,17 @@ from scan2albedo.eyeglasses import (
     bounded_biharmonic_weights,
     register_on_face,
 )
-from scan2albedo.eyeglasses.frame_motion import FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.outline_samples import FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.registration_descent import descend
-from scan2albedo.eyeglasses.registration_inputs import checked_inputs
-from scan2albedo.eyeglasses.registration_report import mark_deviations
-from scan2albedo.eyeglasses.registration_start import starting_poses
-from scan2albedo.eyeglasses.registration_terms import Linearization, OutlineSamples, RegistrationObjective
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
+from scan2albedo.eyeglasses.on_face.registration_descent import descend
+from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
+from scan2albedo.eyeglasses.on_face.registration_report import mark_deviations
+from scan2albedo.eyeglasses.on_face.registration_start import starting_poses
+from scan2albedo.eyeglasses.on_face.registration_terms import (
+    Linearization,
+    OutlineSamples,
+    RegistrationObjective,
+)
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.optimization import Budget, Meter
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer

@@ -1,44 +1,44 @@
 """Eyeglasses: weights that tie a frame to its key points, canonical frames, frames on faces, lenses."""
 
-from scan2albedo.eyeglasses.camera_files import Camera, read_cameras, write_cameras
-from scan2albedo.eyeglasses.canonical_files import read_canonical, write_canonical
-from scan2albedo.eyeglasses.canonicalization import (
+from scan2albedo.eyeglasses.canonical.canonicalization import (
     CanonicalEyeglasses,
     CanonicalizationOptions,
     CanonicalSet,
     canonicalize,
 )
-from scan2albedo.eyeglasses.environment_lights import (
+from scan2albedo.eyeglasses.files.camera_files import Camera, read_cameras, write_cameras
+from scan2albedo.eyeglasses.files.canonical_files import read_canonical, write_canonical
+from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints, write_keypoints
+from scan2albedo.eyeglasses.files.label_files import ViewLabels, read_labels, write_labels
+from scan2albedo.eyeglasses.files.mask_files import read_masks, write_masks
+from scan2albedo.eyeglasses.files.registered_files import read_registered, write_registered
+from scan2albedo.eyeglasses.files.start_files import read_start, write_start
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
+from scan2albedo.eyeglasses.lenses.environment_lights import (
     DistantLights,
     distant_directions,
     environment_weights,
 )
-from scan2albedo.eyeglasses.inserted_lenses import InsertedLens
-from scan2albedo.eyeglasses.keypoint_files import read_keypoints, write_keypoints
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
-from scan2albedo.eyeglasses.label_files import ViewLabels, read_labels, write_labels
-from scan2albedo.eyeglasses.lens_material import LensMaterial, LensPictureOptions
-from scan2albedo.eyeglasses.lens_mesh import lens_mesh
-from scan2albedo.eyeglasses.lens_picture import LensPicture, insert_lenses
-from scan2albedo.eyeglasses.lens_rims import LensRim, find_lens_rim
-from scan2albedo.eyeglasses.lens_scene import Surface
-from scan2albedo.eyeglasses.lens_shading import (
+from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
+from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial, LensPictureOptions
+from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, insert_lenses
+from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lenses.lens_scene import Surface
+from scan2albedo.eyeglasses.lenses.lens_shading import (
     blend_lens,
     environment_radiance,
     light_by_environment,
     mirror_on_sphere,
 )
-from scan2albedo.eyeglasses.mask_files import read_masks, write_masks
-from scan2albedo.eyeglasses.options import WeightOptions
-from scan2albedo.eyeglasses.refraction import RefractedRays, ThinLens, refract
-from scan2albedo.eyeglasses.registered_files import read_registered, write_registered
-from scan2albedo.eyeglasses.registration import register_on_face
-from scan2albedo.eyeglasses.registration_options import FaceRegistrationOptions
-from scan2albedo.eyeglasses.registration_result import RegisteredEyeglasses
+from scan2albedo.eyeglasses.lenses.refraction import RefractedRays, ThinLens, refract
+from scan2albedo.eyeglasses.on_face.registration import register_on_face
+from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
 from scan2albedo.eyeglasses.skinning import skin
-from scan2albedo.eyeglasses.start_files import read_start, write_start
 from scan2albedo.eyeglasses.triangulation import TriangulatedPoints, triangulate
-from scan2albedo.eyeglasses.weights import (
+from scan2albedo.eyeglasses.weighting.options import WeightOptions
+from scan2albedo.eyeglasses.weighting.weights import (
     BoundedBiharmonicWeights,
     bounded_biharmonic_weights,
     solve_weights,

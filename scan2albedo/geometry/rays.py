@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Lock
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.blocks import blocks, each_block
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -96,7 +95,7 @@ class RayCaster:
             along = heading[block] if common is None else common[: len(start)]
             np.not_equal(self._scene.run(start, along, query="OCCLUDED"), -1, out=result[block])
 
-        _each(shoot, _blocks(count))
+        each_block(shoot, blocks(count, _CHUNK))
         return result
 
     def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
@@ -108,25 +107,44 @@ class RayCaster:
         def shoot(block: slice) -> None:
             face[block] = self._run(start[block], heading[block], "INTERSECT")
 
-        _each(shoot, _blocks(len(start)))
+        each_block(shoot, blocks(len(start), _CHUNK))
         return self._complete(start, heading, face)
 
     def _complete(self, start: FloatArray, heading: FloatArray, face: IntArray) -> RayHits:
         """Intersect each ray with its hit triangle again in float64."""
-        hit = face >= 0
         distance, barycentric = np.full(len(start), np.inf), np.zeros((len(start), 3))
-        corners = self._vertices[self._faces[face[hit]]]
-        e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        p = np.cross(heading[hit], e2)
-        determinant = np.einsum("ij,ij->i", e1, p)
-        inverse = 1 / np.where(np.abs(determinant) > 0, determinant, np.inf)
-        s = start[hit] - corners[:, 0]
-        q = np.cross(s, e1)
-        u, v = np.einsum("ij,ij->i", s, p) * inverse, np.einsum("ij,ij->i", heading[hit], q) * inverse
-        weights = np.clip(np.stack([1 - u - v, u, v], 1), 0, None)
-        barycentric[hit] = weights / weights.sum(1, keepdims=True)
-        distance[hit] = np.einsum("ij,ij->i", e2, q) * inverse
+        _intersect(start, heading, face, self._vertices, self._faces, distance, barycentric)
         return RayHits(face, barycentric, distance)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _intersect(start, heading, face, vertices, faces, distance, barycentric):  # type: ignore[no-untyped-def]
+    """Write distances (N,) and weights (N, 3) of rays that hit a face, by Moeller and Trumbore."""
+    e1, e2, s, d = np.empty((4, 3))
+    for i in range(len(face)):
+        if face[i] < 0:
+            continue
+        corner = faces[face[i]]
+        for k in range(3):
+            origin = vertices[corner[0], k]
+            e1[k], e2[k] = vertices[corner[1], k] - origin, vertices[corner[2], k] - origin
+            s[k], d[k] = start[i, k] - origin, heading[i, k]
+        determinant = along = u = v = 0.0
+        for k in range(3):
+            m, n = (k + 1) % 3, (k + 2) % 3
+            p, q = d[m] * e2[n] - d[n] * e2[m], s[m] * e1[n] - s[n] * e1[m]
+            determinant += e1[k] * p
+            u += s[k] * p
+            v += d[k] * q
+            along += e2[k] * q
+        inverse = 1 / determinant if determinant != 0.0 else 0.0
+        u, v = u * inverse, v * inverse
+        # Embree's float32 takes rays that pass a hair beside the face.
+        a, b, c = max(1 - u - v, 0.0), max(u, 0.0), max(v, 0.0)
+        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = a, b, c
+        for k in range(3):
+            barycentric[i, k] /= a + b + c
+        distance[i] = along * inverse
 
 
 @njit(cache=True, nogil=True)
@@ -141,33 +159,3 @@ def _centered(points, center, factor):  # type: ignore[no-untyped-def]
 
 def _single(values: ArrayLike) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, np.float32)
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(i, min(i + _CHUNK, count)) for i in range(0, count, _CHUNK)]
-
-
-def _each(work: Callable[[slice], None], blocks: Sequence[slice]) -> None:
-    """Run `work` on every block, on all cores (embree releases the GIL).
-
-    The caller's thread takes its share: one that only waits costs a fifth of the throughput on two cores.
-    """
-    left, lock = iter(blocks), Lock()
-
-    def take() -> None:
-        while True:
-            with lock:
-                block = next(left, None)
-            if block is None:
-                return
-            work(block)
-
-    helpers = min(os.cpu_count() or 1, len(blocks)) - 1
-    if helpers < 1:
-        take()
-        return
-    with ThreadPoolExecutor(helpers) as pool:
-        futures = [pool.submit(take) for _ in range(helpers)]
-        take()
-    for future in futures:
-        future.result()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.mesh import normalized
@@ -102,22 +103,41 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     >>> weights.round(4).tolist() == [[6.2832] * 3] * 2
     True
     """
-    image, tree = _checked_map(environment_linear), cKDTree(_checked_directions(directions))
-    repeat = max(1, -(-_FINEST_ROWS // len(image)))
-    rows, columns = len(image) * repeat, image.shape[1] * repeat
+    image = _checked_map(environment_linear)
+    return map_cells(_checked_directions(directions), image.shape[:2]).weights(image)
+
+
+@dataclass(frozen=True)
+class MapCells:
+    """Shares of a map's texels in the cells of directions, which serve any map of one size."""
+
+    shares: sparse.csr_matrix
+    """(K, H W) solid angles."""
+
+    def weights(self, environment_linear: FloatArray) -> FloatArray:
+        """Return (K, 3) integrals of a map (H, W, 3)."""
+        return np.asarray(self.shares @ environment_linear.reshape(-1, 3))
+
+
+def map_cells(directions: FloatArray, shape: tuple[int, int]) -> MapCells:
+    """Return the cells of unit directions (K, 3) in maps of a shape (H, W)."""
+    tree, (height, width) = cKDTree(directions), shape
+    repeat = max(1, -(-_FINEST_ROWS // height))
+    rows, columns = height * repeat, width * repeat
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
     solid_angle = (edges[:-1] - edges[1:]) * 2 * np.pi / columns
-    weights = np.zeros((tree.n, 3))
+    nearest = np.empty((rows, columns), np.int32)
     for row, polar in enumerate((np.arange(rows) + 0.5) * np.pi / rows):
         y = np.full(columns, np.cos(polar))
         toward = np.stack([np.sin(polar) * np.sin(azimuth), y, np.sin(polar) * np.cos(azimuth)], 1)
-        nearest = tree.query(toward)[1]
-        # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
-        share = np.zeros((tree.n, image.shape[1]))
-        np.add.at(share, (nearest, np.arange(columns) // repeat), solid_angle[row])
-        weights += share @ image[row // repeat]
-    return weights
+        nearest[row] = tree.query(toward)[1]
+    texel = np.add.outer(
+        np.arange(rows, dtype=np.int32) // repeat * width, np.arange(columns, dtype=np.int32) // repeat
+    )
+    # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
+    entries = np.repeat(solid_angle, columns), (nearest.ravel(), texel.ravel())
+    return MapCells(sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr())
 
 
 def _checked_map(environment_linear: ArrayLike) -> FloatArray:

@@ -43,9 +43,8 @@ class ShadowMap:
 
     def __post_init__(self) -> None:
         if self.caster is not None:
-            low, high = (part * self.caster.size for part in _OFFSETS)
-            start = self.position + min(max(self.offset_mm, low), high) * self.normal
-            object.__setattr__(self, "_origin", self.caster.to_local(start))
+            origin = shadow_origins(self.caster, self.position, self.normal, self.offset_mm)
+            object.__setattr__(self, "_origin", origin)
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
         """Return (N,) uint8, 1 where a light reaches the point.
@@ -74,6 +73,14 @@ class ShadowMap:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""
         toward = np.asarray(directions, np.float64)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
+
+
+def shadow_origins(
+    caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float
+) -> NDArray[np.float32]:
+    """Return (N, 3) where shadow rays start, for `RayCaster.occluded_local`; see `ShadowMap.offset_mm`."""
+    low, high = (part * caster.size for part in _OFFSETS)
+    return caster.to_local(position + min(max(offset_mm, low), high) * normal)
 
 
 @njit(cache=True, nogil=True)

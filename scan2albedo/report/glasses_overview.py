@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.report.overview import Panel
 from scan2albedo.report.rendering import View, heat_colors, render_mesh

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
-from scan2albedo.eyeglasses.mean_keypoints import align_key_points, in_own_axes
-from scan2albedo.eyeglasses.outline import cover, covered_points
-from scan2albedo.eyeglasses.outline_samples import hidden_by
+from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, in_own_axes
+from scan2albedo.eyeglasses.on_face.outline import cover, covered_points
+from scan2albedo.eyeglasses.on_face.outline_samples import hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -45,7 +46,9 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(3.6 * columns, 3.9 * rows + 0.4), dpi=100, layout="constrained")
-    figure.suptitle(title, fontsize=12)
+    # A line that is wider than the figure would be cut off on both sides.
+    lines = [line for part in title.split("\n") for line in textwrap.wrap(part, 36 * columns) or [""]]
+    figure.suptitle("\n".join(lines), fontsize=12)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan2albedo.geometry.rays import RayCaster, _each
+from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import random_rotation
 
 
@@ -101,17 +101,3 @@ def test_prepared_origins_and_one_common_direction_give_the_same_answers():
 
 def test_no_rays_no_answers():
     assert RayCaster(*sphere(1.0, level=1)).occluded(np.zeros((0, 3)), [0, 0, 1.0]).shape == (0,)
-
-
-@pytest.mark.parametrize("count", [1, 2, 9])
-def test_every_block_is_worked_on_once_and_errors_come_through(count):
-    blocks = [slice(i, i + 1) for i in range(count)]
-    done = []
-    _each(lambda block: done.append(block.start), blocks)
-    assert sorted(done) == list(range(count))
-
-    def fail(block):
-        raise RuntimeError(f"block {block.start}")
-
-    with pytest.raises(RuntimeError, match="block"):
-        _each(fail, blocks)

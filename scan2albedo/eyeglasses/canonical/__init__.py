@@ -1,0 +1,1 @@
+"""Frames brought to their mean key points."""

@@ -1,0 +1,1 @@
+"""Files of key points, labels, cameras, masks, and of results."""

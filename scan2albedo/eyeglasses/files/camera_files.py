@@ -1,0 +1,165 @@
+"""Pinhole cameras as JSON files: names, projection matrices, sizes of their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from scan2albedo.eyeglasses.files.checked_files import read_checked
+from scan2albedo.io.atomic import write_text
+from scan2albedo.io.units import MM_PER_UNIT
+
+FloatArray = NDArray[np.float64]
+
+_SINGULAR = 1e-9
+"""Volume that the three rows' unit vectors span below which a camera maps space onto a line."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Parameters
+    ----------
+    name : str
+        Of its picture, labels and mask.
+    matrix : (3, 4) float64
+        Pixels (column, row), centres at integers, from points in mm; any scale and sign.
+    shape : (H, W)
+        Of its picture in pixels.
+
+    Raises
+    ------
+    ValueError
+        When the name is no file name, the matrix is not finite, has another shape or a singular left 3x3
+        part, or the shape is not positive; names the camera.
+    """
+
+    name: str
+    matrix: FloatArray
+    shape: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        checked_name(self.name)
+        matrix = np.asarray(self.matrix, np.float64)
+        if matrix.shape != (3, 4):
+            raise ValueError(f"camera {self.name!r}: its matrix has shape {matrix.shape}, expected (3, 4)")
+        if not np.isfinite(matrix).all():
+            raise ValueError(f"camera {self.name!r}: its matrix holds numbers that are not finite")
+        rows = np.linalg.norm(matrix[:, :3], axis=1)
+        if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > _SINGULAR):
+            raise ValueError(
+                f"camera {self.name!r}: the left 3x3 part of its matrix is singular, which no pinhole camera "
+                "is; give K [R | t]"
+            )
+        if len(self.shape) != 2 or min(self.shape) < 1:
+            raise ValueError(
+                f"camera {self.name!r}: its picture's shape is {self.shape}, expected (H, W) >= 1"
+            )
+        object.__setattr__(self, "matrix", matrix)
+
+
+def checked_name(name: str) -> str:
+    """Return the name of a camera when a file can bear it.
+
+    Raises
+    ------
+    ValueError
+        When it is empty, a folder, or holds a path.
+    """
+    if name in ("", ".", "..") or set(name) & set('/\\:*?"<>|\0'):
+        raise ValueError(f"a camera cannot be named {name!r}: its mask gets a file of that name")
+    return name
+
+
+def refuse_equal_names(names: Iterable[str]) -> None:
+    """Raise ValueError when two cameras' names are equal but for case: their files would be one."""
+    seen: set[str] = set()
+    for name in names:
+        if name.casefold() in seen:
+            raise ValueError(f"two cameras are named {name!r}; give each a name of its own")
+        seen.add(name.casefold())
+
+
+CameraName = Annotated[str, AfterValidator(checked_name)]
+_Row = tuple[float, float, float, float]
+
+
+class CameraEntry(BaseModel):
+    """One camera of a camera file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: CameraName = Field(min_length=1)
+    width: int = Field(ge=1, description="Of the picture in pixels.")
+    height: int = Field(ge=1, description="Of the picture in pixels.")
+    matrix: tuple[_Row, _Row, _Row] = Field(
+        description="Row-major 3x4: pixels (column, row), centres of pixels at integers, from points."
+    )
+
+    @model_validator(mode="after")
+    def _usable(self) -> CameraEntry:
+        self.camera(1.0)
+        return self
+
+    def camera(self, mm_per_unit: float) -> Camera:
+        """Return the camera that takes points in mm."""
+        matrix = np.array(self.matrix, np.float64)
+        matrix[:, :3] /= mm_per_unit
+        return Camera(self.name, matrix, (self.height, self.width))
+
+
+class CamerasFile(BaseModel):
+    """The content of a camera file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["scan2albedo cameras"] = "scan2albedo cameras"
+    format_version: Literal[1] = 1
+    unit: Literal["mm", "cm", "m"] = Field(description="Of the points that the matrices take.")
+    cameras: tuple[CameraEntry, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> CamerasFile:
+        refuse_equal_names(camera.name for camera in self.cameras)
+        return self
+
+
+def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: Literal["mm", "cm", "m"] = "mm") -> None:
+    """Write cameras as JSON, their matrices for points in `unit`.
+
+    Raises
+    ------
+    ValueError
+        When there is none, or two share a name.
+    OutputError
+        When the file cannot be written.
+    """
+    entries = []
+    for camera in cameras:
+        matrix = camera.matrix.copy()
+        matrix[:, :3] *= MM_PER_UNIT[unit]
+        height, width = (int(side) for side in camera.shape)
+        entries.append(CameraEntry(name=camera.name, width=width, height=height, matrix=matrix.tolist()))
+    write_text(path, CamerasFile(unit=unit, cameras=tuple(entries)).model_dump_json(indent=2) + "\n")
+
+
+def read_cameras(path: str | Path) -> tuple[Camera, ...]:
+    """Return the cameras of a file, for points in mm whatever the file's unit.
+
+    Raises
+    ------
+    EyeglassesError
+        When the file cannot be read, is no camera file, or a matrix is not finite or singular; names the
+        file and the camera.
+    """
+    content = read_checked(
+        path, CamerasFile, what="cameras", writer="write_cameras", schema="cameras.schema.json"
+    )
+    return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)

@@ -1,0 +1,1 @@
+"""Lenses: rims, refraction, light, pictures."""

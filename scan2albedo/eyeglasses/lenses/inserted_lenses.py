@@ -1,0 +1,161 @@
+"""Lenses that fill the rims of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial
+from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lenses.lens_plane import LensPlane, fit_normal
+from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lenses.refraction import ThinLens
+from scan2albedo.geometry.rays import RayCaster
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SIDES = ("left", "right")
+_BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
+_RADII_MM = (5.0, 100.0)
+"""Mean radii of lenses, a reader's slit to a diving mask: others are no millimetres."""
+
+
+@dataclass(frozen=True)
+class InsertedLens:
+    """A lens in its rim; mm in the world's frame."""
+
+    side: int
+    """0 is the wearer's left, 1 the right."""
+    material: LensMaterial
+    rim: LensRim
+    vertices: FloatArray
+    """(R + 1, 3), the centre first; rim points moved into their seat."""
+    faces: IntArray
+    """(R, 3)."""
+    optics: ThinLens
+    """In the plane nearest to the rim; the normal towards the viewer of the front."""
+    caster: RayCaster
+    """Of the lens alone."""
+
+    @property
+    def name(self) -> str:
+        """Whose lens it is, for messages."""
+        return f"{SIDES[self.side]} lens"
+
+
+def insert_lens(
+    vertices: FloatArray,
+    faces: IntArray,
+    keypoints: FloatArray,
+    side: int,
+    material: LensMaterial,
+    *,
+    center: FloatArray | None = None,
+    count: int = 128,
+    seat_mm: float = 0.0,
+) -> InsertedLens:
+    """Return the lens that fills one rim of a frame.
+
+    Parameters
+    ----------
+    vertices, faces : (V, 3) float64, (F, 3) int64
+        The frame in mm.
+    keypoints : (20, 3) float64
+        In the order of `KEY_POINT_NAMES`; those of the rim are needed, all others may be NaN.
+    side : int
+        0 left, 1 right.
+    material : LensMaterial
+    center : (3,) float64, optional
+        Optical centre, moved into the lens plane along its normal; otherwise the outline's centroid.
+    count : int
+        Points of the outline.
+    seat_mm : float
+        How far measured points move outward, into the rim.
+
+    Raises
+    ------
+    EyeglassesError
+        When key points of the rim are missing, no rim is found, or its size is no lens's in mm; names the
+        lens.
+    """
+    name = f"the {SIDES[side]} lens"
+    marks = rim_key_points(keypoints, side)
+    top, bridge, inner, bottom, outer = marks
+    # Three of the five lie on the nose's side, so their mean would be off.
+    guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
+    try:
+        normal = _viewers_side(fit_normal(marks, vertices), guess, keypoints)
+        rim = _settled(find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal, count=count))
+        _check_size(rim)
+        fan, triangles = lens_mesh(rim.center, _seated(rim, seat_mm), rim.normal)
+    except EyeglassesError as error:
+        raise EyeglassesError(f"{name}: {error}") from error
+    at = rim.center if center is None else center - ((center - rim.center) @ rim.normal) * rim.normal
+    optics = ThinLens(at, rim.normal, material.dioptres)
+    return InsertedLens(side, material, rim, fan, triangles, optics, RayCaster(fan, triangles))
+
+
+def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
+    """Return (5, 3) key points of a rim: top, bridge, inner, bottom, outer.
+
+    Raises
+    ------
+    EyeglassesError
+        When one is missing; names it and the lens.
+    """
+    wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
+    marks = keypoints[wanted]
+    missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
+    if missing:
+        raise EyeglassesError(
+            f"the {SIDES[side]} lens needs the key points of its rim, but {', '.join(missing)} "
+            f"{'is' if len(missing) == 1 else 'are'} missing; give them, or None in place of this lens"
+        )
+    return marks
+
+
+def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:
+    """Return the normal away from the temples' key points, where there are any."""
+    behind = keypoints[[i for i, n in enumerate(KEY_POINT_NAMES) if n.endswith(_BEHIND)]]
+    behind = behind[np.isfinite(behind).all(1)]
+    if len(behind) == 0:
+        return normal
+    return -normal if (behind.mean(0) - center) @ normal > 0 else normal
+
+
+def _settled(rim: LensRim) -> LensRim:
+    """Return the rim with the normal of its own plane, and the centroid in that plane as its centre."""
+    middle = rim.points.mean(0)
+    axis = np.linalg.svd(rim.points - middle, full_matrices=False)[2][2]
+    axis = axis * np.sign(axis @ rim.normal)
+    return replace(rim, normal=axis, center=_centroid(LensPlane.at(middle, axis), rim.points))
+
+
+def _centroid(plane: LensPlane, outline: FloatArray) -> FloatArray:
+    """Return the area's centroid (3,) of an outline (R, 3) seen along the plane's normal."""
+    offset = outline - plane.center
+    x, y = offset @ plane.across, offset @ plane.up
+    twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
+    cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
+    return np.asarray(plane.center + cx * plane.across + cy * plane.up)
+
+
+def _check_size(rim: LensRim) -> None:
+    radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
+    if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
+        raise EyeglassesError(
+            f"its mean radius is {radius:.3g} mm, which no lens has; give everything in millimetres, "
+            "for the power in dioptres depends on it"
+        )
+
+
+def _seated(rim: LensRim, seat_mm: float) -> FloatArray:
+    """Return the outline (R, 3), moved outward where a rim was met."""
+    plane = LensPlane.at(rim.center, rim.normal)
+    outward = plane.directions(plane.angles(rim.points))
+    return np.asarray(rim.points + seat_mm * rim.measured[:, None] * outward)

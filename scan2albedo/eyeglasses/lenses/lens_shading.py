@@ -1,0 +1,127 @@
+"""What a lens adds to the picture: its tint and the surroundings it mirrors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.lenses.environment_map import map_places, radiance_at
+from scan2albedo.geometry.mesh import normalized
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDING = 1e-12
+
+
+def blend_lens(
+    behind_linear: ArrayLike,
+    tint_linear: ArrayLike,
+    reflected_linear: ArrayLike,
+    alpha: ArrayLike,
+    beta: ArrayLike,
+) -> FloatArray:
+    """Return (..., 3) linear colours (1 - alpha - beta) behind + alpha tint + beta reflected.
+
+    Parameters
+    ----------
+    behind_linear, tint_linear, reflected_linear : array_like of float, shapes that broadcast to (..., 3)
+        What the bent rays see, the glass's own colour, and `environment_radiance` along mirrored rays.
+    alpha, beta : array_like of float, shapes that broadcast to (...)
+        Shares of tint and reflection.
+
+    Raises
+    ------
+    EyeglassesError
+        When a share is negative or not finite, or alpha + beta is more than 1: the lens would give more light
+        than it gets.
+
+    References
+    ----------
+    .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement,
+       equations S11 to S15.
+
+    Examples
+    --------
+    >>> blend_lens([1.0, 1.0, 1.0], [0.0, 0.0, 0.5], [4.0, 4.0, 4.0], 0.5, 0.1)
+    array([0.8 , 0.8 , 1.05])
+    """
+    a, b = np.asarray(alpha, np.float64), np.asarray(beta, np.float64)
+    for name, share in (("alpha", a), ("beta", b)):
+        if not (share >= 0).all():
+            raise EyeglassesError(f"{name} must be 0 or more everywhere; the least is {share.min()}")
+    most = float((a + b).max(initial=0.0))
+    if not most <= 1 + _ROUNDING:
+        raise EyeglassesError(f"alpha + beta must be at most 1, got up to {most:.6g}: lower one of them")
+    a, b = a[..., None], b[..., None]
+    behind, tint, reflected = (
+        np.asarray(c, np.float64) for c in (behind_linear, tint_linear, reflected_linear)
+    )
+    return np.maximum(1 - a - b, 0.0) * behind + a * tint + b * reflected
+
+
+def mirror_on_sphere(
+    points: ArrayLike, directions: ArrayLike, center: ArrayLike, normal: ArrayLike, radius_mm: float
+) -> FloatArray:
+    """Return unit directions (N, 3) of rays mirrored by a lens's front, a sphere that touches its plane.
+
+    Parameters
+    ----------
+    points, directions : (N, 3) array_like of float
+        Where rays meet the lens, mm, and where they go, of any length.
+    center, normal : (3,) array_like of float
+        Of the lens; the normal towards the viewer.
+    radius_mm : float
+        Of the front, bulging towards the viewer; infinite for a flat one.
+
+    Raises
+    ------
+    EyeglassesError
+        When the radius is not positive.
+    """
+    if not radius_mm > 0:
+        raise EyeglassesError(f"the radius of a lens's front must be positive, got {radius_mm} mm")
+    axis, at = normalized(np.asarray(normal, np.float64)), np.asarray(points, np.float64)
+    # Divided by the radius, so that a flat front is no special case.
+    outward = normalized(axis + (at - np.asarray(center, np.float64)) / radius_mm)
+    heading = normalized(np.asarray(directions, np.float64))
+    return heading - 2 * np.einsum("ni,ni->n", heading, outward)[:, None] * outward
+
+
+def environment_radiance(environment_linear: ArrayLike, directions: ArrayLike) -> FloatArray:
+    """Return (N, 3) radiance from directions (N, 3), bilinear in an environment map; linear in the map.
+
+    Parameters
+    ----------
+    environment_linear : (H, W, 3) array_like of float
+        Rows from +y down to -y; columns by azimuth from -pi to pi, from +z toward +x.
+    directions : (N, 3) array_like of float
+        Of any length but zero.
+    """
+    image = np.asarray(environment_linear, np.float64)
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise ValueError(f"environment_linear must have shape (H, W, 3), got {image.shape}")
+    return radiance_at(image, map_places(np.asarray(directions, np.float64)))
+
+
+def light_by_environment(images_linear: ArrayLike, weights: ArrayLike) -> FloatArray:
+    """Return the picture under an environment, the sum over lights k of w_k I_k.
+
+    Parameters
+    ----------
+    images_linear : (K, ..., 3) array_like of float
+        The picture under each light alone.
+    weights : (K,) or (K, 3) array_like of float
+        Of each light, or of each of its colour channels.
+
+    Raises
+    ------
+    ValueError
+        When there is not one weight an image.
+    """
+    images, shares = np.asarray(images_linear, np.float64), np.asarray(weights, np.float64)
+    if shares.shape not in ((len(images),), (len(images), 3)):
+        raise ValueError(f"weights must be ({len(images)},) or ({len(images)}, 3), got {shares.shape}")
+    if shares.ndim == 1:
+        shares = np.repeat(shares[:, None], 3, 1)
+    return np.einsum("k...c,kc->...c", images, shares)

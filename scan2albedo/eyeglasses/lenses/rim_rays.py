@@ -1,0 +1,142 @@
+"""The inner edge of a rim, found by shooting rays outward from the lens centre."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.eyeglasses.lenses.lens_plane import LensPlane, RimProfile
+from scan2albedo.geometry.rays import RayCaster
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_REACH = 0.16
+"""Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
+_HEIGHTS = 33
+_REFINEMENTS, _FINER = (0.006, 0.002), 9
+"""Then heights around the neighbourhood's: single rays meet ends of bridges that poke through."""
+_NEAREST, _FARTHEST = 0.4, 1.5
+"""Hits outside this range, in lens radii, are a nose pad, the other rim or a temple."""
+_WINDOW_RAD = 0.2
+_DENT = 0.0025
+"""Part of the radius by which the edge may lie inside a chord between its neighbours."""
+_STEP = 0.05
+"""Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
+_JUMP = 0.12
+"""Hits this much off the median of their neighbourhood, in lens radii, are something in the way."""
+
+
+def shoot_rim(
+    caster: RayCaster, plane: LensPlane, angles: FloatArray, lens_radius: float | None
+) -> RimProfile:
+    """Return the rim's inner edge (R,) at each angle, NaN where there is none.
+
+    A single ray in the plane would meet a curved rim anywhere on its flank. Rays leave at several heights,
+    and the one that meets the rim first meets its inner edge; then the heights next to it are searched.
+
+    Parameters
+    ----------
+    caster : RayCaster
+        Of the frame.
+    plane : LensPlane
+    angles : (R,) float64
+        Ascending, evenly around the circle.
+    lens_radius : float, optional
+        About; otherwise the median of what rays in the plane hit.
+    """
+    missing = np.full(len(angles), np.nan)
+    if lens_radius is None:
+        flat = _shoot(caster, plane, angles, np.zeros((len(angles), 1)))
+        if not np.isfinite(flat).any():
+            return RimProfile(missing, missing)
+        lens_radius = float(np.median(flat[np.isfinite(flat)]))
+    level = np.zeros(len(angles))
+    radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH, _HEIGHTS)
+    # A plane some degrees off leaves the rim on two sides: sweep again around the tilt that was found.
+    level = _tilt(angles, height, np.isfinite(radius))
+    radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH, _HEIGHTS)
+    for reach in _REFINEMENTS:
+        level = _local_median(height, np.isfinite(radius))
+        radius, height = _nearest(caster, plane, angles, level, lens_radius, reach, _FINER)
+    found = np.isfinite(radius)
+    found &= ~(np.abs(radius - _local_median(radius, found)) > _JUMP * lens_radius)
+    found &= ~_stray(np.where(found, radius / lens_radius, np.nan))
+    # The ray beside a gap may have met the cut instead of the edge.
+    found &= np.roll(found, 1) & np.roll(found, -1)
+    found &= ~_dents(np.where(found, radius, np.nan))
+    return RimProfile(np.where(found, radius, np.nan), np.where(found, height, np.nan))
+
+
+def _tilt(angles: FloatArray, height: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """Return heights (R,) of the plane nearest to the known ones; 0 where less than half are."""
+    if known.sum() < len(known) / 2:
+        return np.zeros(len(angles))
+    basis = np.stack([np.ones(len(angles)), np.cos(angles), np.sin(angles)], 1)
+    return basis @ np.linalg.lstsq(basis[known], height[known], rcond=None)[0]
+
+
+def _stray(radius: FloatArray) -> NDArray[np.bool_]:
+    """Return (R,) True for hits on pieces that less than half the window sees; NaN is none."""
+    count = len(radius)
+    steepest = max(_STEP, 2 * np.pi / count)
+    starts: IntArray = np.flatnonzero(~(np.abs(radius - np.roll(radius, 1)) <= steepest))
+    stray = np.zeros(count, bool)
+    for first, following in zip(starts, np.append(starts[1:], starts[:1] + count), strict=True):
+        if following - first < _half_window(count):
+            stray[np.arange(first, following) % count] = True
+    return stray
+
+
+def _dents(radius: FloatArray) -> NDArray[np.bool_]:
+    """Return (R,) True where the edge lies inside a chord between two points nearby, NaN being no point.
+
+    Rims are convex over so short a way. Ends of bridges and solder poke through them.
+    """
+    dent = np.zeros(len(radius), bool)
+    for k in range(1, _half_window(len(radius)) + 1):
+        before, after = np.roll(radius, k), np.roll(radius, -k)
+        chord = 2 * before * after * np.cos(2 * np.pi * k / len(radius)) / (before + after)
+        dent |= radius < (1 - _DENT) * chord
+    return dent
+
+
+def _nearest(
+    caster: RayCaster,
+    plane: LensPlane,
+    angles: FloatArray,
+    level: FloatArray,
+    lens_radius: float,
+    reach: float,
+    count: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least distance (R,) within `reach` of heights `level` (R,), inf for none, and its height."""
+    heights = level[:, None] + lens_radius * np.linspace(-reach, reach, count)
+    distance = _shoot(caster, plane, angles, heights)
+    # What is far too near is in the way: the rim may be seen past it at other heights.
+    distance[(distance < _NEAREST * lens_radius) | (distance > _FARTHEST * lens_radius)] = np.inf
+    first = distance.argmin(1)[:, None]
+    return np.take_along_axis(distance, first, 1)[:, 0], np.take_along_axis(heights, first, 1)[:, 0]
+
+
+def _shoot(caster: RayCaster, plane: LensPlane, angles: FloatArray, heights: FloatArray) -> FloatArray:
+    """Return (R, H) distances from the axis outward, inf for none, at heights (R, H)."""
+    origins = plane.center + heights[..., None] * plane.normal
+    headings = np.repeat(plane.directions(angles), heights.shape[1], axis=0)
+    return caster.first_hit(origins.reshape(-1, 3), headings).distance.reshape(heights.shape)
+
+
+def _local_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """Return (R,) medians of means of two known values at equal distance; 0 where there are none.
+
+    Pairs keep what rises evenly in its place, beside gaps too.
+    """
+    half = _half_window(len(values))
+    around = (np.arange(len(values))[:, None] + np.arange(-half, half + 1)) % len(values)
+    opposite = around[:, ::-1]
+    pairs = np.ma.masked_array((values[around] + values[opposite]) / 2, ~(known[around] & known[opposite]))
+    return np.ma.median(pairs, axis=1).filled(0.0)
+
+
+def _half_window(count: int) -> int:
+    return max(1, round(_WINDOW_RAD * count / (2 * np.pi)))

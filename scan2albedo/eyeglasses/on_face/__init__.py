@@ -1,0 +1,1 @@
+"""A frame registered on a face."""

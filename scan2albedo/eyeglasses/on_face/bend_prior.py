@@ -1,0 +1,87 @@
+"""What is known of how frames bend: bones keep their lengths, neighbours turn little against each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.eyeglasses.handle_transforms import known_bones
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion
+from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
+from scan2albedo.geometry.mesh import normalized
+
+FloatArray = NDArray[np.float64]
+
+_RIGID_MM = 1e-3
+"""Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
+_BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
+_TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
+
+
+def bend_prior(motion: FrameMotion, options: FaceRegistrationOptions) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (N,) in standard deviations and their derivatives (N, 6 + 3 K).
+
+    Of each bone: its stretch, and the turn of its two ends against each other; then the six rigid motions
+    within the shifts, which must be 0.
+    """
+    bones = known_bones(motion.keypoints)
+    bones = bones[bones[:, 0] < bones[:, 1]]
+    parts = [_stretch(motion, bones, options), _turn(motion, bones, options), _rigid(motion)]
+    value, rows = (np.concatenate(block) for block in zip(*parts, strict=True))
+    return value, np.pad(rows, ((0, 0), (RIGID, 0)))
+
+
+def _stretch(
+    motion: FrameMotion, bones: NDArray[np.int64], options: FaceRegistrationOptions
+) -> tuple[FloatArray, FloatArray]:
+    k, j = bones.T
+    bent = motion.keypoints + motion.state.shifts
+    length = np.linalg.norm(motion.keypoints[j] - motion.keypoints[k], axis=1)
+    along = bent[j] - bent[k]
+    sigma = options.stretch * length
+    rows = np.zeros((len(bones), len(bent), 3))
+    heading = normalized(along) / sigma[:, None]
+    number = np.arange(len(bones))
+    rows[number, j], rows[number, k] = heading, -heading
+    return (np.linalg.norm(along, axis=1) - length) / sigma, rows.reshape(len(bones), -1)
+
+
+def _turn(
+    motion: FrameMotion, bones: NDArray[np.int64], options: FaceRegistrationOptions
+) -> tuple[FloatArray, FloatArray]:
+    """Relative turns R_j R_k^T; derivatives to first order in them."""
+    k, j = bones.T
+    sigma = np.select(
+        [_TEMPLE[bones].any(1), _BRIDGE[bones].all(1)],
+        [options.temple_turn_rad, options.bridge_turn_rad],
+        options.rim_turn_rad,
+    )
+    rotations = motion.handles[:, :3, :3]
+    relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
+    turns = motion.turns.reshape(len(rotations), 3, -1)
+    value = _rotation_vectors(relative) / sigma[:, None]
+    rows = (turns[j] - turns[k]) / sigma[:, None, None]
+    return value.ravel(), rows.reshape(3 * len(bones), -1)
+
+
+def _rotation_vectors(rotations: FloatArray) -> FloatArray:
+    """Return (N, 3) axes times angles of rotations (N, 3, 3) well below half a turn."""
+    skew = (rotations - rotations.transpose(0, 2, 1)) / 2
+    axis = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], 1)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2)
+    return axis * np.where(sine > 1e-12, angle / np.where(sine > 0, sine, 1), 1.0)[:, None]
+
+
+def _rigid(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
+    arm = np.where(motion.known[:, None], motion.keypoints - motion.center, 0.0)
+    moves = np.tile(np.eye(3), (len(arm), 1, 1))
+    spread = np.linalg.norm(arm, axis=1).mean()
+    turns = np.cross(arm[:, None], np.eye(3)) / spread
+    rows = np.concatenate([moves, turns], 2) * motion.known[:, None, None]
+    rows = rows.transpose(2, 0, 1).reshape(6, -1) / _RIGID_MM / motion.known.sum()
+    # Key points that the frame lacks stay where they are.
+    still = np.eye(rows.shape[1])[np.repeat(~motion.known, 3)]
+    rows = np.concatenate([rows, still])
+    return rows @ motion.state.shifts.ravel(), rows

@@ -1,0 +1,327 @@
+"""Glasses registered on a face from key points and masks in calibrated views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.head_contact import HeadContact
+from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
+from scan2albedo.eyeglasses.on_face.registration_descent import Descent, descend
+from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs, checked_inputs
+from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.registration_report import depth_open, mark_deviations, report
+from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.registration_start import starting_poses
+from scan2albedo.eyeglasses.on_face.registration_terms import Linearization, RegistrationObjective
+from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.optimization import Budget, Meter, Plan, PlanStep, ProgressCallback
+
+FloatArray = NDArray[np.float64]
+
+STAGE = "glasses"
+_ENOUGH, _ENOUGH_A_TRACE = 1e-5, 1e-3
+"""Part of the cost below which an improvement ends a descent; that on one tracing of the outline."""
+_STEPS_A_TRACE = 6
+_STILL, _NO_LESS = 0.5, 2
+"""Movement of the key points between two tracings at which the outlines have settled, in standard deviations
+of what is still open about them; and how often it may get no less: tracing jumps from pixel to pixel."""
+
+
+def register_on_face(
+    glasses: Any,
+    keypoints_2d: ArrayLike,
+    masks: Sequence[ArrayLike | None] | ArrayLike | None,
+    cameras: ArrayLike,
+    budget: Budget | float | None = None,
+    *,
+    head: Any | None = None,
+    start: ArrayLike | None = None,
+    shapes: Sequence[tuple[int, int]] | None = None,
+    options: FaceRegistrationOptions = FaceRegistrationOptions(),
+    on_progress: ProgressCallback | None = None,
+) -> RegisteredEyeglasses:
+    """Place a frame where calibrated pictures show it, bent as they show it.
+
+    Minimises over the frame's pose and the shifts of its key points
+
+        sum rho(project(x_k) - l_ck) + sum rho(d_c(project(y_i))) + bend's prior,
+
+    l_ck the labels, y_i the points that make the frame's outline in view c, d_c the distance from the outline
+    of its mask; first the pose alone on the labels, then bent, then with the outlines, which are traced anew
+    as the frame moves. Steps are Levenberg-Marquardt's, with all derivatives in closed form.
+
+    Parameters
+    ----------
+    glasses : object or tuple
+        With attributes vertices (V, 3), faces (F, 3), keypoints (20, 3) and maybe weights (V, 20), such as
+        `CanonicalEyeglasses`; or a tuple of these. Key points in the order of `KEY_POINT_NAMES`, NaN for
+        those that the frame lacks. Any unit, the cameras' own.
+    keypoints_2d : (C, 20, 2) array_like of float
+        Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
+    masks : sequence of C (H, W) array_like, or None
+        Nonzero where a view shows the frame: what its mesh covers, so that lenses count if the mesh has them.
+        None, also for a single view, where there is no segmentation. An empty one does not count.
+    cameras : (C, 3, 4) array_like of float
+        Projection matrices of any scale and sign.
+    budget : Budget or float, optional
+        Seconds, or evaluations of the objective.
+    head : optional
+        What may hide the frame, such as the fitted face: an object with vertices and faces, or a tuple of
+        them, in the cameras' frame. Without it hidden temples are taken for wrongly placed ones.
+    start : (4, 4) array_like, optional
+        `world_from_glasses`, about; needed only where the labels fix no pose.
+    shapes : sequence of C (H, W), optional
+        Of the pictures: where a view has no mask, they tell which of the frame's points lie outside.
+    options : FaceRegistrationOptions
+    on_progress : callable, optional
+        Called with each row of the trace.
+
+    Returns
+    -------
+    RegisteredEyeglasses
+
+    Raises
+    ------
+    EyeglassesError
+        When the labels fix no pose and there is no start, the units differ, weights cannot be solved, or
+        numbers are not finite.
+    ValueError
+        When shapes do not fit together.
+
+    Notes
+    -----
+    What the pictures do not tell is reported, not guessed: `observed`, `deviation`, `unobserved`.
+    The paper [1]_ minimises a rendered segmentation with Adam, some thousand renderings; this takes about a
+    hundred evaluations.
+
+    References
+    ----------
+    .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, equation S3.
+
+    Examples
+    --------
+    >>> from scan2albedo.synthetic import wearer
+    >>> person = wearer(seed=1)
+    >>> g = person.glasses
+    >>> found = register_on_face(
+    ...     (g.rest_vertices, g.faces, g.rest_keypoints), person.labels, person.masks, person.cameras,
+    ...     head=(person.head_vertices, person.head_faces))
+    >>> bool(np.linalg.norm(found.vertices - person.vertices, axis=1).mean() < 0.5)
+    True
+    """
+    meter = Meter(STAGE, "px", Budget.of(budget), on_progress)
+    given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes)
+    with threadpool_limits(1, "blas"):
+        # Matrices of 66 rows: more threads only wait for each other.
+        return _Run(given, options, meter).result()
+
+
+@dataclass
+class _Outcome:
+    """Where the stages have come."""
+
+    state: FrameState
+    at: Linearization
+    converged: bool
+
+
+class _Run:
+    """One registration: what its stages share."""
+
+    def __init__(self, given: RegistrationInputs, options: FaceRegistrationOptions, meter: Meter) -> None:
+        self.given, self.options, self.meter = given, options, meter
+        self.steps: list[PlanStep] = list(given.plan)
+        self.weights = self._weights()
+        self.objective = RegistrationObjective(given.keypoints, given.views, options)
+        mesh = FrameMesh(SkinnedPoints(given.vertices, self.weights), given.faces)
+        caster = None if given.head is None else RayCaster(*given.head)
+        self.sampler = OutlineSampler(mesh, given.views, caster, options)
+
+    def result(self) -> RegisteredEyeglasses:
+        """Run the stages that the input asks for."""
+        outcome = self._outlined(self._rested(self._bent(self._placed())))
+        return report(
+            self.given,
+            self.sampler,
+            self.objective,
+            outcome.state,
+            outcome.at,
+            converged=outcome.converged,
+            meter=self.meter,
+            plan=Plan(tuple(self.steps)),
+        )
+
+    def _note(self, step: str, ran: bool, reason: str, evidence: str = "") -> None:
+        self.steps.append(PlanStep(f"{STAGE}.{step}", ran, reason, evidence))
+
+    def _weights(self) -> FloatArray:
+        given = self.given
+        if given.weights is not None:
+            self._note("weights", False, "the glasses bring their own")
+            return given.weights
+        if not self.options.bend:
+            self._note("weights", False, "the frame stays as it is")
+            return np.eye(1, len(given.keypoints), int(np.argmax(given.known))).repeat(len(given.vertices), 0)
+        seconds = self.meter.budget.seconds
+        left = None if seconds is None else Budget(seconds=max(seconds - self.meter.elapsed_s, 1e-3))
+        try:
+            solved = solve_weights(
+                given.vertices,
+                given.faces,
+                given.keypoints[given.known],
+                budget=left,
+                options=self.options.weights,
+            )
+        except EyeglassesError as error:
+            raise EyeglassesError(f"the glasses' weights: {error}") from error
+        self._note(
+            "weights",
+            True,
+            "the glasses bring none",
+            f"{solved.node_count} nodes, {self.meter.elapsed_s:.2f} s",
+        )
+        weights = np.zeros((len(given.vertices), len(given.keypoints)))
+        weights[:, given.known] = solved.weights
+        return weights
+
+    def _placed(self) -> _Outcome:
+        """The pose alone, from the best of several starts."""
+        starts = starting_poses(
+            self.given.keypoints, self.given.views, self.options.label_noise_px, self.given.start
+        )
+        rigid = partial(self.objective.linearize, samples=None, rigid=True)
+        if not self.given.labelled:
+            self._note("pose", False, "no key point is labelled: the start is taken as given")
+            return _Outcome(starts[0], rigid(starts[0]), True)
+        ranked = sorted(starts, key=lambda state: rigid(state).cost)
+        self.meter.count(len(starts))
+        found = self._descend("pose", rigid, ranked[0])
+        self._note(
+            "pose", True, f"the best of {len(starts)} starts, refined", f"{_labels_px(found.at):.2f} px"
+        )
+        return _Outcome(found.state, found.at, found.converged)
+
+    def _bent(self, before: _Outcome) -> _Outcome:
+        if not self.options.bend:
+            self._note("key_points", False, "the frame stays as it is: options.bend is off")
+            return before
+        if not self.given.labelled:
+            self._note("key_points", False, "no key point is labelled")
+            return before
+        if self.meter.exhausted:
+            self._note("key_points", False, "the budget has ended")
+            return replace(before, converged=False)
+        found = self._descend("key_points", partial(self.objective.linearize, samples=None), before.state)
+        self._note(
+            "key_points",
+            True,
+            "labels ask for a bend",
+            f"{_labels_px(before.at):.2f} -> {_labels_px(found.at):.2f} px",
+        )
+        return _Outcome(found.state, found.at, found.converged)
+
+    def _rested(self, before: _Outcome) -> _Outcome:
+        """Rested on the nose where the labels do not tell how far away the frame is."""
+        motion = self.objective.motion(before.state)
+        depth = depth_open(self.given, motion, before.at)
+        evidence = f"depth known to {depth:.1f} mm"
+        if depth <= self.options.observed_mm:
+            self._note("contact", False, "the views see depth", evidence)
+            return before
+        if self.given.head is None or not self.options.contact:
+            self._note("contact", False, "there is no head to rest on, or options.contact is off", evidence)
+            return before
+        contact = HeadContact(self.sampler.mesh.points, *self.given.head)
+        if not contact or self.meter.exhausted:
+            self._note("contact", False, "the frame has no front, or the budget has ended", evidence)
+            return before
+        contact.watch(motion)
+        self.objective.contact = contact
+        rigid = not self.options.bend
+        found = self._descend(
+            "contact", partial(self.objective.linearize, samples=None, rigid=rigid), before.state
+        )
+        contact.watch(self.objective.motion(found.state))
+        self._note("contact", True, "the views do not see depth: the frame rests on the nose", evidence)
+        return _Outcome(found.state, found.at, found.converged)
+
+    def _outlined(self, before: _Outcome) -> _Outcome:
+        if not any(view.distance is not None for view in self.given.views):
+            self._note("outlines", False, "no view has a mask")
+            return before
+        if self.meter.exhausted:
+            self._note("outlines", False, "the budget has ended")
+            return replace(before, converged=False)
+        outcome, first, rounds, settled = before, np.nan, 0, False
+        # What labels leave open: outlines that have found a wrong place would call it certain.
+        vague = mark_deviations(self.given, self.objective.motion(before.state), before.at)
+        ways: list[float] = []
+        # One clock for all tracings: the rows of a stage count from its start.
+        meter = self.meter.child(f"{STAGE}.outlines", "px")
+        while rounds < self.options.outlines and not settled and not meter.exhausted:
+            motion = self.objective.motion(outcome.state)
+            samples = self.sampler.sample(motion, vague)
+            if len(samples) == 0:
+                self.meter.adopt(meter)
+                reach = f"{self.options.outline_reach_px:g} px"
+                self._note("outlines", False, "no outline of the frame is near a mask's", reach)
+                return outcome
+            found = descend(
+                partial(self.objective.linearize, samples=samples, rigid=not self.options.bend),
+                outcome.state,
+                meter,
+                steps=_STEPS_A_TRACE,
+                enough=_ENOUGH_A_TRACE,
+                error=_outline_px,
+            )
+            rounds += 1
+            first = _outline_px(found.at) if rounds == 1 else first
+            ways.append(self._moved(outcome.state, found))
+            settled = (
+                ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
+            )
+            outcome = _Outcome(found.state, found.at, settled)
+        self.meter.adopt(meter)
+        self._note(
+            "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {_outline_px(outcome.at):.2f} px"
+        )
+        return outcome
+
+    def _descend(self, step: str, linearize: Any, state: FrameState) -> Descent:
+        child = self.meter.child(f"{STAGE}.{step}", "px")
+        found = descend(linearize, state, child, steps=self.options.steps, enough=_ENOUGH, error=_labels_px)
+        self.meter.adopt(child)
+        return found
+
+    def _moved(self, before: FrameState, found: Descent) -> float:
+        """Return the longest way of a key point between two states, in its standard deviations."""
+        known = self.given.known
+        places = []
+        for state in (before, found.state):
+            world = self.objective.motion(state).world_from_frame
+            places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
+        deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
+        return float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max())
+
+
+def _labels_px(at: Linearization) -> float:
+    """Median distance of labels; outliers do not show in it."""
+    errors = at.labels_px[np.isfinite(at.labels_px)]
+    return float(np.median(errors)) if len(errors) else float("nan")
+
+
+def _outline_px(at: Linearization) -> float:
+    """Mean distance of the outline from the mask's: a median of whole pixels would stand still."""
+    errors = np.abs(at.outline_px[np.isfinite(at.outline_px)])
+    return float(np.mean(errors)) if len(errors) else float("nan")

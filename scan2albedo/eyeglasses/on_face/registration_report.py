@@ -1,0 +1,209 @@
+"""From the state a registration ended in to its result, in the caller's unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.mask_agreement import compare_masks, contradicted
+from scan2albedo.eyeglasses.on_face.observability import (
+    Noise,
+    PointDeviations,
+    deviation_along,
+    measured_noise,
+    worst_deviation,
+)
+from scan2albedo.eyeglasses.on_face.outline_samples import OutlineSampler, hidden_by
+from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs
+from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.registration_terms import (
+    Linearization,
+    ObservedView,
+    OutlineSamples,
+    RegistrationObjective,
+)
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import camera_centers, project
+from scan2albedo.optimization import Meter, Plan, PlanStep
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_ANYWHERE_MM = 1e6
+_LEAST_NOISE_PX = 0.3
+"""Below it pixels and the bend's model are what limits, not labels."""
+
+
+def report(
+    given: RegistrationInputs,
+    sampler: OutlineSampler,
+    objective: RegistrationObjective,
+    state: FrameState,
+    outcome_at: Linearization,
+    *,
+    converged: bool,
+    meter: Meter,
+    plan: Plan,
+) -> RegisteredEyeglasses:
+    """Return the result of a registration that ended in `state`."""
+    options, motion = objective.options, objective.motion(state)
+    points, marks = sampler.mesh.points, _marks(given)
+    vertices, keypoints = motion.positions(points), motion.positions(marks)
+    final = mark_deviations(given, motion, outcome_at)
+    samples = sampler.sample(motion, final)
+    at = objective.linearize(state, samples, rigid=not options.bend)
+    noise = measured_noise(at, _LEAST_NOISE_PX, Noise(options.label_noise_px, options.outline_noise_px))
+    deviations = PointDeviations(motion, _matrix(objective, state, samples, noise))
+    visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
+    marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
+    covariances = deviations.covariances(marks)
+    deviation, mark_deviation = worst_deviation(deviations.covariances(points)), worst_deviation(covariances)
+    depth = _depth_deviation(given.views, keypoints, covariances, marks_visible)
+    agreements = [
+        compare_masks(sampler, motion, view, mask, noise.outline_px)
+        for view, mask in zip(given.views, given.masks, strict=True)
+        if mask is not None and view.distance is not None
+    ]
+    wrong = contradicted(agreements, len(keypoints)) & given.known
+    limit, unit = options.observed_mm, given.unit
+    world = motion.world_from_frame
+    lost = np.where(given.known, 1.0, np.nan)
+    return RegisteredEyeglasses(
+        vertices=unit * vertices,
+        faces=given.faces,
+        weights=points.weights,
+        keypoints=unit * keypoints * lost[:, None],
+        world_from_glasses=_in_units(world, unit),
+        handle_transforms=np.stack([_in_units(t, unit) for t in motion.transforms]),
+        bend=unit * state.shifts,
+        visible=visible,
+        deviation=unit * deviation,
+        observed=visible.any(0) & (deviation <= limit) & ~wrong[points.weights.argmax(1)],
+        keypoint_deviation=unit * mark_deviation * lost,
+        keypoints_observed=marks_visible.any(0) & (mark_deviation <= limit) & ~wrong,
+        depth_deviation=unit * depth,
+        depth_observed=depth <= limit,
+        label_errors_px=at.labels_px,
+        inliers=at.labels_px <= 3 * max(noise.label_px, options.label_noise_px),
+        outline_rms_px=_outline_rms(at, samples, len(given.views)),
+        iou=_of_views(given, [agreement.iou for agreement in agreements]),
+        converged=converged,
+        iterations=meter.evaluations,
+        plan=plan + _reported(depth, limit, marks_visible, mark_deviation, wrong, given),
+        trace=meter.trace,
+    )
+
+
+def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:
+    """Return the standard deviation of the key points along the line of sight, mm, the head left aside."""
+    if not given.labelled:
+        return _ANYWHERE_MM
+    covariances = PointDeviations(motion, at.matrix).covariances(_marks(given))
+    seen = np.tile(given.known, (len(given.views), 1))
+    return _depth_deviation(given.views, motion.positions(_marks(given)), covariances, seen)
+
+
+def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> FloatArray:
+    """Return (20,) standard deviations of the key points, mm; far off without labels and outlines."""
+    if not given.labelled and len(at.outline_px) == 0:
+        return np.full(len(given.keypoints), _ANYWHERE_MM)
+    return worst_deviation(PointDeviations(motion, at.matrix).covariances(_marks(given)))
+
+
+def _marks(given: RegistrationInputs) -> SkinnedPoints:
+    return SkinnedPoints(np.nan_to_num(given.keypoints), np.eye(len(given.keypoints)))
+
+
+def _matrix(
+    objective: RegistrationObjective, state: FrameState, samples: OutlineSamples, noise: Noise
+) -> FloatArray:
+    """Return the Gauss-Newton matrix with labels and outlines weighted by the noise that they show."""
+    options: FaceRegistrationOptions = replace(
+        objective.options, label_noise_px=noise.label_px, outline_noise_px=noise.outline_px
+    )
+    honest = RegistrationObjective(objective.keypoints, objective.views, options, objective.contact)
+    return honest.linearize(state, samples, rigid=not options.bend).matrix
+
+
+def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) -> BoolArray:
+    """Return (N,) True for points in the picture that the head does not hide."""
+    pixels, depth = project(view.camera, points)
+    inside = depth > 0
+    if view.shape is not None:
+        limit = np.array([view.shape[1], view.shape[0]]) - 0.5
+        with np.errstate(invalid="ignore"):
+            inside &= ((pixels >= -0.5) & (pixels <= limit)).all(1)
+    return inside & ~hidden_by(sampler.head, view.camera, points)
+
+
+def _depth_deviation(
+    views: tuple[ObservedView, ...], keypoints: FloatArray, covariances: FloatArray, visible: BoolArray
+) -> float:
+    """Return the root mean square deviation along each view's rays, of the view that knows depth best."""
+    best = np.inf
+    for view, seen in zip(views, visible, strict=True):
+        if seen.any():
+            rays = normalized(keypoints[seen] - camera_centers(view.camera[None])[0])
+            along = deviation_along(covariances[seen], rays)
+            best = min(best, float(np.sqrt((along**2).mean())))
+    return best
+
+
+def _outline_rms(at: Linearization, samples: OutlineSamples, count: int) -> FloatArray:
+    result = np.full(count, np.nan)
+    for number in range(count):
+        errors = at.outline_px[samples.view == number]
+        errors = errors[np.isfinite(errors)]
+        if len(errors):
+            result[number] = np.sqrt((errors**2).mean())
+    return result
+
+
+def _of_views(given: RegistrationInputs, values: list[float]) -> FloatArray:
+    """Return (C,) values of the views with a mask that counts, NaN for the others."""
+    result = np.full(len(given.views), np.nan)
+    result[[view.distance is not None for view in given.views]] = values
+    return result
+
+
+def _in_units(transform: FloatArray, unit: float) -> FloatArray:
+    result = transform.copy()
+    result[:3, 3] *= unit
+    return result
+
+
+def _reported(
+    depth: float,
+    limit: float,
+    visible: BoolArray,
+    deviation: FloatArray,
+    wrong: BoolArray,
+    given: RegistrationInputs,
+) -> Plan:
+    """Return rows on what the pictures do not tell."""
+    steps = []
+    if depth > limit:
+        steps.append(
+            PlanStep(
+                "glasses.depth", False, "the views do not see depth", f"{depth:.1f} mm standard deviation"
+            )
+        )
+    hidden = given.known & ~visible.any(0)
+    vague = given.known & ~hidden & (deviation > limit)
+    for lost, why in ((hidden, "hidden in all views"), (vague, "seen, but not well enough")):
+        if lost.any():
+            worst = f"up to {deviation[lost].max():.1f} mm standard deviation"
+            steps.append(
+                PlanStep("glasses.unobserved", False, f"{int(lost.sum())} key points are {why}", worst)
+            )
+    if wrong.any():
+        names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
+        steps.append(
+            PlanStep("glasses.contradicted", False, "masks show them elsewhere or not at all", names)
+        )
+    return Plan(tuple(steps))

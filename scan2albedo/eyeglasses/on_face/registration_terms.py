@@ -1,0 +1,230 @@
+"""What registration minimises: reprojection errors of key points and outlines, and the bend's prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.eyeglasses.on_face.bend_prior import bend_prior
+from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.head_contact import HeadContact
+from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
+from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_BEHIND = 1e6
+"""Squared error in standard deviations of a point behind a camera."""
+_CAUCHY = 2.0
+"""Standard deviations from which a label's error counts less and less."""
+_HUBER = 2.0
+"""Standard deviations from which an outline's error counts by its size alone."""
+
+
+@dataclass(frozen=True)
+class ObservedView:
+    """One camera's picture."""
+
+    camera: FloatArray
+    """(3, 4) normalised."""
+    labels: FloatArray
+    """(K, 2), NaN for missing ones."""
+    distance: MaskDistance | None
+    """None without a usable mask."""
+    shape: tuple[int, int] | None
+    """(H, W) of the picture; None where neither a mask nor the caller tells."""
+
+
+@dataclass(frozen=True)
+class OutlineSamples:
+    """Points of the frame that make its outlines."""
+
+    view: IntArray
+    """(N,)"""
+    points: SkinnedPoints
+    edges: FloatArray
+    """(N, 2) pixels where the mask ends beside the sample; NaN where its distance to the mask counts."""
+    outward: FloatArray
+    """(N, 2) unit vectors in the picture, away from the frame."""
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """The objective at a state: cost, half gradient (P,) and Gauss-Newton matrix (P, P)."""
+
+    cost: float
+    gradient: FloatArray
+    matrix: FloatArray
+    labels_px: FloatArray
+    """(C, K) errors of the labels; NaN where there are none."""
+    outline_px: FloatArray
+    """(N,) errors of the outline's samples; NaN where they do not count."""
+
+
+class RegistrationObjective:
+    """The sum of squares that a frame's state is judged by.
+
+    labels:   sum of s^2 log(1 + |r|^2 / s^2), r in standard deviations, s = 2 (Cauchy's)
+    outlines: sum of Huber's function of the mask's distance at the sample's place
+    bend:     sum of squares of `bend_prior`
+    contact:  square of the frame's distance from the nose, where there is a `contact`
+
+    Parameters
+    ----------
+    keypoints : SkinnedPoints
+        The frame's key points with their own weights.
+    views : tuple of ObservedView
+    options : FaceRegistrationOptions
+    contact : HeadContact, optional
+    """
+
+    def __init__(
+        self,
+        keypoints: FloatArray,
+        views: tuple[ObservedView, ...],
+        options: FaceRegistrationOptions,
+        contact: HeadContact | None = None,
+    ) -> None:
+        self.contact = contact
+        self.keypoints, self.views, self.options = keypoints, views, options
+        self._marks = SkinnedPoints(np.nan_to_num(keypoints), np.eye(len(keypoints)))
+        self._cameras = np.stack([view.camera for view in views])
+        self._labels = np.stack([view.labels for view in views])
+        self._labelled = np.isfinite(self._labels).all(2) & np.isfinite(keypoints).all(1)
+
+    def motion(self, state: FrameState) -> FrameMotion:
+        """Return the frame's motion at a state."""
+        return FrameMotion(self.keypoints, state)
+
+    def linearize(
+        self,
+        state: FrameState,
+        samples: OutlineSamples | None,
+        *,
+        rigid: bool = False,
+        with_matrix: bool = True,
+    ) -> Linearization:
+        """Return the objective at a state.
+
+        Parameters
+        ----------
+        state : FrameState
+        samples : OutlineSamples, optional
+        rigid : bool
+            Of turn and translation alone, without a prior.
+        with_matrix : bool
+            Otherwise labels and outlines add to cost and gradient alone, as descents of first order need.
+        """
+        motion, sums = self.motion(state), _Sums(6 + 6 * len(self.keypoints), with_matrix)
+        labels_px = self._add_labels(motion, sums)
+        outline_px = np.zeros(0) if samples is None else self._add_outlines(motion, samples, sums)
+        if self.contact is not None:
+            self._add_contact(self.contact, motion, sums)
+        if rigid:
+            part = slice(RIGID)
+            return Linearization(
+                sums.cost, sums.gradient[part], sums.matrix[part, part], labels_px, outline_px
+            )
+        gradient, matrix = motion.chained(sums.gradient, sums.matrix)
+        value, rows = bend_prior(motion, self.options)
+        return Linearization(
+            sums.cost + float(value @ value),
+            gradient + rows.T @ value,
+            matrix + rows.T @ rows,
+            labels_px,
+            outline_px,
+        )
+
+    def _add_labels(self, motion: FrameMotion, sums: _Sums) -> FloatArray:
+        place, noise = motion.positions(self._marks), self.options.label_noise_px
+        view, mark = np.nonzero(self._labelled)
+        pixels, slopes, front = _projected(self._cameras[view], place[mark])
+        errors = np.full(self._labelled.shape, np.nan)
+        difference = pixels - self._labels[view, mark]
+        errors[view, mark] = np.where(front, np.linalg.norm(difference, axis=1), np.inf)
+        square = np.where(front, (difference**2).sum(1) / noise**2, _BEHIND)
+        both = np.repeat(mark, 2)
+        sums.add(
+            motion,
+            SkinnedPoints(self._marks.rest[both], self._marks.weights[both]),
+            place[both],
+            np.where(front[:, None, None], slopes, 0.0).reshape(-1, 3) / noise,
+            np.where(front[:, None], difference, 0.0).ravel() / noise,
+            np.repeat(1 / (1 + square / _CAUCHY**2), 2),
+        )
+        sums.cost += float(_CAUCHY**2 * np.log1p(square / _CAUCHY**2).sum())
+        return errors
+
+    def _add_contact(self, contact: HeadContact, motion: FrameMotion, sums: _Sums) -> None:
+        point, place, distance, slope = contact.touch(motion)
+        sigma = self.options.contact_mm
+        value = np.array([distance / sigma])
+        sums.add(motion, point, place, slope / sigma, value, np.ones(1))
+        sums.cost += float(value[0] ** 2)
+
+    def _add_outlines(self, motion: FrameMotion, samples: OutlineSamples, sums: _Sums) -> FloatArray:
+        place, noise = motion.positions(samples.points), self.options.outline_noise_px
+        pixels, slopes, _ = _projected(self._cameras[samples.view], place)
+        error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
+        for number, view in enumerate(self.views):
+            mine = samples.view == number
+            if view.distance is not None and mine.any():
+                error[mine], across = view.distance.sample(pixels[mine])
+                slope[mine] = np.einsum("ni,nij->nj", across, slopes[mine])
+        sought = np.isfinite(samples.edges[:, 0])
+        outward = samples.outward[sought]
+        error[sought] = np.einsum("ni,ni->n", outward, pixels[sought] - samples.edges[sought])
+        slope[sought] = np.einsum("ni,nij->nj", outward, slopes[sought])
+        lost = ~np.isfinite(error)
+        residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
+        size = np.abs(residual)
+        vote = 1 / max(1.0, self.options.outline_correlation_px)
+        far = size > _HUBER
+        cost = np.where(far, _HUBER * (2 * size - _HUBER), size**2)
+        # A sample that left the window of distances counts as one at reach: leaving must not pay.
+        cost[lost] = _HUBER * 2 * self.options.outline_reach_px / noise
+        weight = vote * np.where(far, _HUBER / np.maximum(size, _HUBER), 1.0)
+        sums.add(motion, samples.points, place, slope / noise, residual, weight)
+        sums.cost += float(vote * cost.sum())
+        return error
+
+
+class _Sums:
+    def __init__(self, size: int, with_matrix: bool) -> None:
+        self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
+        self._with_matrix = with_matrix
+
+    def add(
+        self,
+        motion: FrameMotion,
+        points: SkinnedPoints,
+        place: FloatArray,
+        slopes: FloatArray,
+        values: FloatArray,
+        votes: FloatArray,
+    ) -> None:
+        gradient, matrix = motion.raw_sums(
+            points, place, slopes, values, votes, with_matrix=self._with_matrix
+        )
+        self.gradient += gradient
+        self.matrix += matrix
+
+
+def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return pixels (N, 2) of points (N, 3), each in its camera, derivatives (N, 2, 3), in front (N,).
+
+    NaN behind the camera. A tuple of three for the two callers.
+    """
+    image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
+    front = image[:, 2] > 0
+    depth = np.where(front, image[:, 2], np.nan)
+    pixels = image[:, :2] / depth[:, None]
+    slopes = (cameras[:, :2, :3] - pixels[:, :, None] * cameras[:, 2:, :3]) / depth[:, None, None]
+    return pixels, slopes, front

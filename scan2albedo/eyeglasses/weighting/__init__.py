@@ -1,0 +1,1 @@
+"""Bounded biharmonic weights on a voxel lattice around any mesh."""

@@ -1,0 +1,279 @@
+"""Sparse Cholesky factors whose pattern is worked out once and refilled with numbers many times."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from scan2albedo.eyeglasses.weighting.elimination import (
+    column_counts,
+    column_rows,
+    elimination_tree,
+    fronts,
+    postorder,
+    supernodes,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+class SparseCholesky:
+    """L L^T = A for a symmetric positive definite A, and for A with rows and columns taken out.
+
+    The multifrontal method [1]_: columns with one pattern form a supernode, which is factored as a small
+    dense matrix and hands what it leaves over to its parent in the elimination tree. Order, tree and
+    patterns depend on A's pattern alone; only the dense work is repeated by `refill`. At 15,000 nodes of a
+    lattice shell that takes a quarter of a factorisation by SuperLU, a fifth of one through cholespy.
+
+    Parameters
+    ----------
+    matrix : (N, N) sparse
+        All of A, both triangles.
+
+    References
+    ----------
+    .. [1] J. W. H. Liu, "The multifrontal method for sparse matrix solution: theory and practice",
+       SIAM Review 34(1), 1992.
+    """
+
+    def __init__(self, matrix: sparse.csr_matrix) -> None:
+        order = _minimum_degree(matrix)
+        tree = elimination_tree(*_pattern(_permuted(matrix, order)))
+        self.order: IntArray = order[postorder(tree)]
+        """(N,) the row of A that is eliminated first, second, ..."""
+        self.matrix = _permuted(matrix, self.order)
+        """A in that order."""
+        starts, ends = _pattern(self.matrix)
+        tree = elimination_tree(starts, ends)
+        counts = column_counts(starts, ends, tree)
+        self._pointers = np.concatenate([[0], np.cumsum(counts)])
+        rows = column_rows(starts, ends, tree, self._pointers)
+        self._first = supernodes(tree, counts)
+        self._rows, self._row_start, self._children, self._room = fronts(self._first, self._pointers, rows)
+        sizes = np.diff(self._row_start) * np.diff(self._first)
+        self._block_start = np.concatenate([[0], np.cumsum(sizes)])
+        self._blocks = np.empty(self._block_start[-1])
+
+    @property
+    def entries(self) -> int:
+        """Numbers stored, with the zeros of the dense blocks."""
+        return len(self._blocks)
+
+    def refill(self, held: BoolArray) -> None:
+        """Factor A with the rows and columns of `held` (N,), in elimination order, replaced by the identity.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When what is left of A is not positive definite.
+        """
+        matrix = self.matrix
+        widest = int(np.diff(self._row_start).max(initial=1))
+        positive = _factor(
+            matrix.indptr,
+            matrix.indices,
+            matrix.data,
+            held,
+            self._first,
+            self._rows,
+            self._row_start,
+            self._children,
+            self._block_start,
+            self._blocks,
+            np.empty((widest, widest)),
+            np.empty(self._room),
+        )
+        if not positive:
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return A^-1 b for one right-hand side (N,) in elimination order, A as of the last `refill`."""
+        x = np.array(right, np.float64)
+        _substitute(x, self._first, self._rows, self._row_start, self._block_start, self._blocks)
+        return x
+
+
+def _minimum_degree(matrix: sparse.csr_matrix) -> IntArray:
+    """Return (N,) SuperLU's multiple minimum degree order of A^T + A."""
+    factor = splu(
+        matrix.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    return np.argsort(factor.perm_c).astype(np.int64)
+
+
+def _permuted(matrix: sparse.csr_matrix, order: IntArray) -> sparse.csr_matrix:
+    result = matrix[order][:, order].tocsr()
+    result.sort_indices()
+    return result
+
+
+def _pattern(matrix: sparse.csr_matrix) -> tuple[IntArray, IntArray]:
+    return matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _factor(  # type: ignore[no-untyped-def]
+    starts, columns, values, held, first, rows, row_start, children, block_start, blocks, work, stack
+):
+    """Fill `blocks`; return False where a pivot is not positive.
+
+    `work` holds one front, column after column; what a front leaves over waits on `stack` for its parent,
+    which finds its children's on top.
+    """
+    nodes, top, depth = len(first) - 1, 0, 0
+    place, local = np.empty(first[-1], np.int64), np.empty(len(work), np.int64)
+    waiting = np.empty(nodes, np.int64)
+    for s in range(nodes):
+        own = rows[row_start[s] : row_start[s + 1]]
+        size, width = len(own), first[s + 1] - first[s]
+        for i in range(size):
+            place[own[i]] = i
+            for j in range(i, size):
+                work[i, j] = 0.0
+        for k in range(width):
+            c = first[s] + k
+            if held[c]:
+                work[k, k] = 1.0
+                continue
+            for p in range(starts[c], starts[c + 1]):
+                i = columns[p]
+                if i >= c and not held[i]:
+                    work[k, place[i]] = values[p]
+        for _ in range(children[s]):
+            depth -= 1
+            child = waiting[depth]
+            handed = rows[row_start[child] + first[child + 1] - first[child] : row_start[child + 1]]
+            left = len(handed)
+            top -= left * left
+            for j in range(left):
+                local[j] = place[handed[j]]
+            for j in range(left):
+                target, entry = work[local[j]], top + j * left
+                for i in range(j, left):
+                    target[local[i]] += stack[entry + i]
+        if not _eliminate(work, width, size):
+            return False
+        for k in range(width):
+            at = block_start[s] + k * size
+            for i in range(k, size):
+                blocks[at + i] = work[k, i]
+        left = size - width
+        if left:
+            for j in range(left):
+                column, entry = work[width + j], top + j * left
+                for i in range(j, left):
+                    stack[entry + i] = column[width + i]
+            top += left * left
+            waiting[depth] = s
+            depth += 1
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _eliminate(work, width, size):  # type: ignore[no-untyped-def]
+    """Factor the first `width` columns of a front in place (row j of `work` is column j of the front)."""
+    begin = 0
+    while begin < width:
+        end = begin + (
+            8 if width - begin >= 8 else 4 if width - begin >= 4 else 2 if width - begin >= 2 else 1
+        )
+        for k in range(begin, end):
+            here = work[k]
+            for q in range(begin, k):
+                before = work[q]
+                factor = before[k]
+                for i in range(k, size):
+                    here[i] -= factor * before[i]
+            if not here[k] > 0:
+                return False
+            scale = 1 / np.sqrt(here[k])
+            for i in range(k, size):
+                here[i] *= scale
+        if end - begin == 8:
+            _subtract_eight(work, begin, size)
+        elif end - begin == 4:
+            _subtract_four(work, begin, size)
+        elif end - begin == 2:
+            _subtract_two(work, begin, size)
+        else:
+            _subtract_one(work, begin, size)
+        begin = end
+    return True
+
+
+# Columns are subtracted from those behind them eight, four or two in one pass: written out, because the time
+# goes into loading and storing the column that changes.
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _subtract_eight(work, begin, size):  # type: ignore[no-untyped-def]
+    a, b, c, d = work[begin], work[begin + 1], work[begin + 2], work[begin + 3]
+    e, f, g, h = work[begin + 4], work[begin + 5], work[begin + 6], work[begin + 7]
+    for j in range(begin + 8, size):
+        here = work[j]
+        s, t, u, v, w, x, y, z = a[j], b[j], c[j], d[j], e[j], f[j], g[j], h[j]
+        for i in range(j, size):
+            first = s * a[i] + t * b[i] + u * c[i] + v * d[i]
+            here[i] -= first + w * e[i] + x * f[i] + y * g[i] + z * h[i]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _subtract_four(work, begin, size):  # type: ignore[no-untyped-def]
+    a, b, c, d = work[begin], work[begin + 1], work[begin + 2], work[begin + 3]
+    for j in range(begin + 4, size):
+        here = work[j]
+        s, t, u, v = a[j], b[j], c[j], d[j]
+        for i in range(j, size):
+            here[i] -= s * a[i] + t * b[i] + u * c[i] + v * d[i]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _subtract_two(work, begin, size):  # type: ignore[no-untyped-def]
+    a, b = work[begin], work[begin + 1]
+    for j in range(begin + 2, size):
+        here = work[j]
+        s, t = a[j], b[j]
+        for i in range(j, size):
+            here[i] -= s * a[i] + t * b[i]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _subtract_one(work, begin, size):  # type: ignore[no-untyped-def]
+    a = work[begin]
+    for j in range(begin + 1, size):
+        here = work[j]
+        s = a[j]
+        for i in range(j, size):
+            here[i] -= s * a[i]
+
+
+@njit(cache=True, nogil=True)
+def _substitute(x, first, rows, row_start, block_start, blocks):  # type: ignore[no-untyped-def]
+    """Overwrite x with the solution of L L^T x = b."""
+    nodes = len(first) - 1
+    for s in range(nodes):
+        own = rows[row_start[s] : row_start[s + 1]]
+        size = len(own)
+        for k in range(first[s + 1] - first[s]):
+            column = blocks[block_start[s] + k * size : block_start[s] + (k + 1) * size]
+            value = x[own[k]] / column[k]
+            x[own[k]] = value
+            for i in range(k + 1, size):
+                x[own[i]] -= column[i] * value
+    for s in range(nodes - 1, -1, -1):
+        own = rows[row_start[s] : row_start[s + 1]]
+        size = len(own)
+        for k in range(first[s + 1] - first[s] - 1, -1, -1):
+            column = blocks[block_start[s] + k * size : block_start[s] + (k + 1) * size]
+            value = x[own[k]]
+            for i in range(k + 1, size):
+                value -= column[i] * x[own[i]]
+            x[own[k]] = value / column[k]

@@ -1,0 +1,197 @@
+"""Lenses in a registered frame, over a head, for one or more cameras."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import (
+    Camera,
+    InsertedLens,
+    LensMaterial,
+    LensPicture,
+    LensPictureOptions,
+    Surface,
+    insert_lenses,
+)
+from scan2albedo.eyeglasses.lenses.frame_glass import without_glass
+from scan2albedo.eyeglasses.lenses.soft_environment import soft_environment
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+
+FloatArray = NDArray[np.float64]
+
+EnvironmentKind = Literal["given", "built-in", "none"]
+
+_WORN_MM = 150.0
+"""Largest distance between a worn frame's rims and the head: more is another world, or another unit."""
+_BRIGHT, _SHOWN_AS = 98.0, 0.65
+"""Percentile of a drawn picture's brightness, and what previews show it as."""
+
+
+@dataclass(frozen=True)
+class LensView:
+    """A view with lenses in it."""
+
+    camera: Camera
+    picture: LensPicture
+    seconds: float
+
+
+@dataclass(frozen=True)
+class RenderedLenses:
+    """What `render_lenses` made."""
+
+    views: tuple[LensView, ...]
+    frame: Surface
+    """Without glass of its own where a lens is."""
+    environment: EnvironmentKind
+    from_photographs: bool
+    options: LensPictureOptions
+
+    @property
+    def lenses(self) -> tuple[InsertedLens, ...]:
+        """The lenses, the same in all views."""
+        return self.views[0].picture.lenses
+
+    @property
+    def exposure(self) -> float:
+        """Factor on linear colours for previews; 1 for photographs."""
+        if self.from_photographs:
+            return 1.0
+        bright = [np.percentile(v.picture.without_lenses_linear.max(2), _BRIGHT) for v in self.views]
+        return _SHOWN_AS / max(bright) if max(bright) > 0 else 1.0
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes of all views; those that only some have name them."""
+        count = len(self.views)
+        said: dict[str, list[str]] = {}
+        for view in self.views:
+            for note in view.picture.notes:
+                said.setdefault(note, []).append(view.camera.name)
+        return tuple(n if len(names) == count else f"{', '.join(names)}: {n}" for n, names in said.items())
+
+
+def render_lenses(
+    frame: Surface,
+    keypoints: ArrayLike,
+    lenses: LensMaterial | tuple[LensMaterial | None, LensMaterial | None],
+    *,
+    head: Surface,
+    cameras: Sequence[Camera],
+    pictures_linear: Sequence[ArrayLike] | None = None,
+    environment_linear: ArrayLike | None = None,
+    options: LensPictureOptions = LensPictureOptions(),
+    on_view: Callable[[LensView], None] | None = None,
+) -> RenderedLenses:
+    """Put lenses into a frame that sits on a head, and show them to cameras.
+
+    Parameters
+    ----------
+    frame : Surface
+        In the world, mm, such as ``Surface(registered.vertices, faces)`` of a `RegisteredEyeglasses`.
+    keypoints : (20, 3) array_like of float
+        Of the frame in the world, mm.
+    lenses
+        As in `insert_lenses`.
+    head : Surface
+        In the same world.
+    cameras : sequence of Camera
+        One or more.
+    pictures_linear : sequence of (H, W, 3), optional
+        A photograph a camera, to put the lenses into; otherwise frame and head are drawn.
+    environment_linear : (H, W, 3) array_like of float, optional
+        As in `insert_lenses`. Drawn views without one get `soft_environment` of the first camera.
+    options : LensPictureOptions
+    on_view : callable, optional
+        Is told of each view when it is done.
+
+    Raises
+    ------
+    EyeglassesError
+        As from `insert_lenses`, and when frame and head lie apart.
+    ValueError
+        When there is no camera, or not a picture for each of the camera's shape.
+
+    Examples
+    --------
+    >>> from scan2albedo.geometry.pinhole import look_at
+    >>> from scan2albedo.synthetic import eyeglasses
+    >>> glasses = eyeglasses(seed=1)
+    >>> wall = Surface([[-300, -300, -30], [300, -300, -30], [0, 500, -30]], [[0, 1, 2]])
+    >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=150, shape=(32, 48))
+    >>> rendered = render_lenses(
+    ...     Surface(glasses.vertices, glasses.faces),
+    ...     glasses.keypoints,
+    ...     LensMaterial(dioptres=-3.0),
+    ...     head=wall,
+    ...     cameras=[Camera("front", camera, (32, 48))],
+    ...     options=LensPictureOptions(light_count=4),
+    ... )
+    >>> rendered.environment, rendered.views[0].picture.image_linear.shape
+    ('built-in', (32, 48, 3))
+    """
+    if not cameras:
+        raise ValueError("give a camera")
+    photographs = _photographs(cameras, pictures_linear)
+    _check_worn(np.asarray(keypoints, np.float64), head)
+    kind: EnvironmentKind = "given"
+    if environment_linear is None:
+        kind = "none" if pictures_linear is not None else "built-in"
+    if kind == "built-in":
+        environment_linear = soft_environment(cameras[0].matrix, cameras[0].shape)
+    views = []
+    for camera, photograph in zip(cameras, photographs, strict=True):
+        begun = time.perf_counter()
+        picture = insert_lenses(
+            frame,
+            keypoints,
+            lenses,
+            surfaces=[head],
+            camera=camera.matrix,
+            shape=camera.shape if photograph is None else None,
+            picture_linear=photograph,
+            environment_linear=environment_linear,
+            options=options,
+        )
+        views.append(LensView(camera, picture, time.perf_counter() - begun))
+        if on_view is not None:
+            on_view(views[-1])
+    marks = np.asarray(keypoints, np.float64)
+    bare = without_glass(frame, views[0].picture.lenses, marks).surface
+    return RenderedLenses(tuple(views), bare, kind, pictures_linear is not None, options)
+
+
+def _photographs(
+    cameras: Sequence[Camera], pictures: Sequence[ArrayLike] | None
+) -> Sequence[FloatArray | None]:
+    if pictures is None:
+        return [None] * len(cameras)
+    if len(pictures) != len(cameras):
+        raise ValueError(f"there are {len(pictures)} pictures for {len(cameras)} cameras")
+    images = [np.asarray(picture, np.float64) for picture in pictures]
+    for image, camera in zip(images, cameras, strict=True):
+        if image.shape != (*camera.shape, 3):
+            raise ValueError(
+                f"the picture of {camera.name!r} is {image.shape}, expected {(*camera.shape, 3)}"
+            )
+    return images
+
+
+def _check_worn(keypoints: FloatArray, head: Surface) -> None:
+    """Refuse a frame that is not at the head."""
+    known = keypoints[np.isfinite(keypoints).all(1)] if keypoints.ndim == 2 else keypoints[:0]
+    if len(known) == 0:
+        return
+    query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
+    apart = float(np.median(query.query(known).distance))
+    if apart > _WORN_MM:
+        raise EyeglassesError(
+            f"the frame lies {apart:.0f} mm away from the head; give both in the same world, and their units"
+        )

@@ -1,0 +1,99 @@
+"""Environments as distant lights: cells part the sphere, nothing is lost or gained."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.eyeglasses.lenses.environment_lights import (
+    DistantLights,
+    distant_directions,
+    environment_weights,
+)
+from scan2albedo.eyeglasses.lenses.lens_shading import environment_radiance
+
+
+def solid_angles(rows, columns):
+    edges = np.cos(np.linspace(0, np.pi, rows + 1))
+    return np.repeat((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / columns, columns, 1)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (32, 64), (300, 20)])
+@pytest.mark.parametrize("count", [1, 7, 64])
+def test_weights_sum_to_the_integral_of_the_map(shape, count):
+    image = np.random.default_rng(0).random((*shape, 3))
+    weights = environment_weights(image, distant_directions(count))
+    integral = (solid_angles(*shape)[..., None] * image).sum((0, 1))
+    np.testing.assert_allclose(weights.sum(0), integral, rtol=1e-12)
+    assert (weights >= 0).all()
+
+
+def test_weights_are_the_integrals_over_the_nearest_directions():
+    rng = np.random.default_rng(1)
+    directions, image = rng.normal(size=(20, 3)), rng.random((256, 512, 3))
+    polar = (np.arange(256) + 0.5) / 256 * np.pi
+    azimuth = ((np.arange(512) + 0.5) / 512 - 0.5) * 2 * np.pi
+    sine, cosine = np.sin(polar)[:, None], np.cos(polar)[:, None]
+    sphere = np.stack(np.broadcast_arrays(sine * np.sin(azimuth), cosine, sine * np.cos(azimuth)), -1)
+    unit = directions / np.linalg.norm(directions, axis=1)[:, None]
+    nearest = (sphere.reshape(-1, 3) @ unit.T).argmax(1)
+    light = (solid_angles(256, 512)[..., None] * image).reshape(-1, 3)
+    expected = np.stack([np.bincount(nearest, light[:, c], minlength=20) for c in range(3)], 1)
+    np.testing.assert_allclose(environment_weights(image, directions), expected, rtol=1e-9)
+
+
+def test_a_lamp_in_the_map_is_the_light_in_its_direction():
+    image = np.zeros((64, 128, 3))
+    toward = np.array([0.6, 0.5, np.sqrt(1 - 0.61)])
+    row = int(np.arccos(toward[1]) / np.pi * 64)
+    column = int((np.arctan2(toward[0], toward[2]) / (2 * np.pi) + 0.5) * 128)
+    image[row, column] = [100, 50, 0]
+    assert environment_radiance(image, toward[None])[0, 0] > 20
+    directions = distant_directions(50)
+    weights = environment_weights(image, directions)
+    assert np.flatnonzero(weights.any(1)).tolist() == [int((directions @ toward).argmax())]
+
+
+def test_weights_are_linear_in_the_map():
+    rng = np.random.default_rng(2)
+    first, second = rng.random((2, 16, 32, 3))
+    directions = distant_directions(30)
+    together = environment_weights(2 * first + second, directions)
+    apart = 2 * environment_weights(first, directions) + environment_weights(second, directions)
+    np.testing.assert_allclose(together, apart, rtol=1e-13)
+
+
+@pytest.mark.parametrize("count", [1, 2, 10, 200])
+def test_directions_are_even(count):
+    directions = distant_directions(count)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-12)
+    cells = environment_weights(np.ones((1, 1, 3)), directions)[:, 0]
+    assert cells.max() <= 1.5 * cells.min()
+
+
+def test_an_even_environment_shines_on_every_plate_alike():
+    lights = DistantLights.from_environment(np.full((4, 8, 3), [1.0, 2, 0]), 64)
+    normals = np.random.default_rng(3).normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    cosines = np.maximum(normals @ lights.directions.T, 0)
+    np.testing.assert_allclose(
+        cosines @ lights.irradiance_linear, np.pi * np.tile([1, 2, 0], (200, 1)), rtol=0.03
+    )
+
+
+def test_what_is_no_light_is_refused():
+    with pytest.raises(ValueError, match="count"):
+        distant_directions(0)
+    with pytest.raises(ValueError, match="not zero"):
+        environment_weights(np.ones((2, 4, 3)), [[0, 0, 0]])
+    with pytest.raises(ValueError, match="directions must have"):
+        environment_weights(np.ones((2, 4, 3)), np.zeros((0, 3)))
+    with pytest.raises(ValueError, match="finite"):
+        environment_weights(np.full((2, 4, 3), np.inf), [[0, 0, 1]])
+    with pytest.raises(ValueError, match="shape"):
+        environment_weights(np.ones((2, 4)), [[0, 0, 1]])
+    with pytest.raises(ValueError, match="irradiance_linear must be"):
+        DistantLights([[0, 0, 1]], np.ones((2, 3)))
+    with pytest.raises(ValueError, match="finite"):
+        DistantLights([[0, 0, 1]], [np.nan])
+    grey = DistantLights([[0, 0, 2.0]], [3.0])
+    assert grey.irradiance_linear.tolist() == [[3, 3, 3]]
+    assert grey.directions.tolist() == [[0, 0, 1]]

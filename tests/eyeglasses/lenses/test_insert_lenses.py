@@ -1,0 +1,683 @@
+"""Pictures of glasses with lenses: magnification, light, photographs, and what may go wrong."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import (
+    DistantLights,
+    LensMaterial,
+    LensPictureOptions,
+    Surface,
+    distant_directions,
+    environment_weights,
+    insert_lenses,
+    lens_mesh,
+    light_by_environment,
+    refract,
+)
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    look_at,
+    normalized_cameras,
+    pixel_directions,
+    pixel_grid,
+    project,
+)
+from scan2albedo.synthetic import GlassesShape, eyeglasses
+from scan2albedo.synthetic.face_chart import face_surface
+from scan2albedo.synthetic.identity import person
+
+FLAT = eyeglasses(shape=GlassesShape(wrap_radius=1e9))
+"""Both rims in one plane across z."""
+BENT = eyeglasses(1)
+SHAPE = (240, 320)
+FRONT = DistantLights([[0, 0, 1]], [np.pi])
+SUNGLASSES = LensMaterial(-3.0, (0.3, 0.2, 0.1), alpha=0.5, beta=0.2, fresnel=True)
+
+
+def frame_of(glasses, **finish):
+    return Surface(glasses.vertices, glasses.faces, **{"albedo_linear": (0.1, 0.1, 0.1), **finish})
+
+
+def wall(z, texture=None, half=80.0, **finish):
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    if texture is not None:
+        finish |= {"uv": (corners + 1) / 2, "texture_linear": texture}
+    return Surface(np.column_stack([half * corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], **finish)
+
+
+def waves(seed=0, size=200):
+    """A smooth texture."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:size, :size] / size * 2 * np.pi
+    kx, ky, phase = rng.uniform(2, 7, (2, 3)), rng.uniform(-6, 6, (2, 3)), rng.uniform(0, 6, (2, 3))
+    parts = np.sin(kx * x[..., None, None] + ky * y[..., None, None] + phase)
+    return 0.5 + 0.24 * parts.sum(2)
+
+
+def room(seed=0):
+    return np.random.default_rng(seed).random((8, 16, 3))
+
+
+def before(glasses, side=0, distance=600.0, focal_px=1500.0, shape=SHAPE):
+    """A camera in front of one lens."""
+    center = glasses.lens_centers[side]
+    return look_at(center + [0, 0, distance], center, focal_px=focal_px, shape=shape)
+
+
+def insert(glasses, lenses, *, surfaces=(), **options):
+    settings = {"shape": SHAPE, "camera": before(glasses), **options}
+    if "picture_linear" in settings:
+        del settings["shape"]
+    elif "lights" not in settings and "environment_linear" not in settings:
+        settings["lights"] = FRONT
+    return insert_lenses(frame_of(glasses), glasses.keypoints, lenses, surfaces=surfaces, **settings)
+
+
+def crossings(row):
+    """Sub-pixel places where a row passes 1/2."""
+    at = np.flatnonzero(np.diff(np.sign(row - 0.5)))
+    return at + (0.5 - row[at]) / (row[at + 1] - row[at])
+
+
+@pytest.mark.parametrize(("dioptres", "expected"), [(-8, 0.814), (8, 1.296), (-3, None), (20, None)])
+def test_a_checkerboard_is_magnified_as_optics_says(dioptres, expected):
+    rank = np.add.outer(np.arange(160) // 4, np.arange(160) // 4) % 2
+    board = np.repeat(rank[..., None].astype(float), 3, 2)
+    center = FLAT.lens_centers[0]
+    z = insert(FLAT, LensMaterial()).lenses[0].optics.center[2] - 30.0
+    surface = wall(z, board)
+    shape = (300, 300)
+    lens_z = z + 30
+    camera = look_at(
+        [center[0], center[1], lens_z + 600], [center[0], center[1], lens_z], focal_px=1800, shape=shape
+    )
+    picture = insert(
+        FLAT,
+        LensMaterial(dioptres=dioptres),
+        surfaces=[surface],
+        camera=camera,
+        shape=shape,
+        lens_centers=[center, center],
+    )
+    formula = (1 + 30 / 600) / (1 + 30 / 600 - 30 * dioptres / 1000)
+    assert expected is None or formula == pytest.approx(expected, abs=5e-4)
+    middle = (shape[1] - 1) / 2
+    for axis in (0, 1):
+        inside = np.flatnonzero(picture.lens.take(155, axis) == 0)
+        # The rim's shadow lies on the board next to it.
+        inside = inside[len(inside) // 6 : -len(inside) // 6]
+        row = picture.image_linear[..., 0].take(155, axis)
+        seen = crossings(row[inside]) + inside[0]
+        # Edges of the board, 4 mm apart, and where a straight look would see each that the lens shows.
+        edges = np.arange(-80, 81, 4.0) - center[axis]
+        straight = middle + np.array([1, -1])[axis] * np.sort(edges) * 1800 / 630
+        nearest = straight[np.abs((seen[:, None] - middle) / formula - (straight - middle)).argmin(1)]
+        assert len(seen) >= 3
+        slope = np.polyfit(nearest - middle, seen - middle, 1)[0]
+        assert slope == pytest.approx(formula, rel=3e-3)
+        np.testing.assert_allclose(seen, middle + formula * (nearest - middle), atol=0.3)
+
+
+def test_clear_plane_glass_is_not_seen():
+    for options in ({"lights": FRONT}, {"environment_linear": room()}):
+        picture = insert(BENT, LensMaterial(), surfaces=[wall(-30.0, waves())], **options)
+        assert (picture.lens == 0).sum() > 5000
+        np.testing.assert_array_equal(picture.image_linear, picture.without_lenses_linear)
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    for rays in (1, 2, 3):
+        picture = insert(
+            BENT,
+            LensMaterial(),
+            surfaces=[wall(-30.0)],
+            picture_linear=photograph,
+            options=LensPictureOptions(supersampling=rays),
+        )
+        np.testing.assert_array_equal(picture.image_linear, photograph)
+        assert not picture.unknown.any()
+
+
+def test_pictures_under_two_environments_add_up():
+    materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, beta=0.1, tinting="filter"))
+    camera = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
+
+    def render(environment):
+        options = LensPictureOptions(light_count=16)
+        return insert(
+            BENT,
+            materials,
+            surfaces=[wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)],
+            camera=camera,
+            shape=(120, 160),
+            environment_linear=environment,
+            options=options,
+        )
+
+    first, second, both = render(room(1)), render(3 * room(2)), render(room(1) + 3 * room(2))
+    assert {0, 1} <= set(both.lens.ravel().tolist())
+    for name in ("image_linear", "without_lenses_linear"):
+        apart = getattr(first, name) + getattr(second, name)
+        np.testing.assert_allclose(getattr(both, name), apart, atol=1e-12)
+
+
+def test_a_picture_is_the_weighted_sum_of_one_for_each_light():
+    directions = distant_directions(6)
+    weights = environment_weights(room(3), directions)
+    options = {"surfaces": [wall(-30.0, waves())], "shape": (120, 160)}
+    options["camera"] = before(BENT, focal_px=700.0, shape=(120, 160))
+    apart = [
+        insert(BENT, SUNGLASSES, lights=DistantLights([d], [1.0]), **options).image_linear for d in directions
+    ]
+    together = insert(BENT, SUNGLASSES, lights=DistantLights(directions, weights), **options).image_linear
+    np.testing.assert_allclose(together, light_by_environment(apart, weights), atol=1e-12)
+
+
+def test_another_light_is_as_good_as_a_new_picture():
+    materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, tinting="filter"))
+    options = {"surfaces": [wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)], "shape": (120, 160)}
+    options["camera"] = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
+    settings = {"light_count": 16}
+
+    def render(relightable=False, **light):
+        made = LensPictureOptions(relightable=relightable, **settings)
+        return insert(BENT, materials, options=made, **options, **light)
+
+    kept = render(relightable=True, environment_linear=room(1))
+    for name in ("image_linear", "without_lenses_linear"):
+        first = getattr(kept.under(room(1)), name)
+        np.testing.assert_array_equal(first, getattr(kept, name))
+        for other in (3 * room(2), waves(5, 64)[:32]):
+            anew = getattr(render(environment_linear=other), name)
+            np.testing.assert_allclose(getattr(kept.under(other), name), anew, atol=1e-9)
+            assert np.abs(anew - first).max() > 0.1
+    # One light alone, others dark, before a given environment or none.
+    toward, alone = distant_directions(16), np.eye(16)[3]
+    lights = DistantLights(toward, alone)
+    for around in (None, room(4)):
+        anew = render(lights=lights, environment_linear=around)
+        same = kept.under(around, irradiance_linear=alone)
+        np.testing.assert_allclose(same.image_linear, anew.image_linear, atol=1e-9)
+        assert same.notes == anew.notes
+    assert kept.relighting.traced is kept.under(room(4)).relighting.traced
+    with pytest.raises(EyeglassesError, match="relightable=True"):
+        render(environment_linear=room(1)).under(room(2))
+    with pytest.raises(ValueError, match="environment_linear, irradiance_linear or both"):
+        kept.under()
+    with pytest.raises(ValueError, match=r"must be \(16,\) or \(16, 3\)"):
+        kept.under(irradiance_linear=np.ones(3))
+    with pytest.raises(EyeglassesError, match="not finite"):
+        kept.under(room(2) * np.nan)
+
+
+def test_a_photograph_takes_other_mirror_images():
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    options = {"picture_linear": photograph, "surfaces": [wall(-30.0)]}
+    kept = insert(BENT, SUNGLASSES, options=LensPictureOptions(relightable=True), **options)
+    assert "no environment" in kept.notes[-1]
+    anew = insert(BENT, SUNGLASSES, environment_linear=room(6), **options)
+    again = kept.under(room(6))
+    np.testing.assert_allclose(again.image_linear, anew.image_linear, atol=1e-9)
+    assert again.notes == anew.notes
+    assert np.abs(again.image_linear - kept.image_linear).max() > 0.1
+
+
+def test_lights_that_are_dark_cost_nothing_and_change_nothing():
+    toward = distant_directions(12)
+    strength = np.zeros(12)
+    strength[[2, 5]] = 1.0, 2.0
+    options = {"surfaces": [wall(-30.0, waves())]}
+    all_, two = (
+        insert(BENT, SUNGLASSES, lights=DistantLights(toward[which], strength[which]), **options)
+        for which in (slice(None), [2, 5])
+    )
+    np.testing.assert_array_equal(all_.image_linear, two.image_linear)
+    none = insert(BENT, SUNGLASSES, lights=DistantLights(toward, 0 * strength), **options)
+    assert not none.image_linear.any()
+
+
+def test_shared_shadows_are_those_of_every_pixel_but_for_few():
+    options = {"surfaces": [wall(-30.0, waves())], "lights": DistantLights([[0.5, 0.6, 1]], [np.pi])}
+    shared, every = (
+        insert(BENT, SUNGLASSES, options=LensPictureOptions(shadows=s), **options)
+        for s in ("shared", "every pixel")
+    )
+    differs = (shared.image_linear != every.image_linear).any(2)
+    assert differs.mean() < 2e-3
+
+
+def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
+    grey = np.full((4, 8, 3), 2.0)
+    mirror = insert(BENT, LensMaterial(beta=1.0), environment_linear=grey)
+    lens = mirror.lens >= 0
+    inner = lens & (np.abs(mirror.image_linear - 2).max(2) < 1e-12)
+    assert inner.sum() > 0.85 * lens.sum()
+    assert mirror.image_linear[lens].max() <= 2 + 1e-12
+    plate = insert(
+        BENT,
+        LensMaterial(tint_linear=(0.5, 1, 0), alpha=1.0),
+        environment_linear=grey,
+        options=LensPictureOptions(supersampling=1),
+    )
+    painted = plate.image_linear[plate.lens >= 0]
+    # The frame itself takes some of the light.
+    np.testing.assert_allclose(np.median(painted, axis=0), [1.0, 2.0, 0], rtol=0.12)
+    assert (painted.max(0) <= np.array([1.0, 2, 0]) * 1.03).all()
+
+
+def test_a_tinted_lens_shades_the_wall_behind_and_a_clear_one_does_not():
+    # From so high that the shadow lies below the frame.
+    toward = np.array([0, 1.5, 1])
+    lights = DistantLights([toward], [np.pi])
+    half = LensMaterial(tint_linear=(1, 1, 1), alpha=0.5)
+    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=800, shape=SHAPE)
+    surfaces = [wall(-40.0, half=200)]
+    for material, kept in ((half, 0.5), (LensMaterial(), 1.0)):
+        picture = insert(FLAT, (material, None), surfaces=surfaces, lights=lights, camera=camera)
+        lens = picture.lenses[0]
+        # Points of the wall to which the light comes through the lens, and those it reaches beside the frame.
+        inner = lens.optics.center + 0.8 * (lens.vertices[1::8] - lens.optics.center)
+        toward_wall = inner - (inner[:, 2:] + 40) * toward
+        pixels, _ = project(camera, toward_wall)
+        column, row = np.round(pixels).astype(int).T
+        assert (picture.lens[row, column] == -1).all()
+        bare = picture.without_lenses_linear[row, column]
+        np.testing.assert_allclose(bare, 0.5 / np.sqrt(3.25), rtol=1e-6)
+        np.testing.assert_allclose(picture.image_linear[row, column], kept * bare, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dioptres", [-8.0, 3.0])
+def test_a_photograph_shows_what_the_drawn_scene_shows(dioptres):
+    surfaces = [wall(-25.0, waves(4), half=150.0)]
+    material = LensMaterial(dioptres=dioptres)
+    # From so high that the frame's shadow falls below the picture.
+    lights = DistantLights([[0, 4, 1]], [4 * np.pi])
+    drawn = insert(BENT, material, surfaces=surfaces, lights=lights)
+    photograph = drawn.without_lenses_linear
+    for hidden in ("nearest", "albedo"):
+        taken = insert(
+            BENT,
+            material,
+            surfaces=surfaces,
+            picture_linear=photograph,
+            options=LensPictureOptions(hidden=hidden),
+        )
+        np.testing.assert_array_equal(taken.without_lenses_linear, photograph)
+
+        shown = (taken.lens >= 0) & ~taken.unknown
+        error = np.abs(taken.image_linear - drawn.image_linear).max(2)
+        assert np.quantile(error[shown], 0.97) < 0.01
+        assert shown.sum() > 3000
+        if dioptres < 0:
+            # What comes into view at the rim lies behind the frame in the photograph.
+            assert 300 < taken.unknown.sum() < 0.5 * (taken.lens >= 0).sum()
+            assert "guesses" in taken.notes[-1]
+            assert np.quantile(error[taken.unknown], 0.5) < 0.15
+        assert not taken.unknown[taken.lens < 0].any() or taken.unknown[taken.lens < 0].mean() < 0.01
+
+
+def test_pixels_that_see_no_lens_stay_as_photographed():
+    photograph = np.random.default_rng(1).random((*SHAPE, 3))
+    camera = look_at([60, 30, 500], [0, 0, 0], focal_px=500, shape=SHAPE)
+    picture = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0)], picture_linear=photograph, camera=camera)
+    changed = (picture.image_linear != photograph).any(2)
+    assert changed.sum() > 1000
+    far = np.ones(SHAPE, bool)
+    row, column = np.nonzero(picture.lens >= 0)
+    far[row.min() - 1 : row.max() + 2, column.min() - 1 : column.max() + 2] = False
+    assert not changed[far].any()
+    assert changed[picture.lens >= 0].all()
+
+
+def test_a_photographs_background_is_far_away():
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    photograph = np.stack([rows / 240, columns / 320, np.ones(SHAPE)], -1)
+    material, camera = LensMaterial(dioptres=2.0), before(FLAT)
+    picture = insert(FLAT, material, picture_linear=photograph)
+    known = (picture.lens == 0) & ~picture.unknown
+    assert known.sum() > 3000
+    center = camera_centers(camera[None])[0]
+    pixels = pixel_grid(SHAPE)[known.ravel()]
+    directions = pixel_directions(camera, pixels)
+    bent = refract(picture.lenses[0].optics, center, center + directions).directions
+    at, _ = project(camera, center + bent)
+    expected = np.column_stack([at[:, 1] / 240, at[:, 0] / 320, np.ones(len(at))])
+    error = np.abs(picture.image_linear[known] - expected).max(1)
+    # Pixels on the lens's edge are means with what lies beside it.
+    assert np.quantile(error, 0.9) < 1e-3
+
+
+def test_each_lens_has_its_own_power_and_an_empty_rim_none():
+    surfaces = [wall(-30.0, waves())]
+    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1000, shape=SHAPE)
+    both = insert(BENT, (LensMaterial(-6.0), LensMaterial(4.0)), surfaces=surfaces, camera=camera)
+    assert [lens.optics.dioptres for lens in both.lenses] == [-6, 4]
+    left = insert(BENT, (LensMaterial(-6.0), None), surfaces=surfaces, camera=camera)
+    assert [lens.side for lens in left.lenses] == [0]
+    assert set(left.lens.ravel().tolist()) == {-1, 0}
+    # +x is the wearer's left, which this camera sees on the right.
+    columns = np.nonzero(left.lens == 0)[1]
+    assert columns.min() > 160
+    half = slice(160, None)
+    np.testing.assert_array_equal(left.image_linear[:, half], both.image_linear[:, half])
+    np.testing.assert_array_equal(left.image_linear[:, :150], left.without_lenses_linear[:, :150])
+    none = insert(BENT, (None, None), surfaces=surfaces, camera=camera)
+    np.testing.assert_array_equal(none.image_linear, none.without_lenses_linear)
+    assert "no lens is given" in none.notes[0]
+
+
+def test_a_monocle_and_a_half_rimless_frame():
+    center = BENT.lens_centers[0]
+    middle = BENT.vertices[BENT.faces].mean(1)
+    monocle = Surface(BENT.vertices, BENT.faces[middle[:, 0] > 8])
+    marks = BENT.keypoints.copy()
+    marks[[n.startswith("right") for n in BENT.names]] = np.nan
+    camera, lens = before(BENT), LensMaterial(-5.0)
+    options = {"surfaces": [wall(-30.0, waves())], "camera": camera, "shape": SHAPE, "lights": FRONT}
+    picture = insert_lenses(monocle, marks, (lens, None), **options)
+    assert (picture.lens == 0).sum() > 5000
+    with pytest.raises(EyeglassesError, match=r"the right lens needs .*right_rim_top"):
+        insert_lenses(monocle, marks, lens, **options)
+    lower = (middle[:, 1] < -6) & (np.abs(middle[:, 0] - center[0]) < 45) & (np.abs(middle[:, 2]) < 20)
+    half = Surface(BENT.vertices, BENT.faces[~lower])
+    picture = insert_lenses(half, BENT.keypoints, (lens, None), **options)
+    assert "points of its rim come from its key points" in picture.notes[0]
+    assert (picture.lens == 0).sum() > 5000
+
+
+def glazed(sides=(0, 1), thickness=2.0, gap=0.3):
+    """The frame with glass in its rims: two domed sheets a lens, a hair inside the outline."""
+    vertices, faces = [BENT.vertices], [BENT.faces]
+    for side in sides:
+        for lift in (0.0, -thickness):
+            outline, center = BENT.lens_outlines[side], BENT.lens_centers[side]
+            inward = (center - outline) / np.linalg.norm(center - outline, axis=1)[:, None]
+            sheet, fan = lens_mesh(center + [0, 0, 3 + lift], outline + gap * inward + [0, 0, lift])
+            faces.append(fan + sum(map(len, vertices)))
+            vertices.append(sheet)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def test_the_frames_own_glass_is_left_out_where_a_lens_goes():
+    options = {"surfaces": [wall(-30.0, waves())], "shape": SHAPE, "lights": FRONT}
+    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1000, shape=SHAPE)
+    material = LensMaterial(-4.0)
+    bare = insert(BENT, material, camera=camera, **options)
+    vertices, faces = glazed()
+    uv = np.random.default_rng(0).random((len(faces), 3, 2))
+    for finish in ({"albedo_linear": (0.1, 0.1, 0.1)}, {"uv": uv, "texture_linear": np.full((4, 4, 3), 0.1)}):
+        frame = Surface(vertices, faces, **finish)
+        both = insert_lenses(frame, BENT.keypoints, material, camera=camera, **options)
+        np.testing.assert_array_equal(both.lens, bare.lens)
+        # Rims are measured to 0.2 mm, whatever glass they hold.
+        np.testing.assert_allclose(both.image_linear, bare.image_linear, atol=1e-9)
+        assert [note for note in both.notes if "own glass there, 144 faces, is left out" in note] == list(
+            both.notes
+        )
+        assert len(both.notes) == 2
+    # Where no lens goes, the glass stays.
+    left = insert_lenses(frame, BENT.keypoints, (material, None), camera=camera, **options)
+    assert len(left.notes) == 1
+    right = bare.lens == 1
+    assert (np.abs(left.image_linear - bare.image_linear).max(2) > 1e-3)[right].mean() > 0.5
+
+
+def test_glass_of_one_piece_with_the_rim_is_told():
+    vertices, faces = glazed((0,))
+    first, rim = len(BENT.vertices), BENT.keypoint_vertices[3]
+    # One face joins each sheet to the rim.
+    joined = np.concatenate([faces, [[rim, first, first + 1], [rim, first + 73, first + 74]]])
+    frame = Surface(vertices, joined)
+    options = {"surfaces": [], "camera": before(BENT), "shape": (60, 80), "lights": FRONT}
+    picture = insert_lenses(frame, BENT.keypoints, (LensMaterial(), None), **options)
+    assert any("the left lens: the frame covers it" in note for note in picture.notes)
+
+
+def conjugate_directions(origin, points, lens):
+    """Rays from points of a lens toward the image of the origin, by 1/u + 1/v = 1/f."""
+    axis, center = np.asarray(lens.normal), np.asarray(lens.center)
+    u = (origin - center) @ axis
+    v = 1 / (lens.dioptres / 1000 - 1 / u)
+    image = center - (origin - center) * v / u
+    return np.sign(v) * (image - points)
+
+
+@pytest.mark.parametrize("dioptres", [-8.0, -4, -0.25, 0.25, 2, 8])
+@pytest.mark.parametrize("position", [[25.0, 10, 600], [-120, 60, 420]])
+def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres, position):
+    # The wall's colour tells where a ray ends.
+    half, z = 2000.0, -30.0
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    colors = np.column_stack([corners / (2 * half) + 0.5, np.ones(4)])
+    screen = Surface(np.column_stack([corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], colors)
+    shape = (48, 64)
+    camera = look_at(position, FLAT.lens_centers[0], focal_px=700, shape=shape)
+    picture = insert(
+        FLAT,
+        LensMaterial(dioptres),
+        surfaces=[screen],
+        camera=camera,
+        shape=shape,
+        # From so high that the frame's shadow falls out of sight.
+        lights=DistantLights([[0, 9, 1]], [1.0]),
+        options=LensPictureOptions(supersampling=1),
+    )
+    lens = picture.lenses[0].optics
+    seen = picture.image_linear[picture.lens == 0]
+    # The frame is seen through the lens too.
+    wall_ = np.isclose(seen[:, 2], np.median(seen[:, 2]), rtol=1e-9)
+    seen = seen[wall_]
+    ends = np.column_stack([(seen[:, :2] / seen[:, 2:] - 0.5) * 2 * half, np.full(len(seen), z)])
+    matrix = normalized_cameras(camera[None])
+    origin, pixels = camera_centers(matrix)[0], pixel_grid(shape)[(picture.lens == 0).ravel()][wall_]
+    straight = pixel_directions(matrix[0], pixels)
+    normal = np.asarray(lens.normal)
+    along = ((np.asarray(lens.center) - origin) @ normal) / (straight @ normal)
+    points = origin + along[:, None] * straight
+    expected = conjugate_directions(origin, points, lens)
+    got = ends - points
+    got, expected = (v / np.linalg.norm(v, axis=1)[:, None] for v in (got, expected))
+    angle = np.rad2deg(2 * np.arcsin(np.linalg.norm(got - expected, axis=1) / 2))
+    assert len(angle) > 400
+    assert angle.max() <= 1e-5
+
+
+def test_no_number_is_lost_within_20_dioptres_end_to_end():
+    shape, surfaces = (30, 40), [wall(-80.0, waves(), half=50)]
+    photograph = np.random.default_rng(0).random((*shape, 3))
+    # Powers that put the camera into the lens's focus are among them: 1000 / distance.
+    for dioptres in (-20.0, -1e-12, 1000 / 600, 20.0):
+        material = LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True)
+        for camera in (
+            before(BENT, distance=600.0, focal_px=180, shape=shape),
+            before(BENT, distance=50.0, focal_px=40, shape=shape),
+            look_at([20, 10, -70], [30, 0, 0], focal_px=30, shape=shape),
+        ):
+            drawn = insert(
+                BENT,
+                material,
+                surfaces=surfaces,
+                camera=camera,
+                shape=shape,
+                environment_linear=room(),
+                options=LensPictureOptions(light_count=3),
+            )
+            taken = insert(BENT, material, surfaces=surfaces, camera=camera, picture_linear=photograph)
+            for picture in (drawn, taken):
+                assert (picture.lens >= 0).any()
+                assert np.isfinite(picture.image_linear).all()
+                assert picture.image_linear.min() >= -1e-12
+
+
+@pytest.mark.parametrize("dioptres", [-20.0, 20.0])
+@pytest.mark.parametrize(
+    ("position", "target"),
+    [
+        ([0, 0, 600], [0, 0, 0]),
+        ([450, 20, 300], [0, 0, 0]),
+        ([0, 30, -400], [0, 0, 0]),
+        ([30, 0, -12], [30, 1, 40]),
+        ([0, 0, 60], [35, 0, 0]),
+    ],
+)
+def test_strong_lenses_give_numbers_from_everywhere(dioptres, position, target):
+    camera = look_at(position, target, focal_px=250, shape=(60, 80))
+    material = LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True)
+    surfaces = [wall(-80.0, waves(), half=50)]
+    picture = insert(
+        BENT,
+        material,
+        surfaces=surfaces,
+        camera=camera,
+        shape=(60, 80),
+        environment_linear=room(),
+        options=LensPictureOptions(light_count=4),
+    )
+    assert (picture.lens >= 0).any()
+    assert np.isfinite(picture.image_linear).all()
+    assert picture.image_linear.min() >= -1e-12
+    photograph = np.random.default_rng(0).random((60, 80, 3))
+    taken = insert(BENT, material, surfaces=surfaces, camera=camera, picture_linear=photograph)
+    assert np.isfinite(taken.image_linear).all()
+
+
+def test_two_lenses_may_stand_one_behind_the_other():
+    glasses = eyeglasses(shape=GlassesShape(wrap_radius=90.0), nose_pads=False)
+    camera = look_at([500, 0, -9], [0, 0, -9], focal_px=1500, shape=SHAPE)
+    dark = LensMaterial(dioptres=1.0, alpha=0.5)
+    far = Surface([[-900, -900, -900], [-900, 900, -900], [-900, 0, 900]], [[0, 1, 2]], (1, 1, 1))
+    options = {"surfaces": [far], "camera": camera, "lights": DistantLights([[1, 0, 0.0]], [np.pi])}
+    one, both = (insert(glasses, lenses, **options) for lenses in ((dark, None), dark))
+    ratio = both.image_linear[..., 0] / np.maximum(one.image_linear[..., 0], 1e-9)
+    assert np.isclose(ratio[both.lens == 0], 0.5).sum() > 100
+
+
+def test_a_camera_that_sees_no_lens_leaves_the_picture_alone_and_says_so():
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    in_plane = insert(FLAT, LensMaterial(-8.0)).lenses[0].optics.center + [0, 400.0, 0]
+    beside = look_at([0, 0, 600], [600, 0, 600], focal_px=800, shape=SHAPE)
+    for camera in (beside, _overhead(in_plane)):
+        picture = insert(
+            FLAT, LensMaterial(-8.0), surfaces=[wall(-30.0)], picture_linear=photograph, camera=camera
+        )
+        np.testing.assert_array_equal(picture.image_linear, photograph)
+        assert (picture.lens == -1).all()
+        assert "the left lens: no pixel sees it" in picture.notes
+
+
+def _overhead(position):
+    """A camera that looks down -y."""
+    intrinsic = np.array([[800.0, 0, 160], [0, 800, 120], [0, 0, 1]])
+    rotation = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    return intrinsic @ np.column_stack([rotation, -rotation @ np.asarray(position)])
+
+
+def test_a_frame_may_leave_the_picture():
+    wide = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0, waves())])
+    camera = before(BENT)
+    # The same camera's picture, cut to its upper left part.
+    cut = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0, waves())], camera=camera, shape=(110, 170))
+    np.testing.assert_array_equal(cut.lens, wide.lens[:110, :170])
+    np.testing.assert_allclose(cut.image_linear[:-1, :-1], wide.image_linear[:109, :169], atol=1e-12)
+
+
+def test_more_rays_smooth_the_edges_only():
+    rough, smooth = (
+        insert(BENT, LensMaterial(-4.0), surfaces=[wall(-30.0)], options=LensPictureOptions(supersampling=n))
+        for n in (1, 4)
+    )
+    differs = (rough.image_linear != smooth.image_linear).any(2)
+    assert 0.005 < differs.mean() < 0.1
+    np.testing.assert_array_equal(rough.lens, smooth.lens)
+
+
+@pytest.mark.parametrize(("dioptres", "sign"), [(-8.0, 1), (8.0, -1)])
+def test_the_edge_of_the_face_moves_inward_behind_minus_lenses(dioptres, sign):
+    model = AnnotatedFaceModel.default()
+    face = face_surface(model, person(model, np.random.default_rng(0), expression="neutral"))
+    eyes = face.landmarks[36:48].mean(0)
+    shift = np.array([eyes[0], eyes[1] - 3, face.landmarks[27, 2] + 4])
+    glasses = Surface(FLAT.vertices + shift, FLAT.faces, (0, 0, 0))
+    center = FLAT.lens_centers[0] + shift
+    camera = look_at(center + [-200, 0, 560], center, focal_px=1500, shape=SHAPE)
+    options = {"camera": camera, "shape": SHAPE, "environment_linear": np.ones((2, 4, 3))}
+    options["options"] = LensPictureOptions(light_count=8, background="black")
+    skin = Surface(face.vertices, face.faces, (1, 1, 1))
+    marks = FLAT.keypoints + shift
+    picture = insert_lenses(glasses, marks, (LensMaterial(dioptres), None), surfaces=[skin], **options)
+    # From the wearer's right, the left lens shows the cheek and, past it on the outer side, the background.
+    lens = picture.lens == 0
+    bright, bare = ((p[..., 0] > 0.05) & lens for p in (picture.image_linear, picture.without_lenses_linear))
+    assert 0.2 < bare.sum() / lens.sum() < 0.98
+    assert sign * (bare.sum() - bright.sum()) > 0.02 * lens.sum()
+
+
+def test_edges_within_one_surface_are_smoothed_too():
+    near, far = wall(-20.0, half=100.0), wall(-120.0, half=300.0)
+    corners = np.concatenate([near.vertices + [100.3, 0, 0], far.vertices])
+    albedo = np.repeat([[1.0] * 3, [0.0] * 3], 4, 0)
+    steps = Surface(corners, np.concatenate([near.faces, far.faces + 4]), albedo)
+    below = look_at([0, -60, 600], [0, -60, 0], focal_px=900, shape=(20, 60))
+    light = DistantLights([[0, -9, 1]], [9])
+    picture = insert(BENT, (None, None), surfaces=[steps], camera=below, shape=(20, 60), lights=light)
+    edge = picture.image_linear[:, 27:33, 0]
+    assert ((edge > 0.1 * edge.max()) & (edge < 0.9 * edge.max())).any(1).all()
+
+
+def test_what_a_mirror_shows_and_the_photograph_does_not_is_said():
+    photograph = np.random.default_rng(0).random((*SHAPE, 3))
+    behind_camera = wall(900.0, half=2000.0, albedo_linear=(0.25, 0.25, 0.25))
+    mirror = LensMaterial(beta=1.0, front_radius_mm=500.0)
+    picture = insert(BENT, mirror, surfaces=[behind_camera], picture_linear=photograph)
+    inner = (picture.lens >= 0) & np.isclose(picture.image_linear, 0.25).all(2)
+    assert inner.sum() > 0.8 * (picture.lens >= 0).sum()
+    assert picture.unknown[inner].all()
+
+
+def test_what_is_not_clear_is_refused():
+    def attempt(**options):
+        return insert_lenses(
+            frame_of(BENT),
+            options.pop("keypoints", BENT.keypoints),
+            options.pop("lenses", LensMaterial()),
+            surfaces=[],
+            **{"camera": before(BENT), **options},
+        )
+
+    photograph = np.zeros((*SHAPE, 3))
+    with pytest.raises(ValueError, match="either shape"):
+        attempt()
+    with pytest.raises(ValueError, match="either shape"):
+        attempt(shape=SHAPE, picture_linear=photograph)
+    with pytest.raises(ValueError, match="without light"):
+        attempt(shape=SHAPE)
+    with pytest.raises(ValueError, match="own light"):
+        attempt(picture_linear=photograph, lights=FRONT)
+    with pytest.raises(ValueError, match="pixels"):
+        attempt(shape=(0, 5), lights=FRONT)
+    with pytest.raises(ValueError, match="picture_linear must"):
+        attempt(picture_linear=np.zeros(SHAPE))
+    with pytest.raises(EyeglassesError, match="picture_linear holds"):
+        attempt(picture_linear=photograph + np.nan)
+    with pytest.raises(ValueError, match="keypoints must"):
+        attempt(picture_linear=photograph, keypoints=np.zeros((5, 3)))
+    with pytest.raises(ValueError, match="one material or"):
+        attempt(picture_linear=photograph, lenses=(LensMaterial(),))
+    with pytest.raises(ValueError, match="lens_centers"):
+        attempt(picture_linear=photograph, lens_centers=np.zeros(3))
+    with pytest.raises(ValueError, match="cameras"):
+        attempt(picture_linear=photograph, camera=np.zeros((3, 3)))
+    dark = attempt(picture_linear=photograph, lenses=LensMaterial(beta=0.1))
+    assert "no environment" in dark.notes[-1]
+    wrong = {
+        "supersampling": 0,
+        "light_count": 0,
+        "fringe_px": -1,
+        "hidden": "?",
+        "background": "?",
+        "shadows": "?",
+    }
+    for name, value in wrong.items():
+        with pytest.raises(ValueError, match=name):
+            LensPictureOptions(**{name: value})

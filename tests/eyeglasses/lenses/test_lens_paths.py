@@ -1,0 +1,257 @@
+"""Rays through lenses and the scene behind them; lenses in the rims of synthetic frames."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import LensMaterial
+from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, insert_lens
+from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lenses.lens_paths import trace_lenses
+from scan2albedo.eyeglasses.lenses.lens_rims import LensRim
+from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
+from scan2albedo.eyeglasses.lenses.lens_shading import blend_lens
+from scan2albedo.eyeglasses.lenses.refraction import ThinLens, refract
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
+
+CAMERA = np.array([3.0, -5, 600])
+
+
+def round_lens(side, material, z, radius=30.0, bulge=0.0):
+    """A lens across the z axis; `bulge` lifts its rim off the plane at two sides."""
+    angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    height = z + bulge * np.cos(2 * angle)
+    rim = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+    center, normal = np.array([0, 0, z]), np.array([0, 0, 1.0])
+    vertices, faces = lens_mesh(center, rim, normal)
+    outline = LensRim(rim, np.ones(64, bool), "none", center, normal)
+    optics = ThinLens(center, normal, material.dioptres)
+    return InsertedLens(side, material, outline, vertices, faces, optics, RayCaster(vertices, faces))
+
+
+def wall(z=-30.0, half=500.0):
+    corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
+    return LensScene(Surface(corners, [[0, 1, 2], [0, 2, 3]]), ())
+
+
+def trace(scene, lenses, through, camera=CAMERA):
+    directions = through - camera
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    origins = np.broadcast_to(camera, directions.shape)
+    return trace_lenses(scene, lenses, camera, directions, scene.caster.first_hit(origins, directions))
+
+
+def disc(count=200, radius=29.0, seed=0):
+    rng = np.random.default_rng(seed)
+    r, angle = radius * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle), np.zeros(count)])
+
+
+def ends(paths):
+    return paths.origins + paths.hits.distance[:, None] * paths.directions
+
+
+@pytest.mark.parametrize("dioptres", [-20.0, -8, -0.25, 0, 2, 8, 20])
+def test_a_flat_lens_refracts(dioptres):
+    lens = round_lens(1, LensMaterial(dioptres=dioptres), 0.0)
+    through = disc()
+    paths = trace(wall(), [lens], through)
+    expected = refract(lens.optics, CAMERA, through)
+    np.testing.assert_allclose(paths.directions, expected.directions, atol=1e-6)
+    assert (paths.first == 1).all()
+    assert paths.bent.all() == (dioptres != 0)
+    assert np.abs(ends(paths)[:, 2] + 30).max() < 1e-9
+    assert np.isfinite(ends(paths)).all()
+
+
+def test_lenses_in_a_row_are_the_lens_of_gullstrand():
+    """The power of two thin lenses d apart is P1 + P2 - d P1 P2, from the cardinal points of optics."""
+    first, second, gap = 6.0, -4.0, 0.012
+    lenses = [
+        round_lens(0, LensMaterial(dioptres=second), -1000 * gap),
+        round_lens(1, LensMaterial(dioptres=first), 0.0),
+    ]
+    # Rays from far away, parallel to the axis: all meet the axis at the back focal length.
+    far = np.array([0.0, 0, 1e7])
+    paths = trace(wall(z=-700), lenses, disc(radius=20), camera=far)
+    power = first + second - gap * first * second
+    back_focus = -1000 * gap - 1000 * (1 - gap * first) / power
+    at = (back_focus - paths.origins[:, 2]) / paths.directions[:, 2]
+    meet = paths.origins + at[:, None] * paths.directions
+    assert (paths.first == 1).all()
+    assert np.abs(meet[:, :2]).max() < 0.01
+
+
+def test_a_ray_passes_every_lens_once_and_shares_multiply():
+    a = LensMaterial(dioptres=-1, tint_linear=(0.4, 0.1, 0), alpha=0.3, beta=0.1)
+    b = LensMaterial(dioptres=2, tint_linear=(0.5, 0.25, 1), alpha=0.5, beta=0.2, tinting="filter")
+    lenses = [round_lens(0, a, 0.0), round_lens(1, b, -10.0)]
+    paths = trace(wall(), lenses, disc(50, radius=20))
+    through_b = 0.3 + 0.5 * np.array([0.5, 0.25, 1])
+    np.testing.assert_allclose(paths.share, np.tile(0.6 * through_b, (50, 1)), rtol=1e-12)
+    front, back = paths.crossings
+    np.testing.assert_allclose(front.tint_share, 0.3, rtol=1e-12)
+    np.testing.assert_allclose(front.mirror_share, 0.1, rtol=1e-12)
+    np.testing.assert_allclose(back.mirror_share, 0.6 * 0.2, rtol=1e-12)
+    assert not back.tint_share.any()
+    behind, mirrored = np.array([0.2, 0.5, 0.7]), np.array([3.0, 2, 1])
+    tint = np.asarray(a.tint_linear)
+    one = trace(wall(), lenses[:1], disc(50, radius=20))
+    got = one.share * behind + one.crossings[0].tint_share * tint + one.crossings[0].mirror_share * mirrored
+    np.testing.assert_allclose(got, np.tile(blend_lens(behind, tint, mirrored, 0.3, 0.1), (50, 1)))
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(0.0, 0.04), (0.6, 0.4), (0.0, 1.0), (0.5, 0.0)])
+def test_fresnel_keeps_the_light_together_and_grows_towards_the_edge(alpha, beta):
+    lens = round_lens(0, LensMaterial(alpha=alpha, beta=beta, fresnel=True, tint_linear=(1, 1, 1)), 0.0)
+    straight = trace(wall(), [lens], np.zeros((1, 3)), camera=np.array([0.0, 0, 600]))
+    np.testing.assert_allclose(straight.crossings[0].mirror_share, beta, atol=1e-12)
+    slanting = trace(wall(), [lens], disc(50), camera=np.array([600.0, 0, 40]))
+    crossing = slanting.crossings[0]
+    total = slanting.share + crossing.tint_share + crossing.mirror_share
+    np.testing.assert_allclose(total, 1, rtol=1e-12)
+    assert (crossing.mirror_share >= beta).all()
+    assert beta == 1 or crossing.mirror_share.min() > beta + 0.15 * (1 - beta)
+
+
+def test_what_lies_before_the_lens_hides_it():
+    lens = round_lens(0, LensMaterial(dioptres=-8), 0.0)
+    paths = trace(wall(z=10), [lens], disc())
+    assert (paths.first == -1).all()
+    assert not paths.bent.any()
+    assert (paths.share == 1).all()
+
+
+def test_rays_along_the_plane_are_counted_and_left_alone():
+    lens = round_lens(0, LensMaterial(dioptres=20, beta=0.5), 0.0, bulge=2.0)
+    camera = np.array([0.0, 600, 1e-4])
+    through = np.column_stack([np.linspace(-25, 25, 50), np.zeros(50), np.full(50, 1e-4)])
+    paths = trace(wall(), [lens], through, camera=camera)
+    met = lens.caster.first_hit(np.tile(camera, (50, 1)), through - camera).face >= 0
+    assert paths.glancing == met.sum() > 40
+    assert not paths.bent.any()
+    assert (paths.share == 1).all()
+    assert paths.crossings == []
+
+
+@pytest.mark.parametrize("camera", [[600.0, 0, 2], [600, 0, 20], [0, 300, -20], [10, 5, 30], [0, 0, -29]])
+@pytest.mark.parametrize("dioptres", [-20.0, 20.0])
+def test_no_camera_gives_nan(camera, dioptres):
+    lens = round_lens(0, LensMaterial(dioptres=dioptres, beta=0.1, fresnel=True), 0.0, bulge=2.5)
+    paths = trace(wall(), [lens], disc(500), camera=np.array(camera))
+    assert len(paths.crossings) == 1
+    for values in (paths.origins, paths.directions, paths.share, paths.crossings[0].mirrored):
+        assert np.isfinite(values).all()
+    np.testing.assert_allclose(np.linalg.norm(paths.directions, axis=1), 1, rtol=1e-9)
+
+
+def test_rays_bend_where_they_meet_a_lens_that_is_not_flat():
+    """Rays through the same point of a curved lens from two sides bend as by one thin lens through it."""
+    lens = round_lens(0, LensMaterial(dioptres=10), 0.0, bulge=3.0)
+    for camera in ([500.0, 0, 60], [-500.0, 30, 60]):
+        paths = trace(wall(), [lens], disc(100), camera=np.array(camera))
+        met = paths.bent
+        assert met.sum() > 50
+        assert np.abs(paths.origins[met, 2]).max() > 1
+        for start, direction in zip(paths.origins[met], paths.directions[met], strict=True):
+            thin = ThinLens([0, 0, start[2]], [0, 0, 1], 10)
+            expected = refract(thin, camera, start[None]).directions[0]
+            np.testing.assert_allclose(direction, expected, atol=1e-9)
+
+
+def lens_of(glasses, side=0, **options):
+    return insert_lens(
+        glasses.vertices,
+        glasses.faces,
+        options.pop("keypoints", glasses.keypoints),
+        side,
+        options.pop("material", LensMaterial()),
+        **options,
+    )
+
+
+@pytest.mark.parametrize("bend", [GlassesBend(), GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)])
+def test_lenses_sit_in_their_rims(bend):
+    for seed in range(4):
+        glasses = eyeglasses(seed, bend=bend)
+        for side in range(2):
+            lens = lens_of(glasses, side, seat_mm=0.3)
+            off = np.asarray(lens.optics.center) - glasses.lens_centers[side]
+            assert np.linalg.norm(off) < 2.5
+            assert lens.optics.normal[2] > 0.9
+            inner = np.linalg.norm(lens.rim.points - lens.rim.center, axis=1)
+            seated = np.linalg.norm(lens.vertices[1:] - lens.rim.center, axis=1)
+            grown = (seated - inner)[lens.rim.measured]
+            assert grown.min() > 0.28
+            assert grown.max() < 0.31
+            pupil = glasses.lens_centers[side] + [4.0, -3, 5]
+            moved = lens_of(glasses, side, center=pupil, seat_mm=0.3)
+            offset = moved.optics.center - pupil
+            assert np.linalg.norm(np.cross(offset, moved.optics.normal)) < 1e-9
+            assert abs((moved.optics.center - lens.optics.center) @ moved.optics.normal) < 1e-9
+            np.testing.assert_array_equal(moved.vertices, lens.vertices)
+
+
+def test_the_centre_is_the_centroid_and_front_is_away_from_the_temples():
+    glasses = eyeglasses(1, shape=GlassesShape(wrap_radius=1e9))
+    lens = lens_of(glasses, 0)
+    assert np.linalg.norm(lens.optics.center - glasses.lens_centers[0]) < 0.3
+    rims_only = glasses.keypoints.copy()
+    rims_only[[i for i, n in enumerate(glasses.names) if "_rim_" not in n]] = np.nan
+    assert lens_of(glasses, 0, keypoints=rims_only).optics.normal @ lens.optics.normal > 0.999
+    # The temples' key points tell the front, whatever else there is.
+    reversed_ = glasses.keypoints.copy()
+    behind = [i for i, n in enumerate(glasses.names) if "_rim_" not in n and "bridge" not in n]
+    reversed_[behind, 2] *= -1
+    assert lens_of(glasses, 0, keypoints=reversed_).optics.normal @ lens.optics.normal < -0.999
+
+
+def test_what_holds_no_lens_is_named():
+    glasses = eyeglasses(2)
+    marks = glasses.keypoints.copy()
+    marks[glasses.names.index("right_rim_top")] = np.nan
+    with pytest.raises(EyeglassesError, match=r"the right lens needs .* right_rim_top is missing"):
+        lens_of(glasses, 1, keypoints=marks)
+    assert lens_of(glasses, 0, keypoints=marks).name == "left lens"
+    marks[glasses.names.index("right_rim_outer"), 1] = np.inf
+    with pytest.raises(EyeglassesError, match="right_rim_top, right_rim_outer are missing"):
+        lens_of(glasses, 1, keypoints=marks)
+    for scale in (1e-3, 1e3):
+        with pytest.raises(EyeglassesError, match=r"the left lens: .* millimetres"):
+            insert_lens(scale * glasses.vertices, glasses.faces, scale * glasses.keypoints, 0, LensMaterial())
+    flat = glasses.keypoints.copy()
+    flat[:, 1:] = 0
+    with pytest.raises(EyeglassesError, match=r"the left lens: .* one line"):
+        lens_of(glasses, 0, keypoints=flat)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"dioptres": np.nan},
+        {"tint_linear": (np.nan, 0, 0)},
+        {"tint_linear": (-0.1, 0, 0)},
+        {"alpha": 0.7, "beta": 0.4},
+        {"alpha": -0.1},
+        {"front_radius_mm": 0.0},
+        {"tint_linear": (1.1, 0, 0), "tinting": "filter"},
+    ],
+)
+def test_materials_that_cannot_be_are_refused(wrong):
+    with pytest.raises(EyeglassesError):
+        LensMaterial(**wrong)
+
+
+def test_transmission_is_what_is_left():
+    assert LensMaterial().transmission.tolist() == [1, 1, 1]
+    assert LensMaterial().clear
+    painted = LensMaterial(tint_linear=(1, 1, 1), alpha=0.25, beta=0.25)
+    assert painted.transmission.tolist() == [0.5, 0.5, 0.5]
+    dyed = LensMaterial(tint_linear=(1, 0.5, 0), alpha=0.5, beta=0.25, tinting="filter")
+    assert dyed.transmission.tolist() == [0.75, 0.5, 0.25]
+    assert not LensMaterial(fresnel=True).clear
+    with pytest.raises(ValueError, match="tint_linear"):
+        LensMaterial(tint_linear=(1, 1))
+    with pytest.raises(ValueError, match="tinting"):
+        LensMaterial(tinting="glow")

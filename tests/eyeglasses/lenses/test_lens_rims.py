@@ -1,0 +1,216 @@
+"""Rims of synthetic frames against their known inner outlines; lenses that fill them."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
+from scan2albedo.eyeglasses.lenses.lens_plane import LensPlane, fit_normal
+from scan2albedo.eyeglasses.lenses.lens_rims import find_lens_rim
+from scan2albedo.eyeglasses.lenses.rim_subdivision import subdivide_rim
+from scan2albedo.geometry.mesh import face_cross_products, face_normals
+from scan2albedo.geometry.rigid import random_rotation
+from scan2albedo.synthetic import GlassesBend, eyeglasses
+
+BENT = GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)
+BAR_MM = 0.2
+
+
+def distances(points, outline):
+    """Distance of each point to a closed polygon in space."""
+    along = np.roll(outline, -1, 0) - outline
+    t = np.einsum("psk,sk->ps", points[:, None] - outline, along) / (along**2).sum(1)
+    foot = outline + np.clip(t, 0, 1)[..., None] * along
+    return np.linalg.norm(points[:, None] - foot, axis=2).min(1)
+
+
+def rim_points(glasses, side):
+    return glasses.keypoints[[i for i, n in enumerate(glasses.names) if n.startswith(f"{side}_rim")]]
+
+
+def find(glasses, side=0, faces=None, **options):
+    marks = rim_points(glasses, ("left", "right")[side])
+    faces = glasses.faces if faces is None else faces
+    return find_lens_rim(
+        glasses.vertices, faces, glasses.lens_centers[side], **{"rim_points": marks, **options}
+    )
+
+
+@pytest.mark.parametrize("welded", [True, False])
+@pytest.mark.parametrize("bend", [GlassesBend(), BENT])
+def test_the_rim_is_the_true_inner_outline(welded, bend):
+    for seed in range(8):
+        glasses = eyeglasses(seed, welded=welded, bend=bend)
+        for side in range(2):
+            rim, truth = find(glasses, side), glasses.lens_outlines[side]
+            assert distances(rim.points, truth).max() <= BAR_MM
+            assert distances(truth, rim.points).max() <= BAR_MM
+            assert rim.normal[2] > 0.9
+            assert rim.measured.mean() > 0.85
+
+
+@pytest.mark.parametrize("count", [32, 64, 512])
+def test_few_and_many_points_lie_on_the_same_rim(count):
+    glasses = eyeglasses(1)
+    rim = find(glasses, count=count)
+    assert len(rim.points) == count
+    assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
+
+
+def test_a_given_normal_will_do_and_need_not_be_exact():
+    glasses = eyeglasses(2)
+    exact = fit_normal(rim_points(glasses, "left"), glasses.vertices)
+    for off in ([0, 0, 0], [0.08, 0, 0], [-0.05, 0.06, 0], [0, -0.08, 0]):
+        normal = 3 * (exact + off)
+        rim = find(glasses, rim_points=None, normal=normal)
+        assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
+
+
+def test_pose_and_unit_do_not_matter():
+    rng = np.random.default_rng(0)
+    glasses, truth = eyeglasses(3, welded=False), eyeglasses(3).lens_outlines[1]
+    for scale in (1.0, 1e-3, 1e3):
+        turn, shift = random_rotation(rng), rng.normal(0, 1000, 3)
+
+        def move(points, turn=turn, shift=shift, scale=scale):
+            return scale * (points @ turn.T + shift)
+
+        rim = find_lens_rim(
+            move(glasses.vertices),
+            glasses.faces,
+            move(glasses.lens_centers[1]),
+            rim_points=move(rim_points(glasses, "right")),
+        )
+        assert distances(rim.points, move(truth)).max() <= scale * BAR_MM
+        assert rim.normal @ turn[:, 2] > 0.9
+
+
+def test_winding_repeated_faces_and_floaters_do_not_matter():
+    glasses = eyeglasses(4)
+    rng = np.random.default_rng(1)
+    flipped = np.where(rng.random(len(glasses.faces))[:, None] < 0.5, glasses.faces[:, ::-1], glasses.faces)
+    crumb = glasses.lens_centers[0] + [15, 2, 0] + rng.normal(0, 0.3, (3, 3))
+    vertices = np.concatenate([glasses.vertices, crumb])
+    faces = np.concatenate([flipped, flipped[:50], [[0, 0, 1]], [len(glasses.vertices) + np.arange(3)]])
+    rim = find_lens_rim(vertices, faces, glasses.lens_centers[0], rim_points=rim_points(glasses, "left"))
+    assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
+
+
+def test_small_gaps_are_interpolated_without_key_points():
+    glasses = eyeglasses(5)
+    center, truth = glasses.lens_centers[0], glasses.lens_outlines[0]
+    middle = glasses.vertices[glasses.faces].mean(1) - center
+    angle = np.rad2deg(np.arctan2(middle[:, 1], middle[:, 0]))
+    front = np.hypot(middle[:, 0], middle[:, 1]) < 40
+    hole = front & ((np.abs(angle - 80) < 7) | (np.abs(angle + 60) < 5))
+    rim = find(glasses, faces=glasses.faces[~hole], rim_points=None, normal=[0.1, 0, 1])
+    assert rim.gaps == "interpolated"
+    assert 0.7 < rim.measured.mean() < 0.97
+    assert distances(rim.points[rim.measured], truth).max() <= BAR_MM
+    assert distances(rim.points, truth).max() <= 1.0
+
+
+@pytest.mark.parametrize("bend", [GlassesBend(), BENT])
+def test_an_open_side_is_rounded_off_from_the_key_points(bend):
+    for seed in range(4):
+        glasses = eyeglasses(seed, bend=bend, nose_pads=False)
+        center, truth = glasses.lens_centers[0], glasses.lens_outlines[0]
+        middle = glasses.vertices[glasses.faces].mean(1) - center
+        lower = (middle[:, 1] < -6) & (np.abs(middle[:, 0]) < 45) & (np.abs(middle[:, 2]) < 20)
+        half_rim = glasses.faces[~lower]
+        rim = find(glasses, faces=half_rim)
+        assert rim.gaps == "subdivided"
+        assert 0.4 < rim.measured.mean() < 0.75
+        assert distances(rim.points[rim.measured], truth).max() <= BAR_MM
+        assert distances(rim.points, truth).max() <= 5.0
+        lens_mesh(rim.center, rim.points)
+        with pytest.raises(EyeglassesError, match="no closed rim"):
+            find(glasses, faces=half_rim, rim_points=None, normal=rim.normal)
+
+
+def test_without_any_rim_the_outline_runs_through_the_key_points():
+    glasses = eyeglasses(6)
+    front = np.abs(glasses.vertices[glasses.faces].mean(1) - glasses.lens_centers[0])[:, :2].max(1) < 40
+    rim = find(glasses, faces=glasses.faces[~front])
+    assert rim.gaps == "subdivided"
+    assert not rim.measured.any()
+    assert distances(rim.points, glasses.lens_outlines[0]).max() <= 5.0
+
+
+def test_subdivision_alone_stays_within_the_tube():
+    glasses = eyeglasses(7)
+    marks, center = rim_points(glasses, "left"), glasses.lens_centers[0]
+    plane = LensPlane.at(center, fit_normal(marks, glasses.vertices))
+    angles = np.linspace(-np.pi, np.pi, 128, endpoint=False)
+    outline = plane.points(angles, subdivide_rim(glasses.vertices, plane, marks, angles))
+    assert distances(outline, glasses.lens_outlines[0]).max() <= glasses.shape.rim_width + 0.5
+
+
+def test_a_lens_fills_its_rim_and_faces_the_viewer():
+    glasses = eyeglasses(8, bend=BENT)
+    for side in range(2):
+        rim = find(glasses, side, count=64)
+        for points in (rim.points, rim.points[::-1]):
+            vertices, faces = lens_mesh(rim.center, points, rim.normal)
+            assert vertices.shape == (65, 3)
+            assert faces.shape == (64, 3)
+            assert (face_normals(vertices, faces) @ rim.normal > 0.8).all()
+        area = np.linalg.norm(face_cross_products(vertices, faces), axis=1).sum() / 2
+        outline = glasses.lens_outlines[side] - rim.center
+        true_area = np.linalg.norm(np.cross(outline, np.roll(outline, -1, 0)), axis=1).sum() / 2
+        assert area == pytest.approx(true_area, rel=0.01)
+        assert (face_normals(*lens_mesh(rim.center, rim.points)) @ rim.normal > 0.8).all()
+
+
+def test_what_cannot_be_done_is_said():
+    glasses = eyeglasses(0)
+    marks = rim_points(glasses, "left")
+    with pytest.raises(EyeglassesError, match="needs rim_points"):
+        find(glasses, rim_points=None)
+    with pytest.raises(EyeglassesError, match="one line"):
+        find(glasses, rim_points=[[0, 0, 0], [1, 0, 0], [2, 0, 0.0]])
+    with pytest.raises(EyeglassesError, match="not zero"):
+        find(glasses, normal=[0.0, 0, 0])
+    with pytest.raises(EyeglassesError, match="no faces"):
+        find(glasses, faces=np.zeros((0, 3), int))
+    with pytest.raises(EyeglassesError, match="vertices holds"):
+        find_lens_rim(np.full((3, 3), np.nan), [[0, 1, 2]], [0, 0, 0], rim_points=marks)
+    with pytest.raises(EyeglassesError, match="no closed rim"):
+        find_lens_rim(
+            glasses.vertices, glasses.faces, glasses.lens_centers[0] + [0, 0, 300], normal=[0, 0, 1]
+        )
+    with pytest.raises(ValueError, match="count"):
+        find(glasses, count=16)
+    with pytest.raises(EyeglassesError, match="fold"):
+        lens_mesh([5.0, 0, 0], [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    with pytest.raises(EyeglassesError, match="fold"):
+        lens_mesh([0, 0, 0], np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("known", ["rim points", "normal"])
+def test_lenses_that_the_mesh_holds_are_looked_through(known):
+    for seed in range(3):
+        glasses = eyeglasses(seed)
+        parts, faces = [glasses.vertices], [glasses.faces]
+        for outline, center in zip(glasses.lens_outlines, glasses.lens_centers, strict=True):
+            # Front and back of a domed lens, which a ray in the lens plane meets half way to the rim.
+            for shift in (0.0, -1.5):
+                pane = np.concatenate([center + t * (outline - center) for t in (0.0, 0.5, 1.0)])
+                dome = np.repeat([4.0, 3.0, 0.0], len(outline))
+                pane[:, 2] += dome - 2 + shift
+                ring, n = np.arange(len(outline)), len(outline)
+                after = (ring + 1) % n
+                quads = [
+                    np.stack(triangle, 1) + r * n
+                    for r in (0, 1)
+                    for triangle in ((ring, ring + n, after + n), (ring, after + n, after))
+                ]
+                faces.append(np.concatenate(quads) + sum(map(len, parts)))
+                parts.append(pane)
+        vertices, whole = np.concatenate(parts), np.concatenate(faces)
+        marks = rim_points(glasses, "left")
+        options = {"rim_points": marks} if known == "rim points" else {"normal": fit_normal(marks, vertices)}
+        rim = find_lens_rim(vertices, whole, glasses.lens_centers[0], **options)
+        alone = find_lens_rim(glasses.vertices, glasses.faces, glasses.lens_centers[0], **options)
+        np.testing.assert_allclose(rim.points, alone.points, atol=1e-4)
+        assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM

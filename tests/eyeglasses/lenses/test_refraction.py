@@ -1,0 +1,157 @@
+"""Thin lenses against constructions that know nothing of the formula: conjugate points, focal rays, Snell."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.lenses.refraction import ThinLens, refract
+from scan2albedo.geometry.rigid import random_rotation
+
+FLAT = ThinLens(np.zeros(3), np.array([0.0, 0, 1]), 0.0)
+
+
+def angle_deg(a, b):
+    """Angles between rows; exact for small ones, where arccos is not."""
+    a, b = (v / np.linalg.norm(v, axis=1)[:, None] for v in (a, b))
+    return np.rad2deg(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2, 0, 1)))
+
+
+def gaussian_directions(camera, points, dioptres):
+    """Rays to the conjugate image by 1/u + 1/v = 1/f, lens at the origin, axis z."""
+    u = camera[2]
+    v = 1 / (dioptres / 1000 - 1 / u)
+    image = -camera * v / u  # the chief ray is straight
+    return np.sign(v) * (image - points)
+
+
+def drawn_directions(camera, points, dioptres):
+    """The textbook drawing: the image is where the chief ray meets the one parallel to the axis."""
+    f = 1000 / dioptres
+    bent_at, toward = np.array([camera[0], camera[1], 0]), np.array([0, 0, -f])
+    ray = np.sign(f) * (toward - bent_at)
+    system = np.stack([-camera, -ray], 1)
+    s, _ = np.linalg.lstsq(system, bent_at, rcond=None)[0]
+    image = -camera * s
+    return -np.sign(image[2]) * (image - points)
+
+
+def lens_points(rng, count=200):
+    return np.column_stack([rng.uniform(-28, 28, (count, 2)), np.zeros(count)])
+
+
+@pytest.mark.parametrize("construction", [gaussian_directions, drawn_directions])
+def test_rays_meet_the_conjugate_image(construction):
+    rng = np.random.default_rng(0)
+    points, worst = lens_points(rng), 0.0
+    for dioptres in (-8, -4, -2, -0.25, 0.25, 1, 2.1, 4, 8):
+        for camera in ([30.0, -60, 600], [-200, 90, 350], [5, 3, 1500], [1, 1, 40]):
+            lens = ThinLens(np.zeros(3), [0, 0, 1], dioptres)
+            got = refract(lens, camera, points).directions
+            worst = max(worst, angle_deg(got, construction(np.array(camera), points, dioptres)).max())
+    assert worst <= 1e-5
+
+
+def test_paraxial_rays_agree_with_snells_law_at_two_spheres():
+    dioptres, index, points = 5.0, 1.5, np.array([[0.2, 0.1, 0], [-0.3, 0.2, 0], [0.0, 0.4, 0]])
+    radius = 2 * (index - 1) * 1000 / dioptres
+    camera = np.array([0, 0, 600.0])
+    d = (points - camera) / np.linalg.norm(points - camera, axis=1)[:, None]
+    for side, ratio in ((1, 1 / index), (-1, index)):
+        # Lens-maker: both spheres pass (almost) through the plane z = 0; thickness is left out.
+        normal = np.column_stack([side * points[:, :2], np.full(3, radius)]) / radius
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        cosine = -(d * normal).sum(1)
+        across = np.sqrt(1 - ratio**2 * (1 - cosine**2))
+        d = ratio * d + (ratio * cosine - across)[:, None] * normal
+    got = refract(ThinLens(np.zeros(3), [0, 0, 1], dioptres), camera, points).directions
+    assert angle_deg(got, d).max() < 1e-6
+
+
+@pytest.mark.parametrize(("dioptres", "expected"), [(-8, 0.814), (0, 1.0), (8, 1.296)])
+def test_magnification_of_a_plane_behind_the_lens(dioptres, expected):
+    camera, behind = np.array([0, 0, 600.0]), 30.0
+    points = np.array([[15.0, 0, 0], [0, -9, 0], [12, 12, 0]])
+    seen = []
+    for d in (0, dioptres):
+        rays = refract(ThinLens(np.zeros(3), [0, 0, 1], d), camera, points)
+        step = (-behind - rays.origins[:, 2]) / rays.directions[:, 2]
+        seen.append((rays.origins + step[:, None] * rays.directions)[:, :2])
+    ratio = np.linalg.norm(seen[0], axis=1) / np.linalg.norm(seen[1], axis=1)
+    np.testing.assert_allclose(ratio, (1 + 0.05) / (1 + 0.05 - 30 * dioptres / 1000), rtol=1e-12)
+    np.testing.assert_allclose(ratio, expected, atol=5e-4)
+
+
+def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
+    points = lens_points(np.random.default_rng(1))
+    for dioptres in [*np.linspace(-20, 20, 161), 1e-12, -1e-12, 5e-324]:
+        # The last distances make 1 + u P zero or nearly so.
+        pole = 1000 / dioptres if dioptres > 1e-3 else 500.0
+        for distance in (20.0, 600.0, 1e5, pole, np.nextafter(pole, 0), np.nextafter(pole, 1e9)):
+            lens = ThinLens(np.zeros(3), [0, 0, 1], dioptres)
+            with np.errstate(all="raise", under="ignore"):
+                rays = refract(lens, [7.0, -4, distance], points)
+            assert np.isfinite(rays.directions).all()
+            np.testing.assert_allclose(np.linalg.norm(rays.directions, axis=1), 1, atol=1e-14)
+            assert (rays.directions[:, 2] < 0).all()
+
+
+def test_plane_glass_leaves_rays_alone_and_the_collimated_ones_are_parallel():
+    points = lens_points(np.random.default_rng(2))
+    camera = np.array([40.0, 10, 500])
+    assert angle_deg(refract(FLAT, camera, points).directions, points - camera).max() < 1e-12
+    parallel = refract(ThinLens(np.zeros(3), [0, 0, 1], 2.0), camera, points).directions
+    assert angle_deg(parallel, np.tile(-camera, (len(points), 1))).max() < 1e-12
+
+
+def test_powers_of_lenses_in_contact_add():
+    points, camera = lens_points(np.random.default_rng(3)), np.array([20.0, 50, 420])
+    for first, second in ((3.0, -5.0), (8, 8), (-8, -8), (6.5, -6.5)):
+        rays = refract(ThinLens(np.zeros(3), [0, 0, 1], first), camera, points)
+        again = refract(
+            ThinLens(np.zeros(3), [0, 0, 1], second), rays.origins - 300 * rays.directions, rays.origins
+        )
+        once = refract(ThinLens(np.zeros(3), [0, 0, 1], first + second), camera, points)
+        assert angle_deg(again.directions, once.directions).max() < 1e-10
+
+
+def test_a_moved_scene_gives_moved_rays_and_either_normal_will_do():
+    rng = np.random.default_rng(4)
+    points, camera = lens_points(rng), np.array([30.0, -20, 600])
+    turn, shift = random_rotation(rng), np.array([1e4, -5e3, 800.0])
+    still = refract(ThinLens(np.zeros(3), [0, 0, 1], -6.0), camera, points)
+    for sign in (1.0, -3.0):
+        moved = refract(
+            ThinLens(shift, sign * turn[:, 2], -6.0), turn @ camera + shift, points @ turn.T + shift
+        )
+        assert angle_deg(moved.directions, still.directions @ turn.T).max() < 1e-9
+        np.testing.assert_allclose(moved.origins, still.origins @ turn.T + shift, atol=1e-8)
+
+
+def test_any_point_on_a_ray_names_it():
+    points, camera = lens_points(np.random.default_rng(5)), np.array([0.0, 30, 600])
+    lens = ThinLens(np.zeros(3), [0, 0, 1], 7.0)
+    for along in (0.2, 0.99, 1.01, 3.0):
+        rays = refract(lens, camera, camera + along * (points - camera))
+        np.testing.assert_allclose(rays.origins, points, atol=1e-10)
+        assert angle_deg(rays.directions, refract(lens, camera, points).directions).max() < 1e-10
+
+
+def test_what_no_lens_can_do_is_said():
+    points = lens_points(np.random.default_rng(6), 4)
+    with pytest.raises(EyeglassesError, match="camera lies in the plane"):
+        refract(FLAT, [300.0, 10, 0], points)
+    with pytest.raises(EyeglassesError, match="camera lies in the plane"):
+        refract(FLAT, [0.0, 0, 0], points)
+    with pytest.raises(EyeglassesError, match=r"1 of 2 rays .* never reach"):
+        refract(FLAT, [0.0, 0, 600], [[0, 0, 0], [0, 0, 700.0]])
+    with pytest.raises(EyeglassesError, match="never reach"):
+        refract(FLAT, [0.0, 0, 600], [[10, 0, 600.0]])
+    with pytest.raises(EyeglassesError, match="not finite"):
+        refract(ThinLens([0, 0, 0], [0, 0, 1], np.inf), [0.0, 0, 600], points)
+    with pytest.raises(EyeglassesError, match="points holds"):
+        refract(FLAT, [0.0, 0, 600], [[np.nan, 0, 0]])
+    with pytest.raises(EyeglassesError, match="normal is zero"):
+        refract(ThinLens([0, 0, 0], [0, 0, 0], 1.0), [0.0, 0, 600], points)
+    with pytest.raises(ValueError, match="camera must have shape"):
+        refract(FLAT, [[0.0, 0, 600]], points)
+    assert refract(FLAT, [0.0, 0, 600], np.zeros((0, 3))).directions.shape == (0, 3)

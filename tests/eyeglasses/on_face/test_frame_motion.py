@@ -1,0 +1,129 @@
+"""Derivatives of a moving, bending frame against differences, and compiled sums against plain rows."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.eyeglasses.handle_transforms import PRIOR, known_bones, turned_translations
+from scan2albedo.eyeglasses.on_face.bend_prior import bend_prior
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
+from scan2albedo.eyeglasses.skinning import skin
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
+from scan2albedo.synthetic import eyeglasses
+
+POINTS = eyeglasses(1).rest_keypoints
+STEP = 1e-5
+
+
+def scene(missing):
+    """A bent frame with 30 points, random weights, slopes, values and votes."""
+    rng = np.random.default_rng(0)
+    keypoints, weights = POINTS.copy(), rng.dirichlet(np.ones(20), 30)
+    shifts = rng.normal(0, 2, (20, 3))
+    if missing:
+        keypoints[[3, 10]] = np.nan
+        shifts[[3, 10]] = 0
+        weights[:, [3, 10]] = 0
+        weights /= weights.sum(1, keepdims=True)
+    state = FrameState(rotation_from_vector([0.3, 0.2, -0.4]), np.array([3.0, 4, 5]), shifts)
+    return keypoints, state, SkinnedPoints(rng.normal(0, 40, (30, 3)), weights), rng
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_rows_are_the_derivatives(missing):
+    keypoints, state, points, rng = scene(missing)
+    slopes = rng.normal(size=(30, 3))
+    motion = FrameMotion(keypoints, state)
+    rows = motion.rows(points, motion.positions(points), slopes)
+    differences = np.zeros_like(rows)
+    for number in range(rows.shape[1]):
+        step = np.zeros(rows.shape[1])
+        step[number] = STEP
+        there, back = (FrameMotion(keypoints, state.moved(sign * step)).positions(points) for sign in (1, -1))
+        differences[:, number] = ((there - back) * slopes).sum(1) / (2 * STEP)
+    assert np.abs(rows).max() > 50
+    np.testing.assert_allclose(rows, differences, atol=2e-7 * np.abs(rows).max())
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_compiled_sums_are_those_of_the_rows(missing):
+    keypoints, state, points, rng = scene(missing)
+    slopes, values, votes = rng.normal(size=(30, 3)), rng.normal(size=30), rng.uniform(0, 2, 30)
+    motion = FrameMotion(keypoints, state)
+    place = motion.positions(points)
+    rows = motion.rows(points, place, slopes)
+    gradient, matrix = motion.chained(*motion.raw_sums(points, place, slopes, values, votes))
+    np.testing.assert_allclose(gradient, rows.T @ (votes * values), atol=1e-10)
+    np.testing.assert_allclose(matrix, rows.T @ (votes[:, None] * rows), atol=1e-8)
+
+
+def test_positions_are_those_of_skinning():
+    keypoints, state, points, _ = scene(False)
+    motion = FrameMotion(keypoints, state)
+    np.testing.assert_allclose(
+        motion.positions(points), skin(points.rest, points.weights, motion.transforms), atol=1e-11
+    )
+
+
+def test_a_step_of_turn_and_translation_is_a_rigid_motion():
+    keypoints, state, points, _ = scene(False)
+    before = FrameMotion(keypoints, state).positions(points)
+    turn = np.array([0.1, -0.2, 0.3])
+    after = FrameMotion(keypoints, state.moved(np.concatenate([turn, [1.0, 2, 3]]))).positions(points)
+    expected = (before - state.origin) @ rotation_from_vector(turn).T + state.origin + [1, 2, 3]
+    np.testing.assert_allclose(after, expected, atol=1e-11)
+
+
+def by_decompositions(source, target, rounds=400):
+    """The rotations of `turned_translations` by plain sweeps of singular value decompositions."""
+    k, j = known_bones(source + target).T
+    before, after = (normalized(points[j] - points[k]) for points in (source, target))
+    turns, share = np.zeros((20, 3, 3)), np.zeros((20, 20))
+    np.add.at(turns, k, after[:, :, None] * before[:, None, :])
+    degree = np.bincount(k, minlength=20)
+    turns[degree == 0] = np.eye(3)
+    share[k, j] = PRIOR / degree[k]
+    rotations = np.tile(np.eye(3), (20, 1, 1))
+    for _ in range(rounds):
+        u, _, vt = np.linalg.svd(turns + np.einsum("kj,jab->kab", share, rotations))
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        rotations = u @ vt
+    return rotations
+
+
+@pytest.mark.parametrize("size", [0.1, 2.0, 10.0, 40.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_compiled_rotations_are_those_of_decompositions(size, turned):
+    rng = np.random.default_rng(3)
+    target = POINTS + rng.normal(0, size, POINTS.shape)
+    if turned:
+        target = target @ random_rotation(rng).T
+    target[[3, 11]] = np.nan
+    found = turned_translations(POINTS, target)[:, :3, :3]
+    np.testing.assert_allclose(found, by_decompositions(POINTS, target), atol=1e-11)
+
+
+def test_the_priors_derivatives_hold_where_turns_are_small():
+    keypoints = POINTS
+    rng = np.random.default_rng(1)
+    state = FrameState(np.eye(3), np.zeros(3), rng.normal(0, 0.02, (20, 3)))
+    options = FaceRegistrationOptions()
+    value, rows = bend_prior(FrameMotion(keypoints, state), options)
+    differences = np.zeros_like(rows)
+    for number in range(6, 66):
+        step = np.zeros(66)
+        step[number] = STEP
+        there, back = (
+            bend_prior(FrameMotion(keypoints, state.moved(sign * step)), options)[0] for sign in (1, -1)
+        )
+        differences[:, number] = (there - back) / (2 * STEP)
+    assert np.isfinite(value).all()
+    np.testing.assert_allclose(rows, differences, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
+
+
+def test_the_prior_of_a_frame_at_rest_is_nothing():
+    value, _ = bend_prior(
+        FrameMotion(POINTS, FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))), FaceRegistrationOptions()
+    )
+    np.testing.assert_allclose(value, 0, atol=1e-9)

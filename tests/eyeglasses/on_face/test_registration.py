@@ -1,0 +1,407 @@
+"""Glasses registered on a synthetic wearer: the bars, and each extreme by name."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import (
+    KEY_POINT_NAMES,
+    FaceRegistrationOptions,
+    bounded_biharmonic_weights,
+    register_on_face,
+    skin,
+)
+from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
+from scan2albedo.optimization import Budget
+from scan2albedo.synthetic import WearerOptions, wearer
+
+SMALL = WearerOptions(picture_size=512, focal_px=900, label_noise_px=0.5, mask_noise_px=0.5)
+"""Half the pixels for the tests that are not about figures."""
+
+
+@cache
+def person(seed, options=WearerOptions()):
+    return wearer(seed, options=options)
+
+
+@cache
+def weights_of(seed):
+    glasses = person(seed).glasses
+    return bounded_biharmonic_weights(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
+
+
+def glasses_of(seed):
+    glasses = person(seed).glasses
+    return glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, weights_of(seed)
+
+
+def register(seed, pictures=WearerOptions(), /, **changes):
+    """Register a person's own glasses, with some arguments in place of the person's."""
+    worn = person(seed, pictures)
+    given = {
+        "keypoints_2d": worn.labels,
+        "masks": worn.masks,
+        "cameras": worn.cameras,
+        "head": (worn.head_vertices, worn.head_faces),
+        **changes,
+    }
+    return register_on_face(glasses_of(seed), **given)
+
+
+def error_mm(found, worn, where):
+    """Root mean square distance of the chosen vertices from the truth."""
+    return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[where] ** 2).mean()))
+
+
+CASES = {
+    # Labels' and masks' noise, outliers a view, missing key points; bars in mm rms of what is visible.
+    "exact": (WearerOptions(label_noise_px=0, mask_noise_px=0), 0.25),
+    "one pixel": (WearerOptions(), 0.35),
+    "four pixels": (WearerOptions(label_noise_px=4, mask_noise_px=2), 0.85),
+    "three gross outliers a view": (WearerOptions(outliers=3), 0.35),
+    "eight key points missing": (WearerOptions(missing=8), 0.35),
+    "hair over the temples": (WearerOptions(hair=True), 0.40),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_three_views_place_a_bent_frame(name, seed):
+    options, bar = CASES[name]
+    worn, found = person(seed, options), register(seed, options)
+    assert error_mm(found, worn, worn.seen) <= bar
+    assert error_mm(found, worn, found.observed) <= bar
+    assert found.depth_observed
+    assert found.converged
+    errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
+    # Deviations are those of a normal distribution, about; a mask's errors alike over a whole temple are not.
+    assert np.sqrt((errors**2).mean()) < 2.5 * np.sqrt((found.keypoint_deviation**2).mean()) + 0.1
+    assert np.median(errors / found.keypoint_deviation) < 2
+
+
+def test_labels_match_within_a_pixel_where_they_are_exact():
+    options = WearerOptions(label_noise_px=0, mask_noise_px=0)
+    found = register(1, options)
+    assert np.sqrt(np.nanmean(found.label_errors_px**2)) <= 1.0
+    assert np.nanmax(found.outline_rms_px) <= 0.5
+    assert found.iou.min() > 0.97
+
+
+def test_outliers_are_named():
+    worn, found = person(1, WearerOptions(outliers=3)), register(1, WearerOptions(outliers=3))
+    off = np.linalg.norm(worn.labels - projected(worn), axis=2)
+    labelled = np.isfinite(off)
+    np.testing.assert_array_equal(found.inliers[labelled & (off > 12)], False)
+    assert found.inliers[labelled & (off < 4)].all()
+
+
+def projected(worn):
+    image = np.einsum("cij,kj->cki", worn.cameras[:, :, :3], worn.keypoints) + worn.cameras[:, None, :, 3]
+    return image[..., :2] / image[..., 2:]
+
+
+def test_the_result_fits_together():
+    worn, found = person(1), register(1)
+    rest = worn.glasses.rest_vertices
+    np.testing.assert_allclose(skin(rest, found.weights, found.handle_transforms), found.vertices, atol=1e-9)
+    rigid = found.world_from_glasses
+    np.testing.assert_allclose(rigid[:3, :3] @ rigid[:3, :3].T, np.eye(3), atol=1e-12)
+    bent = worn.glasses.rest_keypoints + found.bend
+    np.testing.assert_allclose(bent @ rigid[:3, :3].T + rigid[:3, 3], found.keypoints, atol=1e-9)
+    assert found.visible.shape == (3, len(rest))
+    # The bend carries no rigid motion of its own.
+    assert np.abs(found.bend.mean(0)).max() < 1e-3
+
+
+def test_the_trace_counts_evaluations_and_the_plan_tells_the_stages():
+    rows = []
+    found = register(1, SMALL, on_progress=rows.append)
+    assert tuple(rows) == found.trace.rows
+    assert found.trace.stages == ("glasses.pose", "glasses.key_points", "glasses.outlines")
+    assert {step.stage for step in found.plan if step.ran} >= set(found.trace.stages)
+    assert not found.plan.ran("glasses.weights")
+    assert not found.plan.ran("glasses.contact")
+    assert found.iterations < 150
+
+
+def test_the_same_input_gives_the_same_bits():
+    first, second = (register(3, SMALL, budget=Budget(evaluations=12)) for _ in range(2))
+    np.testing.assert_array_equal(first.vertices, second.vertices)
+    assert [(r.evaluations, r.error) for r in first.trace] == [(r.evaluations, r.error) for r in second.trace]
+
+
+def test_a_budget_ends_it_with_the_best_so_far():
+    worn = person(1, SMALL)
+    errors = []
+    for evaluations in (1, 14, 200):
+        found = register(1, SMALL, budget=Budget(evaluations=evaluations))
+        errors.append(error_mm(found, worn, worn.seen))
+        assert found.converged == (evaluations == 200)
+        assert np.isfinite(found.vertices).all()
+    assert errors[0] > errors[1] > errors[2]
+    # Even one evaluation gives the pose of the triangulated key points.
+    assert errors[0] < 12
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3], ids=["metres", "micrometres"])
+def test_units_do_not_matter(unit):
+    worn, expected = person(1, SMALL), register(1, SMALL)
+    vertices, faces, keypoints, weights = glasses_of(1)
+    found = register_on_face(
+        (unit * vertices, faces, unit * keypoints, weights),
+        worn.labels,
+        worn.masks,
+        worn.cameras @ np.diag([1 / unit, 1 / unit, 1 / unit, 1]),
+        head=(unit * worn.head_vertices, worn.head_faces),
+    )
+    # Labels agree to rounding; a pixel of an outline may fall on the other side of the head's edge.
+    np.testing.assert_allclose(found.vertices / unit, expected.vertices, atol=0.06)
+    np.testing.assert_allclose(found.deviation / unit, expected.deviation, rtol=0.02)
+    assert (found.observed != expected.observed).mean() < 0.01
+    labels = register_on_face(
+        (unit * vertices, faces, unit * keypoints, weights),
+        worn.labels,
+        None,
+        worn.cameras @ np.diag([1 / unit, 1 / unit, 1 / unit, 1]),
+    )
+    np.testing.assert_allclose(
+        labels.vertices / unit, register(1, SMALL, masks=None, head=None).vertices, atol=1e-6
+    )
+
+
+def test_where_the_world_lies_does_not_matter():
+    worn, expected = person(1, SMALL), register(1, SMALL)
+    move = np.eye(4)
+    move[:3, :3] = random_rotation(np.random.default_rng(5))
+    move[:3, 3] = [300.0, -200, 900]
+    cameras = worn.cameras @ np.linalg.inv(move)
+    head = worn.head_vertices @ move[:3, :3].T + move[:3, 3]
+    found = register(1, SMALL, cameras=cameras, head=(head, worn.head_faces))
+    back = (found.vertices - move[:3, 3]) @ move[:3, :3]
+    np.testing.assert_allclose(back, expected.vertices, atol=0.05)
+
+
+def test_scale_and_sign_of_cameras_do_not_matter():
+    worn, expected = person(1, SMALL), register(1, SMALL)
+    scaled = worn.cameras * np.array([3.0, -0.01, 700])[:, None, None]
+    np.testing.assert_allclose(register(1, SMALL, cameras=scaled).vertices, expected.vertices, atol=0.06)
+
+
+@pytest.mark.parametrize(("seed", "view"), [(1, 0), (1, 1), pytest.param(3, 0, marks=pytest.mark.slow)])
+def test_one_view_says_that_it_does_not_see_depth(seed, view):
+    worn = person(seed)
+    one = {"keypoints_2d": worn.labels[[view]], "masks": worn.masks[[view]], "cameras": worn.cameras[[view]]}
+    found = register(seed, **one, options=FaceRegistrationOptions(contact=False))
+    assert not found.depth_observed
+    assert found.unobserved[0] == "depth"
+    assert found.depth_deviation > 1
+    assert not found.observed.all()
+    assert any(step.stage == "glasses.depth" for step in found.plan)
+    # The outline fits all the same: overlap is no evidence.
+    assert found.iou[0] > 0.7
+    error = error_mm(found, worn, worn.seen)
+    assert error < 4 * np.sqrt((found.deviation[worn.seen] ** 2).mean())
+
+
+def test_one_view_rests_the_frame_on_the_nose():
+    errors, deviations = np.zeros((2, 2)), np.zeros((2, 2))
+    for row, seed in enumerate((1, 3)):
+        worn = person(seed)
+        one = {"keypoints_2d": worn.labels[[1]], "masks": worn.masks[[1]], "cameras": worn.cameras[[1]]}
+        for column, contact in enumerate((True, False)):
+            found = register(seed, **one, options=FaceRegistrationOptions(contact=contact))
+            assert found.plan.ran("glasses.contact") == contact
+            errors[row, column] = np.linalg.norm((found.keypoints - worn.keypoints).mean(0))
+            deviations[row, column] = found.depth_deviation
+    assert (deviations[:, 0] < deviations[:, 1]).all()
+    assert errors[:, 0].mean() < 1.0
+
+
+def test_no_label_at_all_and_no_start_is_an_error():
+    worn = person(1, SMALL)
+    with pytest.raises(EyeglassesError, match=r"fix no pose.*give a start"):
+        register(1, SMALL, keypoints_2d=np.full_like(worn.labels, np.nan))
+
+
+def test_no_label_at_all_but_a_start_goes_by_the_outlines():
+    worn = person(3)
+    start = worn.world_from_glasses.copy()
+    start[:3, :3] = start[:3, :3] @ rotation_from_vector([0.03, 0.05, 0.02])
+    start[:3, 3] += [3, -2, 4]
+    found = register(3, keypoints_2d=np.full_like(worn.labels, np.nan), start=start)
+    front = worn.glasses.rest_vertices[:, 2] > -25
+    assert error_mm(found, worn, front) < 0.35
+    assert not found.plan.ran("glasses.key_points")
+    # Temples that were far off may have come to rest wrongly; then it says so.
+    errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
+    assert found.keypoints_observed[errors > 4].sum() == 0
+
+
+def test_masks_that_show_a_temple_elsewhere_contradict_it():
+    """A temple's end that nothing pulls back: no labels there, and its outline out of reach."""
+    worn = person(1)
+    temple = [KEY_POINT_NAMES.index(f"left_{n}") for n in ("temple_middle", "ear_bend", "temple_tip")]
+    labels = worn.labels.copy()
+    labels[:, temple] = np.nan
+    found = register(1, keypoints_2d=labels, options=FaceRegistrationOptions(outline_reach_px=6.0))
+    errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
+    assert errors[temple[2]] > 3
+    assert "left_temple_tip" in found.unobserved
+    assert any(step.stage == "glasses.contradicted" for step in found.plan)
+
+
+def test_a_frame_that_leaves_the_picture_is_unobserved_there():
+    worn = person(1)
+    shift = np.eye(3)
+    shift[:2, 2] = [-330, -60]
+    labels = worn.labels + shift[:2, 2]
+    labels[(labels < 0).any(2)] = np.nan
+    found = register(
+        1, keypoints_2d=labels, cameras=shift @ worn.cameras, masks=[mask[60:, 330:] for mask in worn.masks]
+    )
+    assert 0.5 < found.observed.mean() < 0.95
+    assert error_mm(found, worn, found.observed) <= 0.35
+    assert "right_temple_tip" in found.unobserved
+    assert "left_temple_tip" not in found.unobserved
+
+
+def test_an_empty_mask_does_not_count():
+    worn = person(1)
+    masks = [worn.masks[0], np.zeros_like(worn.masks[1]), worn.masks[2]]
+    found = register(1, masks=masks)
+    assert np.isnan(found.iou[1])
+    assert np.isnan(found.outline_rms_px[1])
+    assert any("mask of view 1 is empty" in step.reason for step in found.plan)
+    assert error_mm(found, worn, worn.seen) <= 0.35
+
+
+def test_a_full_mask_does_not_count():
+    worn = person(1, SMALL)
+    found = register(1, SMALL, masks=[worn.masks[0], np.ones_like(worn.masks[1]), worn.masks[2]])
+    assert any("mask of view 1 covers all" in step.reason for step in found.plan)
+
+
+def test_without_masks_the_labels_decide():
+    worn, found = person(1), register(1, masks=None)
+    assert not found.plan.ran("glasses.outlines")
+    assert np.isnan(found.iou).all()
+    assert error_mm(found, worn, worn.seen) <= 0.6
+
+
+def test_temples_that_hair_hides_are_reported():
+    options = WearerOptions(hair=True)
+    worn, found = person(3, options), register(3, options)
+    hidden = worn.hidden.all(0)
+    assert hidden.mean() > 0.05
+    marks = worn.glasses.keypoint_vertices
+    assert not found.keypoints_observed[hidden[marks]].any()
+    assert (found.observed & hidden).sum() < 0.2 * hidden.sum()
+    assert any("hidden in all views" in step.reason for step in found.plan)
+
+
+def test_a_rigid_frame_stays_as_it_is():
+    found = register(1, SMALL, options=FaceRegistrationOptions(bend=False))
+    vertices = person(1, SMALL).glasses.rest_vertices
+    moved = vertices @ found.world_from_glasses[:3, :3].T + found.world_from_glasses[:3, 3]
+    np.testing.assert_allclose(found.vertices, moved, atol=1e-9)
+    np.testing.assert_array_equal(found.bend, 0)
+
+
+def test_a_frame_without_temples_needs_no_temples():
+    """Key points that the frame lacks take no part."""
+    worn = person(1, SMALL)
+    vertices, faces, keypoints, weights = glasses_of(1)
+    lacking = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
+    kept = ~lacking[weights.argmax(1)]
+    number = np.cumsum(kept) - 1
+    faces = number[faces[kept[faces].all(1)]]
+    shares = weights[kept] * ~lacking
+    shares /= shares.sum(1, keepdims=True)
+    marks = np.where(lacking[:, None], np.nan, keypoints)
+    found = register_on_face(
+        (vertices[kept], faces, marks, shares),
+        worn.labels,
+        None,
+        worn.cameras,
+        head=(worn.head_vertices, worn.head_faces),
+    )
+    errors = np.linalg.norm(found.vertices - worn.vertices[kept], axis=1)
+    assert np.sqrt((errors**2).mean()) < 0.8
+    np.testing.assert_array_equal(np.isnan(found.keypoints).all(1), lacking)
+    assert not set(found.unobserved) & {n for n, gone in zip(KEY_POINT_NAMES, lacking, strict=True) if gone}
+
+
+def test_weights_are_solved_where_there_are_none():
+    worn = person(1, SMALL)
+    glasses = worn.glasses
+    found = register_on_face(
+        (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints),
+        worn.labels,
+        worn.masks,
+        worn.cameras,
+        head=(worn.head_vertices, worn.head_faces),
+    )
+    assert found.plan.ran("glasses.weights")
+    np.testing.assert_allclose(found.vertices, register(1, SMALL).vertices, atol=0.05)
+
+
+def test_a_far_start_does_no_harm():
+    worn, expected = person(1, SMALL), register(1, SMALL)
+    far = worn.world_from_glasses.copy()
+    far[:3, :3] = far[:3, :3] @ rotation_from_vector([0, np.deg2rad(60), 0])
+    far[:3, 3] += [0, 0, 150]
+    np.testing.assert_allclose(register(1, SMALL, start=far).vertices, expected.vertices, atol=1e-9)
+
+
+BAD = {
+    "labels of another shape": ({"keypoints_2d": np.zeros((3, 19, 2))}, ValueError, r"\(C, 20, 2\)"),
+    "a camera too few": ({"cameras": np.zeros((2, 3, 4))}, ValueError, "singular"),
+    "a mask too few": ({"masks": [np.zeros((4, 4))]}, ValueError, "one entry for each of 3"),
+    "a mask with colours": (
+        {"masks": [np.zeros((4, 4, 3))] * 3},
+        ValueError,
+        r"mask 0 must have shape \(H, W\)",
+    ),
+    "an empty head": (
+        {"head": (np.zeros((0, 3)), np.zeros((0, 3), int))},
+        EyeglassesError,
+        "the head: no vert",
+    ),
+    "a start that stretches": ({"start": np.diag([2.0, 1, 1, 1])}, EyeglassesError, "rigid"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_refused(name):
+    changes, kind, message = BAD[name]
+    with pytest.raises(kind, match=message):
+        register(1, SMALL, **changes)
+
+
+def test_glasses_in_another_unit_than_the_cameras_are_refused():
+    worn = person(1, SMALL)
+    vertices, faces, keypoints, weights = glasses_of(1)
+    with pytest.raises(EyeglassesError, match=r"e\+03 times as large.*same unit"):
+        register_on_face((1e-3 * vertices, faces, 1e-3 * keypoints, weights), worn.labels, None, worn.cameras)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda g: (np.where(np.arange(len(g[0]))[:, None] == 7, np.nan, g[0]), *g[1:]), "not all finite"),
+        (lambda g: (*g[:2], np.full((20, 3), np.nan), g[3]), "the glasses: 0 key points"),
+        (lambda g: (*g[:3], 2 * g[3]), "sum 1"),
+        (lambda g: (g[0], g[1][:0], *g[2:]), "the glasses: no faces"),
+    ],
+)
+def test_bad_glasses_are_refused(spoil, message):
+    worn = person(1, SMALL)
+    with pytest.raises(EyeglassesError, match=message):
+        register_on_face(spoil(glasses_of(1)), worn.labels, worn.masks, worn.cameras)
+
+
+def test_options_can_be_replaced():
+    assert replace(FaceRegistrationOptions(), bend=False).bend is False

@@ -1,0 +1,87 @@
+import itertools
+
+import igl
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import lsq_linear
+
+from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded
+from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
+from scan2albedo.optimization import Budget, Meter
+
+
+def solve(matrix, right, start=None, budget=None, tolerance=1e-10):
+    meter = Meter("test", "1", Budget.of(budget))
+    start = np.full(right.shape, 0.5) if start is None else start
+    return minimize_bounded(matrix, right, start, tolerance=tolerance, max_steps=80, meter=meter), meter
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_agrees_with_a_dense_reference(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((30, 30))
+    matrix = root @ root.T + 0.1 * np.eye(30)
+    right = matrix @ rng.uniform(-1, 2, (30, 3))
+    found, _ = solve(sparse.csr_matrix(matrix), right)
+    factor = np.linalg.cholesky(matrix)
+    for k in range(3):
+        reference = lsq_linear(
+            factor.T, np.linalg.solve(factor, right[:, k]), (0, 1), method="bvls", tol=1e-14
+        ).x
+        np.testing.assert_allclose(found.x[:, k], reference, atol=1e-8)
+    assert found.residual.max() <= 1e-10
+    assert ((found.x == 0) | (found.x == 1)).any()
+
+
+def lattice_tetrahedra(lattice):
+    """Each cell in six tetrahedra around its diagonal (Kuhn)."""
+    number = {tuple(corner): n for n, corner in enumerate(CORNERS.tolist())}
+    paths = []
+    for axes in itertools.permutations(range(3)):
+        place, path = [0, 0, 0], [0]
+        for axis in axes:
+            place[axis] = 1
+            path.append(number[tuple(place)])
+        paths.append(path)
+    return np.ascontiguousarray(lattice.corners[:, np.array(paths)].reshape(-1, 4), np.int64)
+
+
+def test_energy_is_not_above_libigl_on_its_own_operator():
+    """libigl's bounded biharmonic weights on tetrahedra, ours on the matrix that libigl builds from them."""
+    block = np.argwhere(np.ones((16, 4, 3), bool)).astype(np.int64)
+    lattice = Lattice.of_cells(block[(block[:, 0] < 5) | (block[:, 0] > 10) | (block[:, 1] < 2)])
+    nodes, tetrahedra = lattice.nodes.astype(float), lattice_tetrahedra(lattice)
+    owners = lattice.find(np.array([[0, 3, 1], [4, 0, 0], [12, 3, 2], [15, 0, 0]]))
+    fixed, values = lattice.corners[owners].ravel(), np.repeat(np.eye(4), 8, 0)
+    theirs = igl.bbw(nodes, tetrahedra, fixed, values)
+    laplacian, mass = igl.cotmatrix(nodes, tetrahedra), igl.massmatrix(nodes, tetrahedra)
+    energy = (laplacian @ sparse.diags(1 / mass.diagonal()) @ laplacian).tocsr()
+    free = np.setdiff1d(np.arange(len(nodes)), fixed)
+    found, meter = solve(energy[free][:, free], -(energy[free][:, fixed] @ values), tolerance=1e-9)
+    ours = np.zeros_like(theirs)
+    ours[fixed], ours[free] = values, found.x
+    assert found.residual.max() <= 1e-9
+    energies = [np.einsum("nk,nk->k", w, energy @ w) for w in (ours, theirs)]
+    assert (energies[0] <= energies[1] * (1 + 1e-6)).all()
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+    assert (ours[free] == 0).any()
+    assert meter.evaluations == found.steps.sum() == len(meter.rows)
+
+
+def test_a_budget_keeps_the_best_so_far():
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((40, 40))
+    matrix = sparse.csr_matrix(root @ root.T + 1e-3 * np.eye(40))
+    right = matrix @ rng.uniform(-2, 3, (40, 2))
+    start = np.full(right.shape, 0.5)
+    begun = 0.5 * np.einsum("nk,nk->k", start, matrix @ start) - np.einsum("nk,nk->k", start, right)
+    energies = []
+    for evaluations in (1, 2, 4, 100):
+        found, meter = solve(matrix, right, start, Budget(evaluations=evaluations))
+        energies.append(found.energy.sum())
+        assert meter.evaluations <= evaluations
+        assert found.x.min() >= 0
+        assert found.x.max() <= 1
+    assert energies[0] < begun.sum()
+    assert all(a >= b for a, b in itertools.pairwise(energies))
