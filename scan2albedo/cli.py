@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from scan2albedo.applications_cli import add_commands
 from scan2albedo.cli_tools import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -29,6 +30,7 @@ app = typer.Typer(
 )
 
 app.add_typer(glasses_app, name="glasses")
+add_commands(app)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]

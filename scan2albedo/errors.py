@@ -37,6 +37,10 @@ class RecognitionError(Scan2AlbedoError):
     """Images or templates cannot be compared, or persons not identified."""
 
 
+class ApplicationError(Scan2AlbedoError):
+    """Processed faces cannot be relit, swapped, blended or given another's expression."""
+
+
 class OutputError(Scan2AlbedoError):
     """Results cannot be written."""
 

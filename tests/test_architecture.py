@@ -40,6 +40,8 @@ def test_shared_ground_does_not_know_the_stages(floor):
         above = imported_modules(path) & {
             *STAGES,
             "pipeline",
+            "applications",
+            "applications_cli",
             "cli",
             "synthetic",
             "report",
@@ -47,6 +49,12 @@ def test_shared_ground_does_not_know_the_stages(floor):
         }
         if path == PACKAGE / "face_model" / "model.py":
             above -= {"template_annotation"}  # `from_mesh` is a name users know; it only passes on
+        assert not above, f"{path.name} imports {sorted(above)}"
+
+
+def test_applications_join_stages_and_know_no_command_line():
+    for path in (PACKAGE / "applications").rglob("*.py"):
+        above = imported_modules(path) & {"applications_cli", "cli", "cli_tools", "demo", "report"}
         assert not above, f"{path.name} imports {sorted(above)}"
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.applications.records import ApplicationRecord
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile
 from scan2albedo.eyeglasses.files.label_files import LabelsFile
@@ -28,6 +29,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
     "annotated_face_model": FaceModelFile,
+    "application": ApplicationRecord,
     "cameras": CamerasFile,
     "canonical_eyeglasses": CanonicalFrameRecord,
     "canonical_eyeglasses_set": CanonicalSetRecord,

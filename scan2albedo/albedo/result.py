@@ -86,7 +86,7 @@ class AlbedoEstimate:
     def relit(self, lights: Sequence[PointLight]) -> NDArray[np.float32]:
         """Return (H, W, 3) the linear texture under other lights, with shadows and ambient = 1.
 
-        V = A (I_a + I_d) + I_s with the estimated reflectance; hue and saturation are the albedo's.
+        T = A (I_a + I_d) + I_s with the estimated reflectance; highlights are white, as those removed were.
         """
         mask = self.image.mask
         shading = shade_image(
@@ -98,12 +98,8 @@ class AlbedoEstimate:
             self.shadow_offset_mm,
         ).shading
         albedo = self.albedo_linear[mask].astype(np.float64)
-        value = albedo.max(-1)
-        lit = value * shading.light + shading.specular
-        ratio = np.where(value > 1e-9, lit / np.maximum(value, 1e-9), 0.0)
-        color = np.where(value[:, None] > 1e-9, albedo * ratio[:, None], shading.specular[:, None])
         result = np.zeros((*mask.shape, 3), np.float32)
-        result[mask] = color
+        result[mask] = albedo * shading.light[:, None] + shading.specular[:, None]
         return result
 
 

@@ -18,6 +18,8 @@ def write_glb(
     faces: ArrayLike,
     uv: ArrayLike | None = None,
     texture_srgb: NDArray[np.uint8] | None = None,
+    *,
+    emissive: bool = False,
 ) -> None:
     """Write a mesh with its base colour as binary glTF 2.0, atomically.
 
@@ -31,6 +33,8 @@ def write_glb(
         v = 0 is the bottom row of the texture (glTF counts from the top; it is turned here).
     texture_srgb : (H, W, 3) uint8, optional
         Base colour; grey when omitted.
+    emissive : bool
+        The texture shines by itself instead: light is in it already, and no viewer adds to it.
 
     Raises
     ------
@@ -50,13 +54,14 @@ def write_glb(
         raise ValueError("a texture needs uv coordinates")
     if uv is not None and np.shape(uv) != (len(points), 2):
         raise ValueError(f"uv has shape {np.shape(uv)}, expected ({len(points)}, 2)")
-    material = PBRMaterial(
-        name="albedo",
-        baseColorTexture=None if texture_srgb is None else _pillow_image(texture_srgb),
-        baseColorFactor=[200, 200, 200, 255] if texture_srgb is None else [255, 255, 255, 255],
-        metallicFactor=0.0,
-        roughnessFactor=0.9,
-    )
+    picture = None if texture_srgb is None else _pillow_image(texture_srgb)
+    if emissive:
+        color = {"emissiveTexture": picture, "emissiveFactor": [1.0, 1.0, 1.0]}
+        color["baseColorFactor"] = [0, 0, 0, 255]
+    else:
+        white = [200, 200, 200, 255] if picture is None else [255, 255, 255, 255]
+        color = {"baseColorTexture": picture, "baseColorFactor": white}
+    material = PBRMaterial(name="albedo", metallicFactor=0.0, roughnessFactor=0.9, **color)
     coordinates = np.zeros((len(points), 2)) if uv is None else np.asarray(uv, np.float64)
     mesh = trimesh.Trimesh(
         points * METRES_PER_MM,

@@ -1,0 +1,35 @@
+"""What a processed face is for: relighting, swapped skin, blends, transferred expressions."""
+
+from scan2albedo.applications.blending import blend_faces
+from scan2albedo.applications.expression_transfer import TransferOptions, transfer_expression
+from scan2albedo.applications.files import write_face
+from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
+from scan2albedo.applications.loading import load_result
+from scan2albedo.applications.personal_model import personal_model
+from scan2albedo.applications.pictures import Picture, default_camera
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.applications.relighting import RelightOptions, RelitFace, relight
+from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
+
+__all__ = [
+    "FaceMesh",
+    "Picture",
+    "ProcessedFace",
+    "RelightOptions",
+    "RelitFace",
+    "SwapOptions",
+    "TransferOptions",
+    "blend_faces",
+    "default_camera",
+    "frames_srgb",
+    "light_arc",
+    "load_result",
+    "personal_model",
+    "relight",
+    "swap_texture",
+    "sweep",
+    "transfer_expression",
+    "write_face",
+    "write_frames",
+    "write_gif",
+]

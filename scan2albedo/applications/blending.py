@@ -1,0 +1,131 @@
+"""`blend_faces`: a face between two."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.applications.compatibility import on_common_chart
+from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.errors import ApplicationError
+from scan2albedo.lighting.asrm import Reflectance
+
+_FEATHER = 0.03
+"""Width of the border between two textures, as a part of the image's side."""
+_LEAST_TRUST = 0.02
+"""In a texture that was not seen, so that a face keeps its own where the other has little say."""
+
+
+def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> ProcessedFace:
+    """Return the face `weight` of the way from A to B, in shape and skin.
+
+    Positions are blended linearly on the chart that both share; normals follow the new surface; the albedos
+    are brought to one level, between theirs geometrically, and then blended linearly: their own levels only
+    tell how the scans were exposed, and the brighter scan would win otherwise. Where the texture of one was
+    not seen, the other's takes most of its part, over a feathered border.
+
+    Parameters
+    ----------
+    a, b : ProcessedFace
+        Of one model and size.
+    weight : float
+        In [0, 1]: 0 is A, 1 is B. The lights are those of the nearer one.
+
+    Raises
+    ------
+    ApplicationError
+        When the faces do not share a chart, or for a weight outside [0, 1].
+    """
+    if not 0 <= weight <= 1:
+        raise ApplicationError(
+            f"weight is {weight}, expected a number from 0 (all {a.name}) to 1 (all {b.name})"
+        )
+    a, b = on_common_chart(a, b)
+    nearer, gains = (a if weight < 0.5 else b), _gains(a, b, weight)
+    mask = a.mask
+    vertices = _between(a.mesh.vertices, b.mesh.vertices, weight)
+    mesh = replace(nearer.mesh, vertices=vertices)
+    position = _between(a.image.position[mask], b.image.position[mask], weight)
+    shaped_a, shaped_b = (face.reshaped(mesh, position, face.name) for face in (a, b))
+    normal = _between(shaped_a.image.normal, shaped_b.image.normal, weight)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    shaped = shaped_a if nearer is a else shaped_b
+    image = replace(
+        shaped.image,
+        normal=normal / np.where(length > 0, length, 1),
+        texture_linear=None,
+        texture_valid=a.image.seen & b.image.seen,
+        specular_scale=_between_maps(a.image.specular_scale, b.image.specular_scale, weight),
+    )
+    part = _part_of_b(a, b, weight)[..., None]
+    albedo = _between(gains[0] * a.albedo_linear, gains[1] * b.albedo_linear, part)
+    return replace(
+        shaped,
+        name=f"{a.name}+{b.name}",
+        image=image,
+        albedo_linear=albedo.astype(np.float32),
+        reflectance=_blended_reflectance(a.reflectance, b.reflectance, weight, gains),
+        casts_shadows=a.casts_shadows or b.casts_shadows,
+    )
+
+
+def _between(a: NDArray, b: NDArray, weight: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((1 - weight) * a + weight * b, np.float64)
+
+
+def _part_of_b(a: ProcessedFace, b: ProcessedFace, weight: float) -> NDArray[np.float64]:
+    """Return (H, W) w c_B / ((1 - w) c_A + w c_B), c the trust in each texture."""
+    trust_a, trust_b = _trust(a), _trust(b)
+    return weight * trust_b / ((1 - weight) * trust_a + weight * trust_b)
+
+
+def _trust(face: ProcessedFace) -> NDArray[np.float64]:
+    """Return (H, W) 1 far from badly seen texels, falling to little on them."""
+    from scipy.ndimage import distance_transform_edt
+
+    unseen = face.mask & ~face.image.seen
+    if not unseen.any():
+        return np.ones(face.mask.shape)
+    away = distance_transform_edt(~unseen)
+    return np.clip(away / (_FEATHER * max(face.mask.shape)), _LEAST_TRUST, 1.0)
+
+
+def _between_maps(a: NDArray | None, b: NDArray | None, weight: float) -> NDArray | None:
+    if a is None or b is None:
+        return a if b is None else b
+    return _between(a, b, weight)
+
+
+def _gains(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[float, float]:
+    """Return what brings A's and B's albedo to the level between theirs."""
+    levels = a.level(), b.level()
+    if min(levels) <= 0:
+        return 1.0, 1.0
+    common = math.exp((1 - weight) * math.log(levels[0]) + weight * math.log(levels[1]))
+    return common / levels[0], common / levels[1]
+
+
+def _blended_reflectance(
+    a: Reflectance, b: Reflectance, weight: float, gains: tuple[float, float]
+) -> Reflectance:
+    """Return the reflectance between two; of models that do not blend, the nearer one's."""
+    strength = (1 - weight) * gains[0] * a.specular_strength + weight * gains[1] * b.specular_strength
+    nearer = a if weight < 0.5 else b
+    if (a.brdf == "minnaert") != (b.brdf == "minnaert"):
+        return replace(nearer, specular_strength=strength)
+    if a.brdf == b.brdf == "lambert":
+        brdf = "lambert"
+    else:
+        brdf = "minnaert" if a.brdf == "minnaert" else "oren-nayar"
+    exponent = _blended_exponent(a, b, weight)
+    return Reflectance(brdf, (1 - weight) * a.roughness + weight * b.roughness, strength, exponent)
+
+
+def _blended_exponent(a: Reflectance, b: Reflectance, weight: float) -> float:
+    """Return the exponent between two; a face without highlight has none to say."""
+    if 0 < weight < 1 and 0 in (a.specular_strength, b.specular_strength):
+        return b.exponent if a.specular_strength == 0 else a.exponent
+    return float(a.exponent ** (1 - weight) * b.exponent**weight)

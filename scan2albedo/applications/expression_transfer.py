@@ -1,0 +1,124 @@
+"""`transfer_expression`: what one person's face did, done by another's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.applications.compatibility import on_common_chart
+from scan2albedo.applications.local_frames import local_similarities
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.geometry.rigid import procrustes, transform_points
+
+FloatArray = NDArray[np.float64]
+Method = Literal["addition", "local-frames"]
+
+_ROUNDS = 20
+_STILL_MM, _STILL_PERCENTILE = 0.1, 25
+"""What moves less than this counts as still, whatever the rest does; a smile leaves a quarter so."""
+
+
+@dataclass(frozen=True)
+class TransferOptions:
+    """Settings of `transfer_expression`."""
+
+    method: Method = "addition"
+    """"addition" adds the displacement as it is; "local-frames" turns and scales it with the surface, for
+    heads that differ in size or pose."""
+    strength: float = 1.0
+    """Factor of the displacement; less than 1 is a milder expression."""
+    align: bool = True
+    """First lay A's expression rigidly on A at rest, by what did not move."""
+    reach_mm: float = 12.0
+    """Over which local frames are smoothed."""
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise ValueError(f"method is {self.method!r}, expected one of {get_args(Method)}")
+        if not (np.isfinite(self.strength) and np.isfinite(self.reach_mm) and self.reach_mm > 0):
+            raise ValueError(f"strength and reach_mm must be finite and reach_mm above 0, got {self}")
+
+
+def transfer_expression(
+    neutral_a: ProcessedFace,
+    expression_a: ProcessedFace,
+    neutral_b: ProcessedFace,
+    *,
+    options: TransferOptions = TransferOptions(),
+) -> ProcessedFace:
+    """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
+
+    Albedo, reflectance and lights are B's; normals follow the new surface.
+
+    Parameters
+    ----------
+    neutral_a, expression_a, neutral_b : ProcessedFace
+        Of one model and size.
+    options : TransferOptions
+
+    Raises
+    ------
+    ApplicationError
+        When the faces do not share a chart.
+
+    Notes
+    -----
+    Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out. On
+    light-stage shapes addition errs less than local frames do, so it is the default; local frames carry over
+    to a head that is turned or of another size. Best fit A's expression with `personal_model` of A at rest.
+
+    References
+    ----------
+    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with application
+       to face recognition", section on applications: arithmetic of geometry images.
+    """
+    a, smiling, b = on_common_chart(neutral_a, expression_a, neutral_b)
+    moved = expression_displacement(a.mesh, smiling.mesh, b.mesh, options=options)
+    mask, mesh = b.mask, replace(b.mesh, vertices=b.mesh.vertices + moved)
+    position = b.image.position[mask] + b.mesh.on_chart(moved, mask)
+    return b.reshaped(mesh, position, f"{b.name}+{smiling.name}")
+
+
+def expression_displacement(
+    neutral_a: FaceMesh,
+    expression_a: FaceMesh,
+    neutral_b: FaceMesh,
+    *,
+    options: TransferOptions = TransferOptions(),
+) -> FloatArray:
+    """Return (V, 3) mm by which each vertex of B moves.
+
+    Parameters
+    ----------
+    neutral_a, expression_a, neutral_b : FaceMesh
+        The same triangles.
+    options : TransferOptions
+    """
+    rest, moved = neutral_a.vertices, expression_a.vertices
+    if options.align:
+        moved = laid_on_what_is_still(moved, rest)
+    displacement = options.strength * (moved - rest)
+    if options.method == "addition":
+        return displacement
+    carried = local_similarities(rest, neutral_b.vertices, neutral_a.faces, options.reach_mm)
+    return np.einsum("vij,vj->vi", carried, displacement)
+
+
+def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
+    """Return `moved` (V, 3) rigidly laid on `rest` by the vertices that did not move.
+
+    Iteratively reweighted least squares with Geman and McClure's weights 1 / (1 + (r / s)^2)^2, s the lower
+    quartile of the distances of the round before.
+    """
+    placed = moved
+    for _ in range(_ROUNDS):
+        distance = np.linalg.norm(placed - rest, axis=1)
+        scale = max(float(np.percentile(distance, _STILL_PERCENTILE)), _STILL_MM)
+        weights = 1 / (1 + (distance / scale) ** 2) ** 2
+        before, placed = placed, transform_points(procrustes(moved, rest, weights=weights), moved)
+        if np.abs(placed - before).max() < 1e-4:
+            break
+    return placed

@@ -1,0 +1,109 @@
+"""A light that moves around a face: frames, and an animation of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.applications.pictures import Picture
+from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.applications.relighting import RelightOptions, relight
+from scan2albedo.io.atomic import make_folder, write_bytes
+from scan2albedo.io.images import write_png
+from scan2albedo.lighting.point_light import PointLight
+
+
+def light_arc(
+    count: int,
+    *,
+    first_rad: float = math.radians(-75),
+    last_rad: float = math.radians(75),
+    elevation_rad: float = math.radians(15),
+    distance_mm: float = math.inf,
+    intensity: float = 3.0,
+) -> list[PointLight]:
+    """Return `count` places of a light that goes around the face from one azimuth to another.
+
+    >>> [round(math.degrees(light.azimuth_rad)) for light in light_arc(3)]
+    [-75, 0, 75]
+    """
+    if count < 1:
+        raise ValueError(f"count must be 1 or more, got {count}")
+    return [
+        PointLight(float(azimuth), elevation_rad, distance_mm, intensity)
+        for azimuth in np.linspace(first_rad, last_rad, count)
+    ]
+
+
+def sweep(
+    face: ProcessedFace,
+    places: Sequence[PointLight],
+    *,
+    others: Sequence[PointLight] = (),
+    ambient: float | None = None,
+    camera: ArrayLike | None = None,
+    shape: tuple[int, int] = (512, 512),
+    samples: int = 2,
+    options: RelightOptions = RelightOptions(),
+) -> Iterator[Picture]:
+    """Give a picture of the face for each of the light's `places`, with `others` that stay.
+
+    The remaining parameters are those of `relight` and `RelitFace.picture`.
+    """
+    for place in places:
+        relit = relight(face, (*others, place), ambient=ambient, options=options)
+        yield relit.picture(camera, shape=shape, samples=samples)
+
+
+def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[NDArray[np.uint8]]:
+    """Return (H, W, 3) sRGB bytes of pictures at one exposure: the brightest one's when None."""
+    factor = min(picture.auto_exposure() for picture in pictures) if exposure is None else exposure
+    return [picture.srgb(factor) for picture in pictures]
+
+
+def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> list[Path]:
+    """Write frames as ``frame_000.png`` and so on into a folder; return the files.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    files = [make_folder(folder) / f"frame_{k:03d}.png" for k in range(len(frames))]
+    for file, frame in zip(files, frames, strict=True):
+        write_png(file, frame)
+    return files
+
+
+def write_gif(
+    path: str | Path, frames: Sequence[NDArray[np.uint8]], *, seconds_per_frame: float = 0.08
+) -> None:
+    """Write frames as an animated GIF that plays there and back for ever, atomically.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    ValueError
+        Without frames.
+    """
+    from PIL import Image
+
+    if not frames:
+        raise ValueError("an animation needs a frame at least")
+    shown = [Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1])]
+    data = BytesIO()
+    shown[0].save(
+        data,
+        format="GIF",
+        save_all=True,
+        append_images=shown[1:],
+        duration=round(1000 * seconds_per_frame),
+        loop=0,
+    )
+    write_bytes(path, data.getvalue())

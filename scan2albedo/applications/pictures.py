@@ -1,0 +1,203 @@
+"""Pictures of a processed face from a camera, lit pixel by pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    look_at,
+    normalized_cameras,
+    pixel_directions,
+    project,
+)
+from scan2albedo.geometry.rasterization import pixels_from_uv
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.lighting.shadow_map import ShadowMap
+
+FloatArray = NDArray[np.float64]
+
+DISTANCE_MM = 700.0
+"""From the default camera to the middle of the face: a portrait's."""
+_MARGIN = 1.12
+_BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
+"""Where automatic exposure puts which percentile of the brightest channel."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a camera sees.
+
+    Parameters
+    ----------
+    linear : (H, W, 3) float32
+        Colour before a black background.
+    alpha : (H, W) float32
+        The part of each pixel that the face covers.
+    """
+
+    linear: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+
+    def auto_exposure(self) -> float:
+        """Return the factor that keeps the brightest parts just below white."""
+        return auto_exposure(self.linear[self.alpha > 0])
+
+    def srgb(self, exposure: float | None = None, background: float = 1.0) -> NDArray[np.uint8]:
+        """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None."""
+        factor = self.auto_exposure() if exposure is None else exposure
+        shown = np.clip(factor * self.linear, 0, self.alpha[..., None])
+        return encode_srgb_bytes(shown + background * (1 - self.alpha[..., None]))
+
+
+def auto_exposure(linear: ArrayLike) -> float:
+    """Return the factor that puts the bright part of colours (N, 3) just below white; 1 for black ones."""
+    brightest = np.asarray(linear).reshape(-1, 3).max(-1)
+    bright = float(np.percentile(brightest, _BRIGHT_PERCENTILE)) if len(brightest) else 0.0
+    return _BRIGHT / bright if bright > 0 else 1.0
+
+
+def default_camera(
+    face: ProcessedFace,
+    shape: tuple[int, int] = (512, 512),
+    *,
+    azimuth_rad: float = 0.0,
+    elevation_rad: float = 0.0,
+) -> FloatArray:
+    """Return the (3, 4) camera of a portrait that holds all of the face, seen from a direction.
+
+    Parameters
+    ----------
+    face : ProcessedFace
+    shape : (H, W)
+        Of the picture.
+    azimuth_rad, elevation_rad : float
+        Of the camera seen from the face: from +z toward +x, and toward +y; it may not be right above.
+    """
+    if not abs(elevation_rad) < np.deg2rad(89):
+        raise ValueError(f"elevation_rad is {elevation_rad}, expected between -89 and 89 degrees")
+    low, high = face.mesh.vertices.min(0), face.mesh.vertices.max(0)
+    middle, horizontal = (low + high) / 2, np.cos(elevation_rad)
+    toward = np.array(
+        [horizontal * np.sin(azimuth_rad), np.sin(elevation_rad), horizontal * np.cos(azimuth_rad)]
+    )
+    radius = 0.5 * float(np.max((high - low)[:2]))
+    distance = max(DISTANCE_MM, 4 * radius)
+    focal = (min(shape) - 1) / (2 * _MARGIN * radius) * (distance - (high - low)[2] / 2)
+    return look_at(middle + distance * toward, middle, focal_px=focal, shape=shape)
+
+
+def photograph(
+    face: ProcessedFace,
+    light: SceneLight,
+    *,
+    camera: ArrayLike | None = None,
+    shape: tuple[int, int] = (512, 512),
+    samples: int = 2,
+    shadows: bool = True,
+) -> Picture:
+    """Return the picture of a face under light: every sample is shaded for its own line of sight.
+
+    Parameters
+    ----------
+    face : ProcessedFace
+    light : SceneLight
+    camera : (3, 4) array_like of float, optional
+        As in `geometry.pinhole`; `default_camera` when omitted.
+    shape : (H, W)
+    samples : int
+        On each side of a pixel; their mean is the pixel.
+    shadows : bool
+        Cast shadows, beside attached ones.
+    """
+    given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
+    projection, fine = normalized_cameras(given[None])[0], (shape[0] * samples, shape[1] * samples)
+    mesh = face.mesh
+    sample, corners, weight, through = _visible_samples(mesh, projection, fine, samples)
+    position = np.einsum("nk,nkc->nc", weight, mesh.vertices[corners])
+    normal = normalized(np.einsum("nk,nkc->nc", weight, mesh.normals[corners]))
+    occluder = RayCaster(*face.image.occluder_mesh()) if shadows else None
+    shadow_map = ShadowMap(occluder, position, normal, face.shadow_offset_mm)
+    albedo, scale = _lookup(face, np.einsum("nk,nkc->nc", weight, mesh.uv[corners]))
+    lit = shade(shadow_map, light, face.reflectance, -through, scale)
+    color = np.zeros((fine[0] * fine[1], 4))
+    color[sample, :3], color[sample, 3] = albedo * lit.diffuse + lit.specular, 1.0
+    pooled = _pooled(color.reshape(*fine, 4), samples)
+    return Picture(pooled[..., :3], pooled[..., 3])
+
+
+def _visible_samples(
+    mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+    """Return what the face covers of the samples `fine` (H, W) of all pixels, row by row.
+
+    That is, of N of them: index (N,), the vertices (N, 3) of the triangle seen, barycentric coordinates
+    (N, 3) and the unit direction of sight (N, 3). A face is an open shell: its inside is nothing to see.
+    """
+    row, column = _window(mesh, camera, fine, samples)
+    index = (row[:, None] * fine[1] + column).ravel()
+    pixels = np.stack(np.broadcast_arrays(column[None], row[:, None]), -1).reshape(-1, 2)
+    through = pixel_directions(camera, (pixels - (samples - 1) / 2) / samples)
+    eye = camera_centers(camera[None])[0]
+    hits = RayCaster(mesh.vertices, mesh.faces).first_hit(np.broadcast_to(eye, through.shape), through)
+    seen = np.flatnonzero(hits.face >= 0)
+    corners, weight, sight = mesh.faces[hits.face[seen]], hits.barycentric[seen], through[seen]
+    normal = np.einsum("nk,nkc->nc", weight, mesh.normals[corners])
+    outside = np.einsum("ij,ij->i", normal, sight) < 0
+    return index[seen[outside]], corners[outside], weight[outside], sight[outside]
+
+
+def _window(
+    mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return rows and columns of samples that the mesh can cover; all when part of it is behind the eye."""
+    pixels, depth = project(camera, mesh.vertices)
+    if not (depth > 0).all():
+        return np.arange(fine[0]), np.arange(fine[1])
+    low = np.clip(np.floor(pixels.min(0) * samples - 1), 0, fine[::-1]).astype(np.int64)
+    high = np.clip(np.ceil(pixels.max(0) * samples + samples + 1), 0, fine[::-1]).astype(np.int64)
+    return np.arange(low[1], high[1]), np.arange(low[0], high[0])
+
+
+def _pooled(values: FloatArray, samples: int) -> NDArray[np.float32]:
+    height, width, channels = values.shape
+    blocks = values.reshape(height // samples, samples, width // samples, samples, channels)
+    return blocks.mean((1, 3)).astype(np.float32)
+
+
+def _lookup(face: ProcessedFace, uv: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Return albedo (N, 3) and scale of highlights (N,) or None at chart coordinates, bilinearly."""
+    pixels = pixels_from_uv(uv, face.image.shape)
+    albedo = _bilinear(padded(face.albedo_linear, face.mask), pixels)
+    given = face.image.specular_scale
+    return albedo, None if given is None else _bilinear(padded(given[..., None], face.mask), pixels)[:, 0]
+
+
+def padded(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> FloatArray:
+    """Return (H, W, C) values carried on from the nearest texel of `mask` to all others.
+
+    Interpolation at the chart's rim must not mix in the nothing beside it.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    row, column = distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    return values[row, column].astype(np.float64)
+
+
+def _bilinear(values: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return (N, C) values (H, W, C) at pixels (N, 2), column and row."""
+    limit = np.array(values.shape[1::-1]) - 1
+    at = np.clip(pixels, 0, limit)
+    low = np.minimum(at.astype(np.int64), np.maximum(limit - 1, 0))
+    high, part = np.minimum(low + 1, limit), at - low
+    column, row = part[:, :1], part[:, 1:]
+    top = values[low[:, 1], low[:, 0]] * (1 - column) + values[low[:, 1], high[:, 0]] * column
+    bottom = values[high[:, 1], low[:, 0]] * (1 - column) + values[high[:, 1], high[:, 0]] * column
+    return np.asarray(top * (1 - row) + bottom * row)

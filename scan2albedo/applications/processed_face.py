@@ -1,0 +1,177 @@
+"""`ProcessedFace`: what relighting, swapping, blending and expression transfer need of a processed scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.point_light import PointLight
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NO_MODEL = "none"
+
+
+@dataclass(frozen=True)
+class FaceMesh:
+    """The surface behind a geometry image.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+        Millimetres, in the frame of the geometry image.
+    faces : (F, 3) int64
+    uv : (V, 2) float64
+        Chart coordinates.
+    from_chart : bool
+        The texels themselves are the vertices (`GeometryImage.triangulated`).
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    uv: FloatArray
+    from_chart: bool = False
+
+    @classmethod
+    def of_chart(cls, image: GeometryImage) -> FaceMesh:
+        """Return the texel grid as a mesh, for images whose fitted surface is not known."""
+        vertices, faces = image.triangulated()
+        row, column = np.nonzero(image.mask)
+        height, width = image.shape
+        uv = np.stack([(column + 0.5) / width, 1 - (row + 0.5) / height], 1)
+        return cls(vertices, faces, uv, from_chart=True)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(V, 3) unit normals."""
+        return vertex_normals(self.vertices, self.faces)
+
+    def on_chart(self, values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+        """Return (N, C) values of the masked texels from values (V, C) of the vertices."""
+        if self.from_chart:
+            return values
+        return interpolate(rasterize_uv(self.uv, self.faces, mask.shape), self.faces, values)[mask]
+
+    def chart_normals(self, mask: NDArray[np.bool_]) -> FloatArray:
+        """Return (N, 3) unit normals of the masked texels."""
+        return normalized(self.on_chart(self.normals, mask))
+
+
+@dataclass(frozen=True)
+class ProcessedFace:
+    """One processed scan, ready for applications; in the model's frame, mm.
+
+    Parameters
+    ----------
+    name : str
+        For messages and files.
+    image : GeometryImage
+        Position, normal, mask, region, and the texture where there is one.
+    albedo_linear : (H, W, 3) float32
+        Zero outside the mask; up to one global scale, which no image tells.
+    reflectance : Reflectance
+        How the skin reflects, its highlight in the albedo's unit.
+    lights : tuple of PointLight
+        Under which the scan was taken, beside an ambient light of 1.
+    mesh : FaceMesh
+        The fitted surface, or the triangulated chart.
+    model_name : str
+        Of the face model whose chart this is; "none" for charts cut by xatlas.
+    casts_shadows : bool
+        Whether the surface shades itself.
+    view_direction : (float, float, float)
+        Toward the viewer, for roughness and highlights on the chart.
+    shadow_offset_mm : float
+        Of shadow rays.
+
+    Raises
+    ------
+    ApplicationError
+        When albedo and image differ in size, or the albedo is not finite on the surface.
+    """
+
+    name: str
+    image: GeometryImage
+    albedo_linear: NDArray[np.float32]
+    reflectance: Reflectance
+    lights: tuple[PointLight, ...]
+    mesh: FaceMesh
+    model_name: str = NO_MODEL
+    casts_shadows: bool = True
+    view_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    shadow_offset_mm: float = 0.2
+
+    def __post_init__(self) -> None:
+        albedo = np.asarray(self.albedo_linear, np.float32)
+        if albedo.shape != (*self.image.shape, 3):
+            raise ApplicationError(
+                f"{self.name}: the albedo is {albedo.shape}, expected {(*self.image.shape, 3)} like the "
+                "geometry image; process the scan again"
+            )
+        if not np.isfinite(albedo[self.image.mask]).all():
+            raise ApplicationError(f"{self.name}: the albedo holds NaN or infinite values inside the mask")
+        if not len(self.mesh.faces):
+            raise ApplicationError(f"{self.name}: the geometry image holds no surface")
+        object.__setattr__(self, "albedo_linear", np.where(self.image.mask[..., None], albedo, 0))
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        image: GeometryImage,
+        albedo_linear: ArrayLike,
+        *,
+        reflectance: Reflectance = Reflectance("lambert"),
+        lights: Sequence[PointLight] = (),
+        model_name: str = NO_MODEL,
+    ) -> ProcessedFace:
+        """Return a face of a geometry image and its albedo (H, W, 3), from wherever they come."""
+        albedo = np.asarray(albedo_linear, np.float32)
+        return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """(H, W) texels of the surface."""
+        return self.image.mask
+
+    @property
+    def region(self) -> NDArray[np.uint8] | None:
+        """(H, W) region of the model's annotation."""
+        return self.image.region
+
+    def level(self) -> float:
+        """Return the albedo's level: the geometric mean of V over the texels whose texture was seen."""
+        value = self.albedo_linear.max(-1)[self.image.seen]
+        lit = value[value > 0]
+        return float(np.exp(np.mean(np.log(lit, dtype=np.float64)))) if len(lit) else 0.0
+
+    def reshaped(self, mesh: FaceMesh, position: FloatArray, name: str) -> ProcessedFace:
+        """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
+
+        Normals are those of the new mesh, and what the image's own knew beyond those of the old one.
+        """
+        mask = self.image.mask
+        beyond = self.image.normal[mask] - self.mesh.chart_normals(mask)
+        normal = normalized(mesh.chart_normals(mask) + beyond)
+        occluder = None if self.image.occluder is None or mesh.from_chart else (mesh.vertices, mesh.faces)
+        image = replace(
+            self.image, position=on_grid(mask, position), normal=on_grid(mask, normal), occluder=occluder
+        )
+        return replace(self, name=name, image=image, mesh=mesh)
+
+
+def on_grid(mask: NDArray[np.bool_], values: FloatArray) -> FloatArray:
+    """Return (H, W, C) with values (N, C) on the masked texels and zeros elsewhere."""
+    grid = np.zeros((*mask.shape, *values.shape[1:]))
+    grid[mask] = values
+    return grid

@@ -1,0 +1,166 @@
+"""`relight`: a processed face under other light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.applications.pictures import Picture, auto_exposure, padded, photograph
+from scan2albedo.applications.processed_face import ProcessedFace, on_grid
+from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.glb import write_glb
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.lighting.shadow_map import ShadowMap
+
+
+@dataclass(frozen=True)
+class RelightOptions:
+    """Settings of `relight`."""
+
+    shadows: bool | None = None
+    """Cast shadows; None casts them when the estimate found that the surface shades itself."""
+    environment_lights: int = 128
+    """Distant lights that stand for an environment map; their mean distance is 18 degrees."""
+    view_direction: tuple[float, float, float] | None = None
+    """Toward the viewer of the relit texture; the estimate's when None. Pictures know their own."""
+
+
+@dataclass(frozen=True)
+class RelitFace:
+    """A face under light.
+
+    Parameters
+    ----------
+    face : ProcessedFace
+    light : SceneLight
+    texture_linear : (H, W, 3) float32
+        Albedo times `diffuse`, plus `specular`; zero outside the mask, not clipped.
+    diffuse, specular : (H, W, 3) float32
+    shadows : bool
+        Whether shadows were cast.
+    """
+
+    face: ProcessedFace
+    light: SceneLight
+    texture_linear: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+    specular: NDArray[np.float32]
+    shadows: bool
+
+    def picture(
+        self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
+    ) -> Picture:
+        """Return what a camera (3, 4) sees, a portrait from the front when omitted; see `photograph`."""
+        return photograph(
+            self.face, self.light, camera=camera, shape=shape, samples=samples, shadows=self.shadows
+        )
+
+    def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
+        """Write the face with its relit texture as a GLB that shines by itself, so no viewer lights it again.
+
+        Raises
+        ------
+        OutputError
+            When the folder cannot be written.
+        """
+        mask = self.face.mask
+        factor = auto_exposure(self.texture_linear[mask]) if exposure is None else exposure
+        texture = encode_srgb_bytes(np.clip(factor * padded(self.texture_linear, mask), 0, 1))
+        mesh = self.face.mesh
+        write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True)
+
+
+def relight(
+    face: ProcessedFace,
+    lights: Sequence[PointLight] = (),
+    *,
+    environment_linear: ArrayLike | None = None,
+    ambient: float | None = None,
+    options: RelightOptions = RelightOptions(),
+) -> RelitFace:
+    """Return a face under point lights, distant lights or an environment map, with cast shadows.
+
+        T = A (I_a + sum_k V_k E_k f(n, l_k, v)) + k_s sum_k V_k E_k phong(n, l_k, v)
+
+    with the reflectance that the estimate found: linear in the light, highlights white.
+
+    Parameters
+    ----------
+    face : ProcessedFace
+        From `load_result`.
+    lights : sequence of PointLight
+    environment_linear : (H, W, 3) array_like of float, optional
+        Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x. It shines as
+        a weighted sum of distant lights, each the integral over its cell of the sphere.
+    ambient : float, optional
+        Light without direction. When omitted 1, as `AlbedoEstimate.relit` has it, or 0 with an environment,
+        which is all the light there is.
+    options : RelightOptions
+
+    Returns
+    -------
+    RelitFace
+
+    Raises
+    ------
+    ApplicationError
+        For light that is not finite, or a lamp nearer to the origin than part of the face.
+    ValueError
+        For an environment of another shape, or a zero view direction.
+
+    Examples
+    --------
+    >>> from scan2albedo.synthetic import hemisphere, light_at
+    >>> scene = hemisphere(size=32)
+    >>> face = ProcessedFace.of("ball", scene.image, scene.albedo_linear)
+    >>> relit = relight(face, [light_at(30, intensity=2.0)])
+    >>> relit.texture_linear.shape
+    (32, 32, 3)
+    """
+    base = (1.0 if environment_linear is None else 0.0) if ambient is None else ambient
+    _check_lights(face, lights, base)
+    light = SceneLight.of(
+        lights, environment_linear, ambient=base, environment_lights=options.environment_lights
+    )
+    shadows = face.casts_shadows if options.shadows is None else options.shadows
+    view = np.asarray(
+        face.view_direction if options.view_direction is None else options.view_direction, np.float64
+    )
+    if view.shape != (3,) or not np.isfinite(view).all() or not view.any():
+        raise ValueError(
+            f"view_direction is {options.view_direction!r}, expected three numbers, not all zero"
+        )
+    image, mask = face.image, face.mask
+    shadow_map = ShadowMap(
+        RayCaster(*image.occluder_mesh()) if shadows and len(light.intensity) else None,
+        image.position[mask],
+        image.normal[mask],
+        face.shadow_offset_mm,
+    )
+    scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
+    lit = shade(shadow_map, light, face.reflectance, view / np.linalg.norm(view), scale)
+    texture = face.albedo_linear[mask].astype(np.float64) * lit.diffuse + lit.specular
+    pictures = [on_grid(mask, values).astype(np.float32) for values in (texture, lit.diffuse, lit.specular)]
+    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows)
+
+
+def _check_lights(face: ProcessedFace, lights: Sequence[PointLight], ambient: float) -> None:
+    reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
+    for k, light in enumerate(lights):
+        numbers = (light.azimuth_rad, light.elevation_rad, light.intensity)
+        if not np.isfinite(numbers).all() or np.isnan(light.distance_mm):
+            raise ApplicationError(f"light {k + 1} of {len(lights)} is {light}; its numbers must be finite")
+        if light.distance_mm <= reach:
+            raise ApplicationError(
+                f"light {k + 1} of {len(lights)} is {light.distance_mm:g} mm from the origin, but "
+                f"{face.name} reaches {reach:.0f} mm; place it outside"
+            )
+    if not np.isfinite(ambient):
+        raise ApplicationError(f"ambient is {ambient}; it must be finite")

@@ -1,0 +1,141 @@
+"""`SceneLight`: ambient light and coloured lamps that together light a face."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
+from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.lighting.shadow_map import ShadowMap
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """K lamps and ambient light, each with a strength a channel.
+
+    Parameters
+    ----------
+    directions : (K, 3) float64
+        Unit, from the model's origin toward the lamps.
+    distances_mm : (K,) float64
+        From the origin; inf for distant lamps.
+    intensity : (K, 3) float64
+        In the unit of `PointLight.intensity`: a matte white surface at the origin that faces the lamp gets
+        this colour.
+    ambient : (3,) float64
+        The colour that light without direction gives a white surface.
+    """
+
+    directions: FloatArray
+    distances_mm: FloatArray
+    intensity: FloatArray
+    ambient: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        lights: Sequence[PointLight],
+        environment_linear: ArrayLike | None = None,
+        *,
+        ambient: float,
+        environment_lights: int,
+    ) -> SceneLight:
+        """Return lamps and an environment map (H, W, 3), cut into `environment_lights` distant ones.
+
+        A cell of the sphere over which the map's radiance L integrates to w lights a facing surface by the
+        irradiance w, so a matte white one shines with w / pi: that is the lamp's intensity. Under L = 1 from
+        everywhere a matte surface that nothing hides shows its albedo, as under ambient light 1.
+        """
+        directions = [light.direction for light in lights]
+        distances = [light.distance_mm for light in lights]
+        intensity = [np.full(3, light.intensity) for light in lights]
+        if environment_linear is not None:
+            distant = DistantLights.from_environment(environment_linear, environment_lights)
+            directions += list(np.asarray(distant.directions))
+            distances += [math.inf] * environment_lights
+            intensity += list(np.asarray(distant.irradiance_linear) / np.pi)
+        return cls(
+            np.reshape(directions, (-1, 3)).astype(np.float64),
+            np.array(distances, np.float64),
+            np.reshape(intensity, (-1, 3)).astype(np.float64),
+            np.full(3, float(ambient)),
+        )
+
+
+@dataclass(frozen=True)
+class Shaded:
+    """`diffuse` (N, 3) multiplies the albedo; `specular` (N, 3) is added to it."""
+
+    diffuse: FloatArray
+    specular: FloatArray
+
+
+def shade(
+    shadows: ShadowMap,
+    light: SceneLight,
+    reflectance: Reflectance,
+    view: ArrayLike,
+    specular_scale: FloatArray | None = None,
+) -> Shaded:
+    """Return the light on the N points of `shadows`: T = A diffuse + specular.
+
+        diffuse = ambient + sum_k V_k E_k f(n, l_k, v),  specular = k_s sum_k V_k E_k phong(n, l_k, v)
+
+    as in `lighting.asrm`, with a colour a lamp and a viewer a point. Both are linear in the lamps.
+
+    Parameters
+    ----------
+    shadows : ShadowMap
+        Points, normals, and what hides them.
+    light : SceneLight
+    reflectance : Reflectance
+    view : (3,) or (N, 3) array_like of float
+        Unit, toward the viewer.
+    specular_scale : (N,) float64, optional
+        Multiplies the highlights.
+
+    Notes
+    -----
+    Cost: a shadow ray and a reflectance for each lamp and point that faces it.
+    """
+    position, normal = shadows.position, shadows.normal
+    toward_viewer = np.broadcast_to(np.asarray(view, np.float64), normal.shape)
+    facing = np.einsum("ij,ij->i", normal, toward_viewer)
+    diffuse = np.tile(light.ambient, (len(normal), 1))
+    specular = np.zeros_like(diffuse)
+    for direction, distance, intensity in zip(
+        light.directions, light.distances_mm, light.intensity, strict=True
+    ):
+        if not intensity.any():
+            continue
+        lit = np.flatnonzero(shadows.visible(direction, float(distance)))
+        ray = np.broadcast_to(direction, (len(lit), 3))
+        if math.isfinite(distance):
+            ray = ray - position[lit] / distance
+        square = np.maximum(np.einsum("ij,ij->i", ray, ray), 1e-12)
+        unit = ray / np.sqrt(square)[:, None]
+        n_l = np.einsum("ij,ij->i", normal[lit], unit)
+        l_v = np.einsum("ij,ij->i", toward_viewer[lit], unit)
+        energy = intensity / square[:, None]
+        diffuse[lit] += _diffuse_factor(reflectance, n_l, facing[lit], l_v)[:, None] * energy
+        if reflectance.specular_strength > 0:
+            specular[lit] += phong(n_l, facing[lit], l_v, reflectance.exponent)[:, None] * energy
+    scale = np.ones(len(normal)) if specular_scale is None else specular_scale
+    return Shaded(diffuse, reflectance.specular_strength * scale[:, None] * specular)
+
+
+def _diffuse_factor(
+    reflectance: Reflectance, n_l: FloatArray, n_v: FloatArray, l_v: FloatArray
+) -> FloatArray:
+    if reflectance.brdf == "minnaert":
+        return minnaert(n_l, n_v, reflectance.roughness)
+    return oren_nayar(n_l, n_v, l_v, reflectance.roughness)

@@ -1,0 +1,100 @@
+"""Synthetic people as processed faces, and the files of a processed one."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.applications import ProcessedFace
+from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.optimization import Trace
+from scan2albedo.process_result import ProcessResult
+from scan2albedo.result_files import write_result
+from scan2albedo.synthetic import Material, face, light_at
+
+SIZE = 64
+MATERIAL = Material(0.3, 0.15, 20.0)
+
+
+@cache
+def _scene(seed=0, expression="neutral", size=SIZE):
+    return face(
+        seed, expression=expression, size=size, material=MATERIAL, bits=None, lights=[light_at(30, 15)]
+    )
+
+
+@cache
+def _person(seed=0, expression="neutral", size=SIZE):
+    made = _scene(seed, expression, size)
+    reflectance = Reflectance(
+        "oren-nayar", MATERIAL.sigma_rad, MATERIAL.specular_strength, MATERIAL.specular_exponent
+    )
+    return ProcessedFace.of(
+        f"person{seed}",
+        made.image,
+        made.albedo_linear,
+        reflectance=reflectance,
+        lights=made.lights,
+        model_name="default",
+    )
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """Make a synthetic scene: (seed, expression, size) -> SyntheticScene."""
+    return _scene
+
+
+@pytest.fixture(scope="session")
+def person():
+    """Make the truth of a scene as if it had been estimated: (seed, expression, size) -> ProcessedFace."""
+    return _person
+
+
+@pytest.fixture(scope="session")
+def material():
+    return MATERIAL
+
+
+def _fitted_model():
+    """The default model at rest as a fit would return it."""
+    model = s2a.AnnotatedFaceModel.default()
+    subdivision = model.subdivision(1)
+    vertices = subdivision.matrix @ model.control_vertices
+    uv = linear_refinement(len(model.uv), model.control_faces, 1) @ model.uv
+    return FittedFace(
+        vertices,
+        subdivision.faces,
+        uv,
+        model.region[subdivision.parent],
+        model.control_vertices,
+        model.landmarks,
+        np.zeros(len(vertices)),
+        np.eye(4),
+        None,
+        1,
+        True,
+        1,
+        Trace(),
+        model,
+    )
+
+
+@pytest.fixture(scope="session")
+def result():
+    """A result whose scan is the model itself, coloured."""
+    fitted = _fitted_model()
+    color = 0.3 + 0.002 * (fitted.vertices - fitted.vertices.min(0))
+    scan = s2a.RawScan(fitted.vertices, fitted.faces, vertex_color_linear=color, name="rest")
+    image = s2a.geometry_image(fitted, scan, size=48)
+    albedo = s2a.estimate_albedo(image, lights=1, budget=s2a.Budget(evaluations=30))
+    options = {"model": fitted.model.name}
+    return ProcessResult(scan, None, fitted, image, albedo, albedo.plan, Trace(), {}, options, 0)
+
+
+@pytest.fixture(scope="session")
+def stored(result, tmp_path_factory):
+    return write_result(result, tmp_path_factory.mktemp("out"))

@@ -1,0 +1,111 @@
+"""Blends: the ends are the faces, a face with itself is itself, in between lies between."""
+
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.applications import blend_faces, relight
+from scan2albedo.errors import ApplicationError
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.synthetic import light_at
+
+
+def same(made, face, tolerance=1e-6):
+    mask = face.mask
+    np.testing.assert_array_equal(made.mask, mask)
+    for field in ("position", "normal"):
+        np.testing.assert_allclose(
+            getattr(made.image, field), getattr(face.image, field), atol=tolerance, rtol=0
+        )
+    np.testing.assert_allclose(made.albedo_linear, face.albedo_linear, atol=tolerance, rtol=0)
+    np.testing.assert_allclose(made.mesh.vertices, face.mesh.vertices, atol=tolerance, rtol=0)
+    assert astuple(made.reflectance)[1:] == pytest.approx(astuple(face.reflectance)[1:])
+    assert made.reflectance.brdf == face.reflectance.brdf
+    assert made.lights == face.lights
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, 0.5, 1.0])
+def test_a_face_with_itself_is_itself(person, weight):
+    same(blend_faces(person(0), person(0), weight), person(0))
+
+
+def test_the_ends_are_the_faces(person):
+    a, b = person(0), person(1)
+    same(blend_faces(a, b, 0.0), a)
+    same(blend_faces(a, b, 1.0), b)
+
+
+def test_the_middle_lies_between(person):
+    a, b = person(0), person(1)
+    made = blend_faces(a, b, 0.25)
+    mask = a.mask & b.mask
+    expected = 0.75 * a.image.position[mask] + 0.25 * b.image.position[mask]
+    np.testing.assert_allclose(made.image.position[mask], expected, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-12)
+    # The level lies between geometrically, whichever scan was exposed longer.
+    assert made.level() == pytest.approx(a.level() ** 0.75 * b.level() ** 0.25, rel=0.02)
+
+
+def test_exposure_has_no_say(person):
+    a, b = person(0), person(1)
+    brighter = replace(
+        b,
+        albedo_linear=4 * b.albedo_linear,
+        reflectance=replace(b.reflectance, specular_strength=4 * b.reflectance.specular_strength),
+    )
+    plain, other = blend_faces(a, b, 0.5), blend_faces(a, brighter, 0.5)
+    # Twice the level: the geometric mean of 1 and 4.
+    np.testing.assert_allclose(other.albedo_linear, 2 * plain.albedo_linear, rtol=1e-5)
+    assert other.reflectance.specular_strength == pytest.approx(2 * plain.reflectance.specular_strength)
+
+
+def test_normals_are_those_of_the_new_surface(person):
+    made = blend_faces(person(0), person(1), 0.5)
+    inner = made.mask & ~made.image.border
+    own = np.zeros_like(made.image.normal)
+    own[made.mask] = made.mesh.chart_normals(made.mask)
+    cosine = np.einsum("ijk,ijk->ij", own, made.image.normal)[inner]
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 3
+
+
+def test_an_unseen_texture_takes_the_other_ones(person):
+    a, b = person(0), person(1)
+    hidden = np.zeros(b.mask.shape, bool)
+    hidden[20:40, 20:40] = True
+    spoilt = b.albedo_linear.copy()
+    spoilt[hidden] = 1e-4
+    image = replace(b.image, texture_valid=b.mask & ~hidden)
+    b = replace(b, albedo_linear=spoilt, image=image)
+    made = blend_faces(a, b, 0.5)
+    middle = (slice(24, 36), slice(24, 36))
+    ratio = made.albedo_linear[middle] / a.albedo_linear[middle]
+    assert 0.9 < np.median(ratio) / (made.level() / a.level()) < 1.1
+    np.testing.assert_allclose(blend_faces(a, b, 1.0).albedo_linear, b.albedo_linear, atol=1e-6)
+    steps = np.abs(np.diff(np.log(made.albedo_linear[30, 8:56].max(-1))))
+    assert steps.max() < 0.7
+
+
+def test_a_blend_can_be_relit_and_blended_again(person):
+    made = blend_faces(blend_faces(person(0), person(1)), person(2), 0.3)
+    assert np.isfinite(relight(made, [light_at(30)]).texture_linear).all()
+
+
+def test_reflectances_blend_or_the_nearer_one_wins(person):
+    a = replace(person(0), reflectance=Reflectance("lambert"))
+    b = replace(person(1), reflectance=Reflectance("oren-nayar", 0.4, 0.0, 30.0))
+    assert blend_faces(a, b, 0.25).reflectance.roughness == pytest.approx(0.1)
+    odd = replace(person(1), reflectance=Reflectance("minnaert", 1.2))
+    assert blend_faces(a, odd, 0.25).reflectance.brdf == "lambert"
+    assert blend_faces(a, odd, 0.75).reflectance.brdf == "minnaert"
+    assert blend_faces(a, a, 0.25).reflectance.brdf == "lambert"
+    matte, glossy = Reflectance("oren-nayar"), Reflectance("oren-nayar", 0.0, 0.2, 40.0)
+    a, b = replace(a, reflectance=matte), replace(b, reflectance=glossy)
+    assert blend_faces(a, b, 0.5).reflectance.exponent == 40.0
+    assert blend_faces(a, b, 0.0).reflectance == matte
+
+
+@pytest.mark.parametrize("weight", [-0.1, 1.1, np.nan])
+def test_weights_are_parts(person, weight):
+    with pytest.raises(ApplicationError, match="weight is"):
+        blend_faces(person(0), person(1), weight)

@@ -1,0 +1,148 @@
+"""Transferred expressions: exact on linear shapes, equivariant with local frames, near on fitted faces."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.applications import FaceMesh, TransferOptions, personal_model, transfer_expression
+from scan2albedo.applications.expression_transfer import expression_displacement, laid_on_what_is_still
+from scan2albedo.applications.local_frames import local_similarities
+from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+
+SMILE = "mouthSmile_L_mouthSmile_R"
+BAR_MM = 1.5
+
+
+@pytest.fixture(scope="module")
+def measured(shared_data):
+    """Shapes in dense correspondence as meshes of the face area."""
+    with np.load(shared_data / "ict_faces.npz") as data:
+        count, triangles = int(data["face_area_vertices"]), int(data["face_area_faces"])
+        faces = data["faces"][:triangles].astype(np.int64)
+        return {
+            name.removeprefix("shape_"): FaceMesh(
+                data[name][:count].astype(float), faces, np.zeros((count, 2))
+            )
+            for name in data
+            if name.startswith("shape_")
+        }
+
+
+@pytest.mark.parametrize(
+    ("options", "bar_mm"),
+    [
+        (TransferOptions(align=False), 1e-4),
+        (TransferOptions(), 0.05),
+        (TransferOptions(method="local-frames"), 0.4),
+    ],
+)
+def test_a_smile_of_measured_faces(measured, options, bar_mm):
+    generic, smile = measured["generic_neutral"], measured[f"generic_{SMILE}"]
+    other, truth = measured["person2"], measured[f"person2_{SMILE}"].vertices
+    made = other.vertices + expression_displacement(generic, smile, other, options=options)
+    error = np.linalg.norm(made - truth, axis=1).mean()
+    assert error <= bar_mm < BAR_MM
+    assert np.linalg.norm(other.vertices - truth, axis=1).mean() > 2
+
+
+def test_alignment_undoes_a_pose_between_the_scans(measured):
+    rest, smile = measured["generic_neutral"].vertices, measured[f"generic_{SMILE}"].vertices
+    pose = compose(rotation_from_vector([0.03, -0.02, 0.04]), [2.0, -1.0, 3.0])
+    placed = laid_on_what_is_still(transform_points(pose, smile), rest)
+    assert np.linalg.norm(placed - smile, axis=1).mean() < 0.05
+
+
+def test_local_frames_follow_a_turned_and_larger_head(person):
+    mesh, smiling = person(0).mesh, person(0, "smile").mesh
+    similar = 1.2 * rotation_from_vector([0.2, 0.5, -0.1])
+    turned = replace(mesh, vertices=mesh.vertices @ similar.T + [5.0, 0.0, 0.0])
+    options = TransferOptions(method="local-frames", align=False)
+    moved = expression_displacement(mesh, smiling, turned, options=options)
+    expected = (smiling.vertices - mesh.vertices) @ similar.T
+    np.testing.assert_allclose(moved, expected, atol=1e-6)
+    plain = expression_displacement(mesh, smiling, turned, options=TransferOptions(align=False))
+    assert np.linalg.norm(plain - expected, axis=1).max() > 1
+
+
+def test_similarities_are_turns_times_scales(person):
+    a, b = person(0).mesh, person(1).mesh
+    found = local_similarities(a.vertices, b.vertices, a.faces, 12.0)
+    scale = np.cbrt(np.linalg.det(found))
+    assert ((scale > 0.6) & (scale < 1.6)).all()
+    products = np.einsum("vji,vjk->vik", found, found) / scale[:, None, None] ** 2
+    np.testing.assert_allclose(products, np.broadcast_to(np.eye(3), products.shape), atol=1e-9)
+
+
+def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
+    a, smiling, b = person(0), person(0, "smile"), person(1)
+    made = transfer_expression(a, smiling, b, options=TransferOptions(align=False))
+    mask = b.mask
+    moved = made.image.position[mask] - b.image.position[mask]
+    expected = smiling.image.position[mask] - a.image.position[mask]
+    np.testing.assert_allclose(moved, expected, atol=1e-9)
+    assert np.linalg.norm(moved, axis=1).max() > 3
+    np.testing.assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-9)
+    still = np.linalg.norm(moved, axis=1) < 1e-3
+    np.testing.assert_array_equal(made.albedo_linear, b.albedo_linear)
+    assert made.reflectance == b.reflectance
+    assert np.abs(made.image.normal[mask] - b.image.normal[mask])[~still].max() > 0.05
+    # The shadows of the moved surface are its own.
+    np.testing.assert_allclose(made.image.occluder_mesh()[0], made.mesh.vertices)
+
+
+def test_no_expression_changes_nothing(person):
+    a, b = person(0), person(1)
+    for method in ("addition", "local-frames"):
+        made = transfer_expression(a, a, b, options=TransferOptions(method=method))
+        np.testing.assert_allclose(made.image.position, b.image.position, atol=1e-6)
+        np.testing.assert_allclose(made.image.normal, b.image.normal, atol=1e-6)
+
+
+def test_strength_scales_it(person):
+    a, smiling, b = person(0), person(0, "smile"), person(1)
+    full, half = (
+        transfer_expression(a, smiling, b, options=TransferOptions(strength=s)).image.position
+        for s in (1.0, 0.5)
+    )
+    np.testing.assert_allclose(full - b.image.position, 2 * (half - b.image.position), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_smile_through_registration_and_fit(shared_data):
+    with np.load(shared_data / "ict_faces.npz") as data:
+        faces, inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
+        names = ("generic_neutral", f"generic_{SMILE}", "person2", f"person2_{SMILE}")
+        rest_a, smile_a, rest_b, smile_b = (data[f"shape_{name}"].astype(float) for name in names)
+    model = s2a.AnnotatedFaceModel.default()
+
+    def fitted(vertices, start):
+        scan = s2a.RawScan(vertices, faces)
+        return s2a.fit(scan, start, s2a.register(scan, start))
+
+    a, b = fitted(rest_a, model), fitted(rest_b, model)
+    smiling = fitted(smile_a, personal_model(a))
+    moved = expression_displacement(*(FaceMesh(f.vertices, f.faces, f.uv) for f in (a, smiling, b)))
+    rest, truth = (transform_points(b.model_from_scan, shape[:inner]) for shape in (rest_b, smile_b))
+    hits = surface_query(b.vertices, b.faces).query(rest)
+    near = hits.distance < 2
+    assert near.mean() > 0.7
+    carried = hits.points + np.einsum("nk,nkc->nc", hits.barycentric, moved[b.faces[hits.face]])
+    assert np.linalg.norm(carried - truth, axis=1)[near].mean() < BAR_MM
+    assert surface_query(b.vertices + moved, b.faces).query(truth[near]).distance.mean() < 0.5
+
+
+def test_a_personal_model_is_the_person_on_the_same_chart(result):
+    model = personal_model(result.fitted)
+    given = result.fitted.model
+    np.testing.assert_array_equal(model.control_vertices, result.fitted.control_points)
+    np.testing.assert_array_equal(model.uv, given.uv)
+    assert model.name == given.name
+
+
+@pytest.mark.parametrize("wrong", [{"method": "magic"}, {"strength": np.nan}, {"reach_mm": 0.0}])
+def test_options_are_checked(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        TransferOptions(**wrong)

@@ -1,0 +1,52 @@
+"""A light that goes around: frames differ, one exposure, PNG and GIF."""
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from scan2albedo.applications import frames_srgb, light_arc, sweep, write_frames, write_gif
+from scan2albedo.errors import OutputError
+
+
+@pytest.fixture(scope="module")
+def pictures(person):
+    return list(sweep(person(0), light_arc(3), shape=(48, 48), samples=1))
+
+
+def test_the_bright_side_moves_with_the_light(pictures):
+    left, right = ([p.linear[:, half].mean() for p in pictures] for half in (slice(0, 24), slice(24, None)))
+    assert left[0] > right[0]
+    assert left[2] < right[2]
+
+
+def test_frames_share_an_exposure(pictures):
+    frames = frames_srgb(pictures)
+    factor = min(p.auto_exposure() for p in pictures)
+    for frame, picture in zip(frames, pictures, strict=True):
+        np.testing.assert_array_equal(frame, picture.srgb(factor))
+
+
+def test_files(pictures, tmp_path):
+    frames = frames_srgb(pictures)
+    files = write_frames(tmp_path / "frames", frames)
+    assert [f.name for f in files] == ["frame_000.png", "frame_001.png", "frame_002.png"]
+    np.testing.assert_array_equal(np.asarray(Image.open(files[1])), frames[1])
+    write_gif(tmp_path / "sweep.gif", frames)
+    with Image.open(tmp_path / "sweep.gif") as gif:
+        assert gif.n_frames == 4
+        assert gif.info["loop"] == 0
+    with pytest.raises(OutputError, match="cannot write"):
+        write_gif(tmp_path / "none" / "sweep.gif", frames)
+    with pytest.raises(ValueError, match="a frame at least"):
+        write_gif(tmp_path / "sweep.gif", [])
+
+
+def test_places_of_the_light():
+    arc = light_arc(5, first_rad=-1.0, last_rad=1.0, elevation_rad=0.2)
+    assert [light.azimuth_rad for light in arc] == [-1.0, -0.5, 0.0, 0.5, 1.0]
+    assert {light.elevation_rad for light in arc} == {0.2}
+    assert math.isinf(arc[0].distance_mm)
+    with pytest.raises(ValueError, match="count"):
+        light_arc(0)

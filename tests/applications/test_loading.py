@@ -1,0 +1,113 @@
+"""Results from files and from memory; what is missing or foreign is named."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.albedo import EstimateOptions
+from scan2albedo.applications import ProcessedFace, load_result, relight
+from scan2albedo.errors import ApplicationError
+from scan2albedo.io.images import write_exr
+
+LIGHT = s2a.PointLight(0.5, 0.3, intensity=2.0)
+
+
+@pytest.fixture
+def folder(stored, tmp_path):
+    return shutil.copytree(stored, tmp_path / "rest")
+
+
+def test_files_and_memory_give_the_same_face(result, stored):
+    memory, disk = load_result(result), load_result(stored)
+    assert (memory.name, memory.model_name) == (disk.name, disk.model_name)
+    np.testing.assert_array_equal(memory.image.position, disk.image.position)
+    np.testing.assert_array_equal(memory.mesh.faces, disk.mesh.faces)
+    np.testing.assert_allclose(memory.mesh.vertices, disk.mesh.vertices, atol=1e-9)
+    np.testing.assert_allclose(memory.mesh.uv, disk.mesh.uv, atol=1e-6)
+    assert memory.casts_shadows == disk.casts_shadows
+    assert memory.view_direction == disk.view_direction
+    assert memory.shadow_offset_mm == disk.shadow_offset_mm
+    ours, theirs = (relight(face, [LIGHT]).texture_linear for face in (memory, disk))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-8)
+
+
+def test_relighting_is_what_the_estimate_does(result):
+    estimate = result.albedo
+    assert estimate.reflectance.specular_strength == 0
+    np.testing.assert_allclose(
+        relight(load_result(result), [LIGHT]).texture_linear, estimate.relit([LIGHT]), rtol=1e-5, atol=1e-7
+    )
+
+
+def test_a_glossy_face_under_its_own_light_is_its_texture(scene):
+    image = scene(0).image
+    estimate = s2a.estimate_albedo(image, lights=1, options=EstimateOptions(specular=True))
+    assert estimate.reflectance.specular_strength > 0
+    given = ProcessedFace.of(
+        "glossy", image, estimate.albedo_linear, reflectance=estimate.reflectance, lights=estimate.lights
+    )
+    truth, mask = image.texture_linear, image.mask
+    ours = relight(given, given.lights).texture_linear
+    np.testing.assert_allclose(ours, estimate.relit(estimate.lights), rtol=1e-4, atol=1e-6)
+    assert np.linalg.norm((ours - truth)[mask]) / np.linalg.norm(truth[mask]) < 0.02
+
+
+@pytest.mark.parametrize("name", ["result.json", "geometry_image.npz", "albedo.exr", "fitted.glb"])
+def test_a_missing_file_is_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(ApplicationError, match=f"{name}: is missing"):
+        load_result(folder)
+
+
+@pytest.mark.parametrize("name", ["result.json", "geometry_image.npz", "albedo.exr", "fitted.glb"])
+def test_a_damaged_file_is_named(folder, name):
+    data = (folder / name).read_bytes()
+    (folder / name).write_bytes(data[: len(data) // 3])
+    with pytest.raises(ApplicationError, match=name):
+        load_result(folder)
+
+
+def test_files_of_different_runs_are_refused(folder, result):
+    write_exr(folder / "albedo.exr", np.ones((20, 20, 3)))
+    with pytest.raises(ApplicationError, match=r"albedo\.exr.*different runs"):
+        load_result(folder)
+
+
+def test_a_foreign_surface_is_refused(folder, result):
+    from scan2albedo.io.glb import write_glb
+
+    fitted = result.fitted
+    texture = np.zeros((4, 4, 3), np.uint8)
+    write_glb(folder / "fitted.glb", fitted.vertices + 1.0, fitted.faces, fitted.uv, texture)
+    with pytest.raises(ApplicationError, match=r"fitted\.glb.*different runs"):
+        load_result(folder)
+
+
+def test_results_without_albedo_say_so(folder, result):
+    from dataclasses import replace
+
+    record = json.loads((folder / "result.json").read_text())
+    (folder / "result.json").write_text(json.dumps(record | {"parameters": {}}))
+    with pytest.raises(ApplicationError, match="no albedo"):
+        load_result(folder)
+    with pytest.raises(ApplicationError, match="no albedo"):
+        load_result(replace(result, albedo=None))
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    with pytest.raises(ApplicationError, match="no such folder"):
+        load_result(tmp_path / "nothing")
+    with pytest.raises(ApplicationError, match=r"result\.json: is missing"):
+        load_result(tmp_path)
+
+
+def test_spherical_harmonics_relight_as_a_matte_surface(result):
+    from dataclasses import replace
+
+    estimate = s2a.estimate_albedo(result.geometry_image, brdf="spherical-harmonics")
+    face = load_result(replace(result, albedo=estimate))
+    assert face.reflectance.brdf == "lambert"
+    assert np.isfinite(relight(face, [LIGHT]).texture_linear).all()

@@ -1,0 +1,208 @@
+"""Relit faces: against an independent renderer, linear in the light, environments, pictures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.applications import ProcessedFace, default_camera, relight
+from scan2albedo.applications.relighting import RelightOptions
+from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.pinhole import project
+from scan2albedo.lighting import PointLight
+from scan2albedo.lighting.asrm import Reflectance, shade_points
+from scan2albedo.synthetic import hemisphere, light_at
+from scan2albedo.synthetic.ray_scene import RayScene
+from scan2albedo.synthetic.renderer import render
+
+LIGHTS = [
+    light_at(0, 0),
+    light_at(30, 20),
+    light_at(-45, 10, intensity=2),
+    light_at(60, -20, intensity=4),
+    light_at(-75, 30, intensity=5),
+    light_at(15, 60),
+    light_at(0, -40, intensity=2),
+    light_at(40, 30, distance_mm=450),
+    light_at(-60, 0, distance_mm=350, intensity=4),
+    light_at(85, 45, intensity=6),
+]
+
+
+def relative_rmse(ours, truth):
+    return float(np.linalg.norm(ours - truth) / np.linalg.norm(truth))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_ten_new_lights_against_the_independent_renderer(person, scene, material, seed):
+    made, face = scene(seed), person(seed)
+    mask, occluder = made.image.mask, RayScene(*made.image.occluder_mesh())
+    errors = []
+    for light in LIGHTS:
+        truth = render(
+            made.image.position[mask],
+            made.image.normal[mask],
+            made.albedo_linear[mask],
+            [light],
+            material=material,
+            occluder=occluder,
+            specular_scale=made.image.specular_scale[mask],
+        )
+        errors.append(relative_rmse(relight(face, [light]).texture_linear[mask], truth.radiance_linear))
+    assert max(errors) <= 0.02
+    assert np.mean(errors) <= 0.007
+
+
+def test_its_own_lights_give_the_picture_back(person, scene):
+    made, face = scene(0), person(0)
+    mask = made.image.mask
+    picture = made.image.texture_linear[mask] / made.gain
+    assert relative_rmse(relight(face, face.lights).texture_linear[mask], picture) < 0.01
+
+
+@pytest.mark.parametrize("brdf", ["oren-nayar", "lambert", "minnaert"])
+def test_every_reflectance_agrees_with_the_compiled_kernel(person, brdf):
+    reflectance = Reflectance(brdf, {"oren-nayar": 0.4, "lambert": 0.0, "minnaert": 1.3}[brdf], 0.1, 12.0)
+    face = replace(person(0), reflectance=reflectance, casts_shadows=False)
+    lights = [light_at(20, 10), light_at(-50, 30, distance_mm=400)]
+    mask = face.mask
+    kernel = shade_points(
+        face.image.position[mask],
+        face.image.normal[mask],
+        lights,
+        reflectance,
+        specular_scale=face.image.specular_scale[mask],
+    )
+    relit = relight(face, lights)
+    np.testing.assert_allclose(relit.diffuse[mask][:, 0], kernel.light, rtol=1e-5)
+    np.testing.assert_allclose(relit.specular[mask][:, 0], kernel.specular, rtol=1e-5, atol=1e-7)
+
+
+def test_linear_in_the_light(person):
+    face = person(0)
+    a, b = [light_at(30, 20)], [light_at(-60, 0, distance_mm=400), light_at(0, 50, intensity=1)]
+    alone = [relight(face, lights, ambient=0).texture_linear for lights in (a, b)]
+    ambient = relight(face, (), ambient=0.7).texture_linear
+    both = relight(face, a + b, ambient=0.7).texture_linear
+    np.testing.assert_allclose(both, alone[0] + alone[1] + ambient, rtol=1e-5, atol=1e-7)
+    doubled = [replace(light, intensity=2 * light.intensity) for light in a]
+    np.testing.assert_allclose(
+        relight(face, doubled, ambient=0).texture_linear, 2 * alone[0], rtol=1e-6, atol=1e-8
+    )
+    assert np.ptp(alone[0][face.mask]) > 0.1
+
+
+def test_linear_in_the_environment(person):
+    face, rng = person(0), np.random.default_rng(0)
+    maps = rng.random((2, 8, 16, 3))
+    options = RelightOptions(environment_lights=16)
+    parts = [relight(face, environment_linear=m, options=options).texture_linear for m in maps]
+    together = relight(face, environment_linear=maps[0] + 3 * maps[1], options=options).texture_linear
+    np.testing.assert_allclose(together, parts[0] + 3 * parts[1], rtol=1e-5, atol=1e-6)
+
+
+def test_an_even_environment_shows_a_matte_ball_by_what_its_sky_covers():
+    ball = hemisphere(size=48, texture="plain")
+    face = ProcessedFace.of("ball", ball.image, ball.albedo_linear)
+    even = relight(
+        face, environment_linear=np.ones((16, 32, 3)), options=RelightOptions(environment_lights=400)
+    )
+    # Every texel of a convex ball sees its whole hemisphere of sky.
+    np.testing.assert_allclose(even.diffuse[ball.image.mask], 1.0, atol=0.03)
+
+
+def test_environment_light_comes_from_where_it_is_bright():
+    ball = hemisphere(size=48, texture="plain")
+    face = ProcessedFace.of("ball", ball.image, ball.albedo_linear)
+    sky = np.zeros((16, 32, 3))
+    sky[7:9, 24:] = [1.0, 0.5, 0.0]  # azimuth above 90 degrees: +x, a little behind
+    diffuse = relight(face, environment_linear=sky).diffuse
+    right = ball.image.normal[..., 0] > 0.5
+    left = ball.image.normal[..., 0] < -0.5
+    assert diffuse[right].mean() > 5 * diffuse[left & ball.image.mask].mean()
+    np.testing.assert_allclose(diffuse[right][:, 1], 0.5 * diffuse[right][:, 0], rtol=1e-5)
+    assert not diffuse[..., 2].any()
+
+
+def test_shadows_only_take_light_away(person):
+    face, light = person(0), [light_at(70, 10)]
+    cast, bare = (
+        relight(face, light, options=RelightOptions(shadows=on)).texture_linear for on in (True, False)
+    )
+    assert (cast <= bare + 1e-6).all()
+    assert (cast < 0.9 * bare)[face.mask].mean() > 0.02
+
+
+def test_a_picture_shows_the_relit_texture_where_the_camera_looks(person):
+    face = person(0)
+    relit = relight(face, [light_at(20, 20)])
+    camera = default_camera(face, (128, 128))
+    picture = relit.picture(camera, shape=(128, 128), samples=1)
+    assert 0.2 < picture.alpha.mean() < 0.8
+    inner = face.image.normal[..., 2] > 0.97
+    inner &= face.mask & np.roll(face.mask, 3, 0) & np.roll(face.mask, -3, 0)
+    pixels, _ = project(camera, face.image.position[inner])
+    column, row = np.rint(pixels).astype(int).T
+    seen, expected = picture.linear[row, column], relit.texture_linear[inner]
+    assert np.median(np.abs(seen - expected).max(1) / expected.max(1)) < 0.05
+    turned = relit.picture(default_camera(face, (128, 128), azimuth_rad=1.2), shape=(128, 128), samples=1)
+    assert turned.alpha.mean() < picture.alpha.mean()
+
+
+def test_supersampling_keeps_the_picture_and_softens_its_edge(person):
+    relit = relight(person(0), [light_at(20, 20)])
+    hard, soft = (relit.picture(shape=(64, 64), samples=n) for n in (1, 3))
+    assert set(np.unique(hard.alpha)) == {0, 1}
+    assert len(np.unique(soft.alpha)) > 5
+    assert abs(hard.alpha.mean() - soft.alpha.mean()) < 0.01
+    inside = (hard.alpha == 1) & (soft.alpha == 1)
+    assert np.median(np.abs(hard.linear - soft.linear)[inside]) < 0.01
+
+
+def test_the_glb_shines_by_itself_and_keeps_its_place(person, tmp_path):
+    face = person(0)
+    relight(face, [light_at(20, 20)]).write_glb(tmp_path / "relit.glb")
+    mesh = trimesh.load(tmp_path / "relit.glb", force="mesh", process=False)
+    np.testing.assert_allclose(mesh.vertices * 1000, face.mesh.vertices, atol=1e-3)
+    assert mesh.visual.material.emissiveTexture is not None
+    assert list(mesh.visual.material.baseColorFactor)[:3] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("light", "words"),
+    [
+        (PointLight(0, 0, intensity=np.nan), "must be finite"),
+        (PointLight(np.inf, 0), "must be finite"),
+        (PointLight(0, 0, distance_mm=30.0), "place it outside"),
+        (PointLight(0, 0, distance_mm=-1.0), "place it outside"),
+    ],
+)
+def test_impossible_lights_are_refused(person, light, words):
+    with pytest.raises(ApplicationError, match=words):
+        relight(person(0), [light])
+
+
+def test_misuse_is_told(person):
+    with pytest.raises(ApplicationError, match="ambient"):
+        relight(person(0), ambient=np.nan)
+    with pytest.raises(ValueError, match="environment_linear"):
+        relight(person(0), environment_linear=np.ones((4, 8)))
+    with pytest.raises(ValueError, match="view_direction"):
+        relight(person(0), options=RelightOptions(view_direction=(0, 0, 0)))
+    with pytest.raises(ValueError, match="elevation"):
+        default_camera(person(0), elevation_rad=np.pi / 2)
+    with pytest.raises(ApplicationError, match="albedo is"):
+        replace(person(0), albedo_linear=np.ones((4, 4, 3)))
+    spoilt = person(0).albedo_linear.copy()
+    spoilt[person(0).mask] = np.nan
+    with pytest.raises(ApplicationError, match="NaN"):
+        replace(person(0), albedo_linear=spoilt)
+
+
+def test_inputs_stay_as_they_were(person):
+    face = person(0)
+    albedo, position = face.albedo_linear.copy(), face.image.position.copy()
+    relight(face, [light_at(20, 20)]).picture(shape=(32, 32))
+    np.testing.assert_array_equal(face.albedo_linear, albedo)
+    np.testing.assert_array_equal(face.image.position, position)

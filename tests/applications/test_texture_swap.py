@@ -1,0 +1,80 @@
+"""Swapped skins: whose shape, whose skin, no seam where a texture was not seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.applications import SwapOptions, swap_texture
+from scan2albedo.applications.texture_swap import trusted
+
+
+def test_the_shape_is_as_and_the_skin_bs(person):
+    a, b = person(0), person(1)
+    made = swap_texture(a, b)
+    np.testing.assert_array_equal(made.image.position, a.image.position)
+    np.testing.assert_array_equal(made.image.normal, a.image.normal)
+    assert made.lights == a.lights
+    ratio = made.albedo_linear[a.mask] / b.albedo_linear[a.mask]
+    np.testing.assert_allclose(ratio, a.level() / b.level(), rtol=1e-4)
+    assert made.reflectance.specular_strength == pytest.approx(
+        b.reflectance.specular_strength * a.level() / b.level()
+    )
+    assert made.level() == pytest.approx(a.level(), rel=1e-5)
+
+
+def test_a_face_with_its_own_skin_is_itself(person):
+    made = swap_texture(person(0), person(0))
+    np.testing.assert_allclose(made.albedo_linear, person(0).albedo_linear, rtol=1e-6)
+    assert made.reflectance == person(0).reflectance
+
+
+def test_the_level_can_stay_bs(person):
+    made = swap_texture(person(0), person(1), options=SwapOptions(match_level=False))
+    np.testing.assert_allclose(made.albedo_linear, person(1).albedo_linear, rtol=1e-6)
+
+
+def with_hole(face, hole):
+    spoilt = face.albedo_linear.copy()
+    spoilt[hole] = 0.003
+    image = replace(face.image, texture_valid=face.mask & ~hole)
+    return replace(face, albedo_linear=spoilt, image=image)
+
+
+def test_unseen_skin_is_continued_without_a_seam(person):
+    a, b = person(0), person(1)
+    hole = np.zeros(b.mask.shape, bool)
+    hole[30:46, 12:22] = True
+    made = swap_texture(a, with_hole(b, hole), options=SwapOptions(match_level=False))
+    known = trusted(with_hole(b, hole), 2)
+    np.testing.assert_allclose(made.albedo_linear[known], b.albedo_linear[known], rtol=1e-6)
+    # Nothing of what was badly seen is left, and the step at the border is no larger than steps elsewhere.
+    filled = made.albedo_linear[hole & a.mask].max(-1)
+    assert filled.min() > 0.05
+    tone = np.log(made.albedo_linear[38, 5:30].max(-1))
+    plain = np.log(b.albedo_linear[38, 5:30].max(-1))
+    assert np.abs(np.diff(tone)).max() < 2 * np.abs(np.diff(plain)).max() + 0.1
+
+
+def test_the_detail_of_the_filling_is_as(person):
+    a, b = person(0), person(1)
+    hole = np.zeros(b.mask.shape, bool)
+    hole[10:50, 10:50] = True
+    made = swap_texture(a, with_hole(b, hole))
+    middle = (slice(15, 45), slice(15, 45))
+    logs = [np.log(face.albedo_linear[middle].max(-1)) for face in (made, a)]
+    assert np.corrcoef(np.diff(logs[0]).ravel(), np.diff(logs[1]).ravel())[0, 1] > 0.95
+
+
+def test_where_neither_was_seen_the_colour_is_continued(person):
+    hole = np.zeros(person(0).mask.shape, bool)
+    hole[30:40, 30:40] = True
+    a, b = (with_hole(person(seed), hole) for seed in (0, 1))
+    made = swap_texture(a, b)
+    assert np.abs(np.diff(np.log(made.albedo_linear[32:38, 32:38].max(-1)), axis=1)).max() < 0.3
+    assert made.albedo_linear[hole].min() > 0.02
+
+
+def test_a_skin_never_seen_still_gives_numbers(person):
+    b = with_hole(person(1), person(1).mask)
+    assert np.isfinite(swap_texture(person(0), b).albedo_linear).all()
