@@ -26,7 +26,7 @@ class HeadContact:
     points : SkinnedPoints
         The frame's vertices.
     vertices, faces : (H, 3), (G, 3)
-        The head in the world, faces outward.
+        The head in the world.
     """
 
     def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
@@ -35,6 +35,14 @@ class HeadContact:
         front = np.flatnonzero(_FRONT[points.weights.argmax(1)])
         self._front = SkinnedPoints(points.rest[front], points.weights[front])
         self._watched = self._front
+
+    def face(self, motion: FrameMotion, viewers: FloatArray) -> None:
+        """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
+        place = motion.positions(self._front)
+        hits = self._query.query(place)
+        toward = viewers.mean(0) - hits.points
+        if np.einsum("ni,ni->n", self._normals[hits.face], toward).sum() < 0:
+            self._normals = -self._normals
 
     def watch(self, motion: FrameMotion) -> None:
         """Choose the vertices that may touch next."""

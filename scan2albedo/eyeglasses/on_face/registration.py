@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.head_contact import HeadContact
 from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
@@ -23,6 +24,7 @@ from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglas
 from scan2albedo.eyeglasses.on_face.registration_start import starting_poses
 from scan2albedo.eyeglasses.on_face.registration_terms import Linearization, RegistrationObjective
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.optimization import Budget, Meter, Plan, PlanStep, ProgressCallback
@@ -33,6 +35,12 @@ STAGE = "glasses"
 _ENOUGH, _ENOUGH_A_TRACE = 1e-5, 1e-3
 """Part of the cost below which an improvement ends a descent; that on one tracing of the outline."""
 _STEPS_A_TRACE = 6
+_MIRRORED = 0.5
+"""Part of the labels' error below which exchanging left and right explains them."""
+_DISAGREE = 2.0
+"""Times by which outlines may raise the labels' error before they are taken for another picture's."""
+_NEAR_MM = 40.0
+"""Distance up to which a frame whose depth is not known may be drawn onto the nose."""
 _STILL, _NO_LESS = 0.5, 2
 """Movement of the key points between two tracings at which the outlines have settled, in standard deviations
 of what is still open about them; and how often it may get no less: tracing jumps from pixel to pixel."""
@@ -94,14 +102,18 @@ def register_on_face(
     Raises
     ------
     EyeglassesError
-        When the labels fix no pose and there is no start, the units differ, weights cannot be solved, or
-        numbers are not finite.
+        When the labels fix no pose and there is no start, left and right are exchanged, units differ,
+        labels lie outside their pictures, weights cannot be solved, or numbers are not finite.
     ValueError
         When shapes do not fit together.
 
     Notes
     -----
-    What the pictures do not tell is reported, not guessed: `observed`, `deviation`, `unobserved`.
+    What the pictures do not tell is reported: `observed`, `deviation`, `unobserved`. Deviations hold for the
+    frame as given: register its own mesh, or one with its own measures; a canonical frame has those of the
+    mean. Where more than a third of the labels do not fit, nothing counts as observed; where exchanging left
+    and right explains them, that is an error. Masks that contradict good labels are left aside.
+
     The paper [1]_ minimises a rendered segmentation with Adam, some thousand renderings; this takes about a
     hundred evaluations.
 
@@ -143,6 +155,7 @@ class _Run:
         self.given, self.options, self.meter = given, options, meter
         self.steps: list[PlanStep] = list(given.plan)
         self.weights = self._weights()
+        self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         mesh = FrameMesh(SkinnedPoints(given.vertices, self.weights), given.faces)
         caster = None if given.head is None else RayCaster(*given.head)
@@ -158,6 +171,7 @@ class _Run:
             outcome.state,
             outcome.at,
             converged=outcome.converged,
+            bend_found=self.bend_found,
             meter=self.meter,
             plan=Plan(tuple(self.steps)),
         )
@@ -210,7 +224,31 @@ class _Run:
         self._note(
             "pose", True, f"the best of {len(starts)} starts, refined", f"{_labels_px(found.at):.2f} px"
         )
+        self._require_unmirrored(found.at)
         return _Outcome(found.state, found.at, found.converged)
+
+    def _require_unmirrored(self, at: Linearization) -> None:
+        """Raise where the labels fit far better with left and right exchanged."""
+        here = _labels_px(at)
+        if here <= self.options.label_noise_px:
+            return
+        views = tuple(replace(view, labels=view.labels[list(MIRROR)]) for view in self.given.views)
+        objective = RegistrationObjective(self.given.keypoints, views, self.options)
+        rigid = partial(objective.linearize, samples=None, rigid=True)
+        try:
+            starts = starting_poses(self.given.keypoints, views, self.options.label_noise_px, None)
+        except EyeglassesError:
+            return
+        meter = Meter(STAGE, "px")
+        first = min(starts, key=lambda state: rigid(state).cost)
+        there = _labels_px(
+            descend(rigid, first, meter, steps=self.options.steps, enough=_ENOUGH, error=_labels_px).at
+        )
+        if there < _MIRRORED * here:
+            raise EyeglassesError(
+                "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "
+                f"fits to {there:.1f} px with them swapped, to {here:.1f} px as they are"
+            )
 
     def _bent(self, before: _Outcome) -> _Outcome:
         if not self.options.bend:
@@ -221,6 +259,7 @@ class _Run:
             return before
         if self.meter.exhausted:
             self._note("key_points", False, "the budget has ended")
+            self.bend_found = False
             return replace(before, converged=False)
         found = self._descend("key_points", partial(self.objective.linearize, samples=None), before.state)
         self._note(
@@ -229,6 +268,7 @@ class _Run:
             "labels ask for a bend",
             f"{_labels_px(before.at):.2f} -> {_labels_px(found.at):.2f} px",
         )
+        self.bend_found = not self.meter.exhausted or found.converged
         return _Outcome(found.state, found.at, found.converged)
 
     def _rested(self, before: _Outcome) -> _Outcome:
@@ -246,7 +286,17 @@ class _Run:
         if not contact or self.meter.exhausted:
             self._note("contact", False, "the frame has no front, or the budget has ended", evidence)
             return before
+        contact.face(motion, camera_centers(np.stack([view.camera for view in self.given.views])))
         contact.watch(motion)
+        gap = abs(contact.touch(motion)[2])
+        if gap > _NEAR_MM:
+            self._note(
+                "contact",
+                False,
+                "the head is not near the frame: is it in its frame and unit?",
+                f"{gap:.0f} mm",
+            )
+            return before
         self.objective.contact = contact
         rigid = not self.options.bend
         found = self._descend(
@@ -296,7 +346,19 @@ class _Run:
         self._note(
             "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {_outline_px(outcome.at):.2f} px"
         )
+        labels = _labels_px(before.at), _labels_px(outcome.at)
+        if labels[1] > max(_DISAGREE * labels[0], self.options.label_noise_px):
+            self._without_masks(f"labels {labels[0]:.1f} -> {labels[1]:.1f} px")
+            return before
         return outcome
+
+    def _without_masks(self, evidence: str) -> None:
+        self._note("masks", False, "they disagree with the labels and are left aside", evidence)
+        views = tuple(replace(view, distance=None) for view in self.given.views)
+        self.given = replace(self.given, views=views)
+        contact = self.objective.contact
+        self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
+        self.sampler = OutlineSampler(self.sampler.mesh, views, self.sampler.head, self.options)
 
     def _descend(self, step: str, linearize: Any, state: FrameState) -> Descent:
         child = self.meter.child(f"{STAGE}.{step}", "px")

@@ -23,6 +23,9 @@ BoolArray = NDArray[np.bool_]
 Mesh = tuple[FloatArray, IntArray]
 
 
+_FARTHEST_PX = 1e6
+
+
 @dataclass(frozen=True)
 class RegistrationInputs:
     """Lengths in mm of a frame of usual size: `scale` of the caller's units make one."""
@@ -71,6 +74,7 @@ def checked_inputs(
         )
     unit = 1 / usual_size_factor(keypoints)
     given_masks = _masks(masks, len(matrices))
+    _require_labels_in_pictures(labels, given_masks)
     sizes = _shapes(shapes, given_masks)
     matrices = matrices * np.array([unit, unit, unit, 1.0])
     matrices = normalized_cameras(matrices)
@@ -103,6 +107,21 @@ def checked_inputs(
         unit=unit,
         plan=tuple(plan),
     )
+
+
+def _require_labels_in_pictures(labels: FloatArray, masks: tuple[BoolArray | None, ...]) -> None:
+    for number, (marks, mask) in enumerate(zip(labels, masks, strict=True)):
+        given = marks[np.isfinite(marks).all(1)]
+        if (np.abs(given) > _FARTHEST_PX).any():
+            raise EyeglassesError(f"labels of view {number} are no pixels: up to {np.abs(given).max():.3g}")
+        if mask is None or not len(given):
+            continue
+        outside = ((given < -0.5) | (given > np.array(mask.shape[::-1]) - 0.5)).any(1)
+        if outside.mean() > 0.5:
+            raise EyeglassesError(
+                f"{int(outside.sum())} of {len(given)} labels of view {number} lie outside its mask of "
+                f"{mask.shape[1]} x {mask.shape[0]} pixels: give masks of the labelled pictures' size"
+            )
 
 
 def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:

@@ -34,6 +34,14 @@ from scan2albedo.optimization import Meter, Plan, PlanStep
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_MODEL_MM = 0.12
+"""What weights cannot bend as the frame does, on synthetic frames bent by 10 mm."""
+_ONE_VIEW, _ONE_VIEW_RESTED = 2.0, 1.4
+"""Errors over stated deviations, measured on 26 wearers seen from one place, free and resting on the nose."""
+_APART = 0.02
+"""Distance of cameras, as a part of that to the frame, from which they count as two places."""
+_MISFIT = 1 / 3
+"""Share of labels that may be outliers: with more, which are the right ones is a guess."""
 _ANYWHERE_MM = 1e6
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model are what limits, not labels."""
@@ -47,6 +55,7 @@ def report(
     outcome_at: Linearization,
     *,
     converged: bool,
+    bend_found: bool,
     meter: Meter,
     plan: Plan,
 ) -> RegisteredEyeglasses:
@@ -62,8 +71,14 @@ def report(
     visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
     marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
     covariances = deviations.covariances(marks)
-    deviation, mark_deviation = worst_deviation(deviations.covariances(points)), worst_deviation(covariances)
-    depth = _depth_deviation(given.views, keypoints, covariances, marks_visible)
+    caution = _caution(given, keypoints, objective)
+    deviation, mark_deviation = (
+        np.hypot(caution * worst_deviation(c), _MODEL_MM)
+        for c in (deviations.covariances(points), covariances)
+    )
+    depth = caution * _depth_deviation(given.views, keypoints, covariances, marks_visible)
+    misfit = _misfit(at, options.label_noise_px)
+    trusted = bend_found and misfit <= _MISFIT
     agreements = [
         compare_masks(sampler, motion, view, mask, noise.outline_px)
         for view, mask in zip(given.views, given.masks, strict=True)
@@ -83,18 +98,18 @@ def report(
         bend=unit * state.shifts,
         visible=visible,
         deviation=unit * deviation,
-        observed=visible.any(0) & (deviation <= limit) & ~wrong[points.weights.argmax(1)],
+        observed=trusted & visible.any(0) & (deviation <= limit) & ~wrong[points.weights.argmax(1)],
         keypoint_deviation=unit * mark_deviation * lost,
-        keypoints_observed=marks_visible.any(0) & (mark_deviation <= limit) & ~wrong,
+        keypoints_observed=trusted & marks_visible.any(0) & (mark_deviation <= limit) & ~wrong,
         depth_deviation=unit * depth,
-        depth_observed=depth <= limit,
+        depth_observed=bool(trusted and depth <= limit and caution < _ONE_VIEW),
         label_errors_px=at.labels_px,
-        inliers=at.labels_px <= 3 * max(noise.label_px, options.label_noise_px),
+        inliers=at.labels_px <= 3 * options.label_noise_px,
         outline_rms_px=_outline_rms(at, samples, len(given.views)),
         iou=_of_views(given, [agreement.iou for agreement in agreements]),
         converged=converged,
         iterations=meter.evaluations,
-        plan=plan + _reported(depth, limit, marks_visible, mark_deviation, wrong, given),
+        plan=plan + _reported(depth, limit, marks_visible, mark_deviation, wrong, misfit, bend_found, given),
         trace=meter.trace,
     )
 
@@ -113,6 +128,24 @@ def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Lineariz
     if not given.labelled and len(at.outline_px) == 0:
         return np.full(len(given.keypoints), _ANYWHERE_MM)
     return worst_deviation(PointDeviations(motion, at.matrix).covariances(_marks(given)))
+
+
+def _misfit(at: Linearization, noise_px: float) -> float:
+    """Return the share of labels off by more than three times their usual noise."""
+    errors = at.labels_px[~np.isnan(at.labels_px)]
+    return float((errors > 3 * noise_px).mean()) if len(errors) else 0.0
+
+
+def _caution(given: RegistrationInputs, keypoints: FloatArray, objective: RegistrationObjective) -> float:
+    """Return the factor on deviations: pictures from one place leave more open than the matrix tells."""
+    used = [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]
+    if not used:
+        return 1.0
+    centers = camera_centers(np.stack([view.camera for view in used]))
+    away = np.linalg.norm(keypoints[given.known].mean(0) - centers[0])
+    if np.linalg.norm(centers - centers[0], axis=1).max() > _APART * away:
+        return 1.0
+    return _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
 
 
 def _marks(given: RegistrationInputs) -> SkinnedPoints:
@@ -183,6 +216,8 @@ def _reported(
     visible: BoolArray,
     deviation: FloatArray,
     wrong: BoolArray,
+    misfit: float,
+    bend_found: bool,
     given: RegistrationInputs,
 ) -> Plan:
     """Return rows on what the pictures do not tell."""
@@ -193,6 +228,15 @@ def _reported(
                 "glasses.depth", False, "the views do not see depth", f"{depth:.1f} mm standard deviation"
             )
         )
+    if misfit > _MISFIT:
+        reason = "the labels do not fit this frame in these cameras: nothing counts as observed"
+        steps.append(PlanStep("glasses.misfit", False, reason, f"{misfit:.0%} of the labels are off"))
+    if not bend_found:
+        reason = "the budget ended before the bend was found: nothing counts as observed"
+        steps.append(PlanStep("glasses.unfinished", False, reason))
+    if given.head is not None and not visible.any():
+        reason = "the head hides all of the frame: is it in the cameras' frame and unit?"
+        steps.append(PlanStep("glasses.head", False, reason))
     hidden = given.known & ~visible.any(0)
     vague = given.known & ~hidden & (deviation > limit)
     for lost, why in ((hidden, "hidden in all views"), (vague, "seen, but not well enough")):

@@ -39,7 +39,8 @@ class RegisteredEyeglasses:
     """(V,) standard deviation of each vertex in its worst direction, from what the pictures and the bend's
     prior leave open."""
     observed: BoolArray
-    """(V,) visible in a view, and known to `options.observed_mm`."""
+    """(V,) visible in a view, known to `options.observed_mm`, and not contradicted by a mask; none where more
+    than a third of the labels do not fit, or the budget ended before the bend was found."""
     keypoint_deviation: FloatArray
     """(20,) as `deviation`, NaN where the frame lacks them."""
     keypoints_observed: BoolArray
@@ -51,7 +52,7 @@ class RegisteredEyeglasses:
     label_errors_px: FloatArray
     """(C, 20); NaN where there is no label."""
     inliers: BoolArray
-    """(C, 20) labels within three times their noise."""
+    """(C, 20) labels within three times `options.label_noise_px`."""
     outline_rms_px: FloatArray
     """(C,) distance of the outline from the mask's, where they can be compared; NaN without a mask."""
     iou: FloatArray

@@ -91,15 +91,19 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | No
     intrinsic, rotation = _factors(view.camera[:, :3])
     plane = np.linalg.solve(intrinsic, np.column_stack([view.labels[seen], np.ones(seen.sum())]).T).T
     cv2.setRNGSeed(0)
-    found, turn, shift, _ = cv2.solvePnPRansac(
-        np.ascontiguousarray(keypoints[seen]),
-        np.ascontiguousarray(plane[:, :2] / plane[:, 2:]),
-        np.eye(3),
-        None,
-        iterationsCount=_DRAWS,
-        reprojectionError=float(_INLIER_PX / np.sqrt(abs(np.linalg.det(intrinsic[:2, :2])))),
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
+    try:
+        found, turn, shift, _ = cv2.solvePnPRansac(
+            np.ascontiguousarray(keypoints[seen]),
+            np.ascontiguousarray(plane[:, :2] / plane[:, 2:]),
+            np.eye(3),
+            None,
+            iterationsCount=_DRAWS,
+            reprojectionError=float(_INLIER_PX / np.sqrt(abs(np.linalg.det(intrinsic[:2, :2])))),
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+    except cv2.error:
+        # Labels in one spot, or seen from very far: this view alone fixes no pose.
+        return None
     if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
         return None
     camera_from_frame = compose(cv2.Rodrigues(turn)[0], shift[:, 0])

@@ -14,6 +14,7 @@ from scan2albedo.eyeglasses import (
     register_on_face,
     skin,
 )
+from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
 from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import WearerOptions, wearer
@@ -405,3 +406,86 @@ def test_bad_glasses_are_refused(spoil, message):
 
 def test_options_can_be_replaced():
     assert replace(FaceRegistrationOptions(), bend=False).bend is False
+
+
+def test_labels_in_one_spot_do_not_spoil_the_other_views():
+    """(0, 0) is how some labellers say that they do not know."""
+    worn = person(1, SMALL)
+    labels = worn.labels.copy()
+    labels[0] = 0
+    found = register(1, SMALL, keypoints_2d=labels)
+    assert error_mm(found, worn, worn.seen) < 0.6
+    assert not found.inliers[0].any()
+
+
+MIRRORED = {
+    "labels": lambda worn, frame: (worn.labels[:, MIRROR], frame),
+    "key points": lambda worn, frame: (
+        worn.labels,
+        (*frame[:2], frame[2][list(MIRROR)], frame[3][:, list(MIRROR)]),
+    ),
+    "mesh": lambda worn, frame: (
+        worn.labels,
+        (frame[0] * [-1, 1, 1], frame[1], frame[2] * [-1, 1, 1], frame[3]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MIRRORED)
+@pytest.mark.parametrize("masked", [False, True])
+def test_left_and_right_exchanged_is_an_error(name, masked):
+    worn = person(1, SMALL)
+    labels, frame = MIRRORED[name](worn, glasses_of(1))
+    with pytest.raises(EyeglassesError, match="left and right"):
+        register_on_face(frame, labels, worn.masks if masked else None, worn.cameras)
+
+
+def test_labels_that_do_not_fit_leave_nothing_observed():
+    worn = person(1, SMALL)
+    for labels in (worn.labels[[2, 1, 0]], worn.labels[..., ::-1]):
+        found = register(1, SMALL, keypoints_2d=labels)
+        assert not found.observed.any()
+        assert not found.depth_observed
+        assert any(step.stage == "glasses.misfit" for step in found.plan)
+
+
+def test_masks_that_disagree_with_good_labels_are_left_aside():
+    worn = person(1)
+    found = register(1, masks=[~mask for mask in worn.masks])
+    assert any(step.stage == "glasses.masks" and "disagree" in step.reason for step in found.plan)
+    np.testing.assert_array_equal(found.vertices, register(1, masks=None).vertices)
+    assert np.isnan(found.iou).all()
+
+
+def test_a_budget_too_small_for_the_bend_leaves_nothing_observed():
+    found = register(1, SMALL, budget=Budget(evaluations=1))
+    assert not found.observed.any()
+    assert any(step.stage == "glasses.unfinished" for step in found.plan)
+
+
+def test_a_head_turned_inside_out_is_turned_back():
+    worn = person(1)
+    one = {"keypoints_2d": worn.labels[[1]], "masks": worn.masks[[1]], "cameras": worn.cameras[[1]]}
+    inside_out = (worn.head_vertices, worn.head_faces[:, ::-1])
+    np.testing.assert_allclose(
+        register(1, **one, head=inside_out).vertices, register(1, **one).vertices, atol=0.05
+    )
+
+
+def test_three_pictures_from_one_place_see_no_depth():
+    worn, same = person(1, SMALL), [1, 1, 1]
+    found = register(
+        1,
+        SMALL,
+        keypoints_2d=worn.labels[same],
+        masks=worn.masks[same],
+        cameras=worn.cameras[same],
+        head=None,
+    )
+    assert not found.depth_observed
+
+
+def test_masks_of_another_size_are_refused():
+    worn = person(1, SMALL)
+    with pytest.raises(EyeglassesError, match=r"labels of view 0 lie outside its mask of 256 x 256"):
+        register(1, SMALL, masks=worn.masks[:, ::2, ::2])
