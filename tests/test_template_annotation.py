@@ -93,6 +93,7 @@ def test_half_a_face_gets_regions_but_no_landmarks(own):
     assert "beside the template" in model.notes[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["inner face", "face area", "whole head"])
 def test_the_generic_face_in_metres_and_turned(shared_data, part):
     data = np.load(shared_data / "ict_faces.npz")

@@ -198,6 +198,7 @@ def crossing_triangles(vertices: np.ndarray, faces: np.ndarray) -> int:
     return len(np.asarray(mesh.get_self_intersecting_triangles()))
 
 
+@pytest.mark.slow
 def test_finer_samples_at_the_end_lower_the_error_of_fine_scans_and_cost_coarse_ones_nothing():
     model = AnnotatedFaceModel.default()
     found = {}

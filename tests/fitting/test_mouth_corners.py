@@ -94,6 +94,7 @@ def test_a_smile_is_followed_only_with_the_search(ict, shape):
     assert error[True] < 0.6 * error[False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("person", ["person1", "person2", "person3", "person4"])
 def test_nobody_smiles_who_does_not(ict, model, person, monkeypatch):
     vertices = ict.shapes[person]

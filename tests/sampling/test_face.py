@@ -96,6 +96,7 @@ def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size):
     assert np.abs(aliased - 0.5).max() > 0.2
 
 
+@pytest.mark.slow
 def test_the_footprint_average_agrees_with_supersampling():
     fitted = patch(lambda x, y: 12 * np.sin(x / 25) * np.cos(y / 30))
     noise = np.random.default_rng(0).random((700, 700, 3)).astype(np.float32)

@@ -20,6 +20,7 @@ def test_a_sphere_is_covered_once_with_true_positions_and_normals():
     assert outward.min() > 0.99
 
 
+@pytest.mark.slow
 def test_a_large_surface_is_simplified_first():
     sphere = trimesh.creation.icosphere(6, 80.0)
     image = geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 128)

@@ -483,6 +483,7 @@ def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres
     assert angle.max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_no_number_is_lost_within_20_dioptres_end_to_end():
     shape, surfaces = (30, 40), [wall(-80.0, waves(), half=50)]
     photograph = np.random.default_rng(0).random((*shape, 3))
