@@ -16,8 +16,9 @@ FloatArray = NDArray[np.float64]
 _RIDGE = 1e-12
 """Least eigenvalue of the scaled matrix, as a part of the largest: open directions stay finite."""
 _BLOCK = 4096
-_MEDIAN_OF_RAYLEIGH = 1.1774
-_MEDIAN_OF_NORMAL = 0.6745
+"""Points at once: their rows of 198 numbers stay in the cache."""
+_MEDIAN_OF_RAYLEIGH, _MEDIAN_OF_NORMAL = 1.1774, 0.6745
+"""Medians of a label's distance and of an outline's absolute error at a deviation of 1 a coordinate."""
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,7 @@ def _area(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _cover(pixels, nearness, faces, height, width):  # type: ignore[no-untyped-def]
+    # As in geometry.rasterization, but without weights for every pixel: only outlines need theirs.
     owner = np.full((height, width), np.int32(-1))
     nearest = np.zeros((height, width))
     for f in range(faces.shape[0]):

@@ -141,7 +141,7 @@ def register_on_face(
 
 @dataclass
 class _Outcome:
-    """Where the stages have come."""
+    """A stage's state, the objective there, and whether the stage ran to its end."""
 
     state: FrameState
     at: Linearization

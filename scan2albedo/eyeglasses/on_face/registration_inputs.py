@@ -22,13 +22,13 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 Mesh = tuple[FloatArray, IntArray]
 
-
 _FARTHEST_PX = 1e6
+"""No camera has as many pixels a side: such a label is a slip."""
 
 
 @dataclass(frozen=True)
 class RegistrationInputs:
-    """Lengths in mm of a frame of usual size: `scale` of the caller's units make one."""
+    """Lengths in mm of a frame of usual size, the caller's lengths divided by `unit`."""
 
     vertices: FloatArray
     faces: IntArray
@@ -40,7 +40,7 @@ class RegistrationInputs:
     head: Mesh | None
     start: FloatArray | None
     unit: float
-    """The caller's units in one of these."""
+    """Caller's lengths in one of these millimetres."""
     plan: tuple[PlanStep, ...]
     """Masks that do not count."""
 

@@ -43,6 +43,7 @@ _APART = 0.02
 _MISFIT = 1 / 3
 """Share of labels that may be outliers: with more, which are the right ones is a guess."""
 _ANYWHERE_MM = 1e6
+"""Deviation of what nothing tells: finite, so that products with weights of 0 stay 0."""
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model are what limits, not labels."""
 

@@ -78,8 +78,8 @@ class RegistrationObjective:
 
     Parameters
     ----------
-    keypoints : SkinnedPoints
-        The frame's key points with their own weights.
+    keypoints : (K, 3) float64
+        Of the frame at rest, NaN for those that it lacks.
     views : tuple of ObservedView
     options : FaceRegistrationOptions
     contact : HeadContact, optional

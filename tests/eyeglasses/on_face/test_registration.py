@@ -1,6 +1,5 @@
 """Glasses registered on a synthetic wearer: the bars, and each extreme by name."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -409,10 +408,6 @@ def test_bad_glasses_are_refused(spoil, message):
     worn = person(1, SMALL)
     with pytest.raises(EyeglassesError, match=message):
         register_on_face(spoil(glasses_of(1)), worn.labels, worn.masks, worn.cameras)
-
-
-def test_options_can_be_replaced():
-    assert replace(FaceRegistrationOptions(), bend=False).bend is False
 
 
 def test_labels_in_one_spot_do_not_spoil_the_other_views():
