@@ -20,6 +20,7 @@ from scan2albedo.cli_tools import (
     stop_cleanly_on_interrupt,
 )
 from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.experiments_cli import app as experiments_app
 from scan2albedo.glasses_cli import app as glasses_app
 
 app = typer.Typer(
@@ -30,6 +31,7 @@ app = typer.Typer(
 )
 
 app.add_typer(glasses_app, name="glasses")
+app.add_typer(experiments_app, name="experiment")
 add_commands(app)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis
+from scan2albedo.recognition.light_normalization import DARKEST, blurred_inside
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-DARKEST = 1 / 255
 
 
 def homomorphic(value: FloatArray, mask: BoolArray, sigma: float = 1 / 8) -> FloatArray:
@@ -26,23 +24,7 @@ def homomorphic(value: FloatArray, mask: BoolArray, sigma: float = 1 / 8) -> Flo
        Proceedings of the IEEE 56(8), 1968.
     """
     log = np.log(np.maximum(value, DARKEST))
-    return np.where(mask, np.exp(log - _blurred(log, mask, sigma * max(mask.shape))), 0)
-
-
-def multi_scale_retinex(
-    value: FloatArray, mask: BoolArray, sigmas: tuple[float, ...] = (15 / 512, 80 / 512, 250 / 512)
-) -> FloatArray:
-    """Average log V - log(Gaussian * V) over three scales.
-
-    References
-    ----------
-    .. [1] D. Jobson, Z. Rahman, G. Woodell, "A Multiscale Retinex for Bridging the Gap Between Color Images
-       and the Human Observation of Scenes", IEEE Transactions on Image Processing 6(7), 1997.
-    """
-    lit = np.maximum(value, DARKEST)
-    around = [_blurred(lit, mask, sigma * max(mask.shape)) for sigma in sigmas]
-    reflectance = np.log(lit) - np.mean([np.log(np.maximum(a, DARKEST)) for a in around], axis=0)
-    return np.where(mask, np.exp(reflectance), 0)
+    return np.where(mask, np.exp(log - blurred_inside(log, mask, sigma * max(mask.shape))), 0)
 
 
 def robust_harmonics(
@@ -65,9 +47,3 @@ def robust_harmonics(
     albedo = np.zeros(mask.shape)
     albedo[mask] = lit / shading
     return albedo
-
-
-def _blurred(values: FloatArray, mask: BoolArray, sigma: float) -> FloatArray:
-    inside = mask.astype(float)
-    total = gaussian_filter(inside, sigma, mode="constant")
-    return gaussian_filter(values * inside, sigma, mode="constant") / np.maximum(total, 1e-9)

@@ -26,6 +26,9 @@ class TemplateOptions:
         What is kept of three channels: their maximum, V of HSV, on which the albedo is estimated, or the
         luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour. V of skin is its red, which pigment and
         blood hardly darken; luminance tells persons apart better (`tools/bench_recognition.py --faces`).
+    hole_radius : float
+        Holes of the mask up to this radius, in sides of the image, are filled from around and count: a hole
+        that a scanner left would else take every window that touches it. 0 leaves the mask as it is.
     unit_mean : bool
         Divide by the mean over the mask: an albedo is known up to a scale, and the index is not blind to it.
 
@@ -39,6 +42,7 @@ class TemplateOptions:
     scales: int = 3
     orientations: int = 10
     channel: Channel = "luminance"
+    hole_radius: float = 0.024
     unit_mean: bool = True
 
     def __post_init__(self) -> None:
@@ -48,6 +52,8 @@ class TemplateOptions:
             raise ValueError(f"orientations is {self.orientations}, expected 2 to 16")
         if self.channel not in ("value", "luminance"):
             raise ValueError(f"channel is {self.channel!r}, expected 'value' or 'luminance'")
+        if not 0 <= self.hole_radius < 0.5:
+            raise ValueError(f"hole_radius is {self.hole_radius}, expected within [0, 0.5)")
         if self.size is not None and self.size < 1:
             raise ValueError(f"size is {self.size}, expected >= 1 or None")
 

@@ -44,9 +44,12 @@ def checked_image(
             f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
         )
     pixels = np.where(valid if pixels.ndim == 2 else valid[..., None], pixels, 0.0)
-    if pixels.ndim == 3:
-        pixels = pixels.max(axis=2) if channel == "value" else pixels @ _LUMINANCE
-    return pixels, valid
+    return (one_channel(pixels, channel) if pixels.ndim == 3 else pixels), valid
+
+
+def one_channel(color_linear: FloatArray, channel: Channel) -> FloatArray:
+    """Return V or luminance (H, W), see `TemplateOptions.channel`, of linear colour (H, W, 3)."""
+    return np.asarray(color_linear.max(axis=2) if channel == "value" else color_linear @ _LUMINANCE)
 
 
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
@@ -73,6 +76,19 @@ def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> t
     if not valid.any():
         raise RecognitionError(f"{what} has no valid pixel left at {size} pixels a side; widen its mask")
     return np.where(valid, total / np.maximum(share, 0.5), 0.0), valid
+
+
+def without_holes(mask: BoolArray, radius: float) -> BoolArray:
+    """Return the mask (H, W) closed by a disc whose radius is given in sides of the image."""
+    reach = round(radius * max(mask.shape))
+    if reach == 0 or mask.all():
+        return mask
+    import cv2
+
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (row**2 + column**2 <= reach**2).astype(np.uint8)
+    closed = cv2.morphologyEx(np.pad(mask, reach).astype(np.uint8), cv2.MORPH_CLOSE, disc)
+    return np.asarray(closed[reach:-reach, reach:-reach] > 0)
 
 
 def filled(image: FloatArray, mask: BoolArray) -> FloatArray:

@@ -26,6 +26,7 @@ class TemplateOptionsRecord(BaseModel):
     scales: int = Field(ge=1)
     orientations: int = Field(ge=2, le=16)
     channel: Channel
+    hole_radius: float = Field(ge=0, lt=0.5)
     unit_mean: bool
 
 

@@ -17,6 +17,7 @@ from scan2albedo.recognition.preparation import (
     filled,
     mirrored,
     scaled_to_unit_mean,
+    without_holes,
 )
 from scan2albedo.recognition.pyramid import coarsest_bands
 
@@ -72,6 +73,30 @@ class Templates:
     def __len__(self) -> int:
         return len(self.names)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Templates]) -> Templates:
+        """Return the templates of several sets one after the other.
+
+        Raises
+        ------
+        RecognitionError
+            When there is no set, or they were made with other options or from images of another size.
+        """
+        if not parts:
+            raise RecognitionError("no set of templates was given; give one or more")
+        for k, part in enumerate(parts):
+            if part.options != parts[0].options or part.mask.shape[1:] != parts[0].mask.shape[1:]:
+                raise RecognitionError(
+                    f"set {k} has templates of {part.mask.shape[1:]} made with {part.options}, set 0 of "
+                    f"{parts[0].mask.shape[1:]} with {parts[0].options}; make them alike"
+                )
+        return cls(
+            np.concatenate([part.coefficients for part in parts]),
+            np.concatenate([part.mask for part in parts]),
+            tuple(name for part in parts for name in part.names),
+            parts[0].options,
+        )
+
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
@@ -96,7 +121,7 @@ def image_coefficients(
         pixels, valid = averaged_down(pixels, valid, options.size, what)
     if options.unit_mean:
         pixels = scaled_to_unit_mean(pixels, valid, what)
-    carried = carried_mask(valid, options.step)
+    carried = carried_mask(without_holes(valid, options.hole_radius), options.step)
     if not carried.any():
         raise RecognitionError(
             f"{what}: no coefficient lies {options.step // 2} pixels inside its mask; widen the mask"

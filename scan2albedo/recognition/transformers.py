@@ -47,7 +47,7 @@ class TemplateTransformer(_Parameters):
 
     Parameters
     ----------
-    size, scales, orientations, channel, unit_mean
+    size, scales, orientations, channel, hole_radius, unit_mean
         See `TemplateOptions`.
     mask : (H, W) bool, optional
         Where the albedos are known, in all of them.
@@ -67,6 +67,7 @@ class TemplateTransformer(_Parameters):
         scales: int = 3,
         orientations: int = 10,
         channel: Channel = "luminance",
+        hole_radius: float = 0.024,
         unit_mean: bool = True,
         mask: NDArray[np.bool_] | None = None,
     ) -> None:
@@ -74,6 +75,7 @@ class TemplateTransformer(_Parameters):
         self.scales = scales
         self.orientations = orientations
         self.channel = channel
+        self.hole_radius = hole_radius
         self.unit_mean = unit_mean
         self.mask = mask
 
@@ -94,6 +96,7 @@ class TemplateTransformer(_Parameters):
             scales=self.scales,
             orientations=self.orientations,
             channel=self.channel,
+            hole_radius=self.hole_radius,
             unit_mean=self.unit_mean,
         )
         self.image_shape_ = np.shape(images[0])[:2]

@@ -3,6 +3,7 @@
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_bend import GlassesBend
 from scan2albedo.synthetic.glasses_shape import GlassesShape
+from scan2albedo.synthetic.population import PopulationOptions, population_scan
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
@@ -21,6 +22,7 @@ __all__ = [
     "GlassesBend",
     "GlassesShape",
     "Material",
+    "PopulationOptions",
     "RawLikeOptions",
     "RawScanOptions",
     "SceneParameters",
@@ -34,6 +36,7 @@ __all__ = [
     "face",
     "hemisphere",
     "light_at",
+    "population_scan",
     "raw_like",
     "raw_scan",
     "wearer",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -18,6 +20,29 @@ _BROW = np.array([0.060, 0.042, 0.030])
 _IRISES = np.array([[0.12, 0.16, 0.20], [0.10, 0.055, 0.03], [0.13, 0.12, 0.06]])
 
 
+@dataclass(frozen=True, kw_only=True)
+class PaintedFeatures:
+    """How brows and lips differ from those that the landmarks give; lengths in chart units (1 = 200 mm).
+
+    Parameters
+    ----------
+    brow_thickness : float
+        Factor.
+    brow_lift, brow_arch : float
+        Upward, of the whole brow and of its middle.
+    brow_reach : float
+        Share of the brow that has hair, from its inner end.
+    lip_fullness : float
+        By which the lips' outline moves outward.
+    """
+
+    brow_thickness: float = 1.0
+    brow_lift: float = 0.0
+    brow_arch: float = 0.0
+    brow_reach: float = 1.0
+    lip_fullness: float = 0.0
+
+
 def paint_face(
     uv: FloatArray,
     model: AnnotatedFaceModel,
@@ -25,17 +50,24 @@ def paint_face(
     *,
     grain: float = 1.0,
     tone: float | None = None,
+    marks: bool = True,
+    features: PaintedFeatures = PaintedFeatures(),
 ) -> FloatArray:
-    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); `grain` and `tone` as in `skin`."""
+    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2).
+
+    `grain`, `tone` and `marks` as in `skin`.
+    """
     landmarks = landmark_uv(model)
-    albedo = skin(uv, rng, grain=grain, tone=tone)
+    albedo = skin(uv, rng, grain=grain, tone=tone, marks=marks)
     pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
     for k in (31, 35):
         cheek = landmarks[k] + [0.08 * np.sign(k - 33), 0.02]
         blood += rng.uniform(0.05, 0.3) * _blob(uv, cheek, 0.06)
     blood += rng.uniform(0.05, 0.25) * _blob(uv, landmarks[30], 0.03)
-    brows = rng.uniform(0.6, 0.9) * (_brow(uv, landmarks[17:22], rng) + _brow(uv, landmarks[22:27], rng))
-    lips, line = _lips(uv, landmarks)
+    brows = rng.uniform(0.6, 0.9) * sum(
+        _brow(uv, landmarks[side], rng, features) for side in (slice(17, 22), slice(22, 27))
+    )
+    lips, line = _lips(uv, landmarks, features.lip_fullness)
     blood += rng.uniform(0.5, 0.9) * lips * (1 + 0.08 * smooth_noise(uv, (220, 60), rng))
     pigment += 0.15 * lips + 0.9 * line
     albedo = albedo * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN)
@@ -92,25 +124,31 @@ def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
     return signed
 
 
-def _brow(uv: FloatArray, landmarks: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _brow(
+    uv: FloatArray, landmarks: FloatArray, rng: np.random.Generator, features: PaintedFeatures
+) -> FloatArray:
     """Return (N,) density of brow hair around the five landmarks of one brow."""
-    line = _curve(landmarks - [0, 0.006], closed=False)
+    arch = features.brow_arch * np.array([0.0, 0.7, 1.0, 0.7, 0.0])
+    line = _curve(landmarks + np.stack([np.zeros(5), features.brow_lift + arch - 0.006], 1), closed=False)
     density, near = np.zeros(len(uv)), _near(uv, line, 0.04)
     distance, nearest = cKDTree(line).query(uv[near])
     outward = nearest / (len(line) - 1)
     if landmarks[0, 0] < landmarks[-1, 0]:
         outward = 1 - outward
-    width = 0.021 * np.sqrt(np.clip(1.12 - outward, 0.05, 1))
+    width = 0.021 * features.brow_thickness * np.sqrt(np.clip(1.12 - outward, 0.05, 1))
     strands = 1 + 0.35 * smooth_noise(uv[near] @ np.array([[1, 0.6], [-0.6, 1]]), (240, 90), rng)
     density[near] = smoothstep(1.6 * (1 - distance / width)) * np.clip(strands, 0.2, 1.5)
+    if features.brow_reach < 1:
+        density[near] *= smoothstep((features.brow_reach - outward) / 0.15 + 0.5)
     return density
 
 
-def _lips(uv: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _lips(uv: FloatArray, landmarks: FloatArray, fullness: float) -> tuple[FloatArray, FloatArray]:
     """Return (N,) redness of the lips and darkness of the line between them."""
     upper = _curve(landmarks[48:55], closed=False)
     lower = _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]], closed=False)
-    lips = smoothstep(_signed_distance(uv, np.concatenate([upper, lower[1:-1]])) / 0.006 + 0.5)
+    outline = np.concatenate([upper, lower[1:-1]])
+    lips = smoothstep((_signed_distance(uv, outline) + fullness) / 0.006 + 0.5)
     middle = (landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2
     return lips, smoothstep(1.5 - _distance(uv, _curve(middle, closed=False)) / 0.004)
 

@@ -100,6 +100,7 @@ def person(
     *,
     expression: Expression = "neutral",
     strength: float = 1.0,
+    expression_strength: float = 1.0,
 ) -> FloatArray:
     """Return control points (C, 3) in mm of a random person, rigidly aligned to the model at rest.
 
@@ -112,6 +113,8 @@ def person(
         One of neutral, smile, frown, pout, puff, surprise (the lips stay closed).
     strength : float
         Factor of the identity; 0 keeps the model's own.
+    expression_strength : float
+        Factor of the expression; 1 is a plain one.
     """
     if expression not in get_args(Expression):
         raise ValueError(f"expression is {expression!r}, expected one of {sorted(EXPRESSION_BUMPS)}")
@@ -123,7 +126,7 @@ def person(
     for bump in IDENTITY_BUMPS + ASYMMETRY_BUMPS:
         offset += strength * np.clip(rng.normal(), -2, 2) * displacement(bump, rest, landmarks)
     for bump in EXPRESSION_BUMPS[expression]:
-        offset += rng.uniform(0.8, 1.2) * displacement(bump, rest, landmarks)
+        offset += expression_strength * rng.uniform(0.8, 1.2) * displacement(bump, rest, landmarks)
     shaped = (rest + offset) * stretch
     return transform_points(procrustes(shaped, rest), shaped)
 

@@ -139,6 +139,18 @@ def raw_scan(
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
     flashes = _flashes(seed) if lights is None else tuple(lights)
     finish = material or Material(0.3, 0.12, 14.0)
+    return scan_of(sitter, flashes, finish, settings, rng, f"synthetic-{seed}")
+
+
+def scan_of(
+    sitter: Sitter,
+    flashes: tuple[PointLight, ...],
+    finish: Material,
+    settings: RawScanOptions,
+    rng: np.random.Generator,
+    name: str,
+) -> tuple[RawScan, SyntheticTruth]:
+    """Scan a sitter as `raw_scan` does; `rng` is that of noise, damage and pose."""
     tip = nose_tip(sitter.face.vertices)
     pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=settings.picture_reach_mm)
     measured = capture(
@@ -159,7 +171,7 @@ def raw_scan(
         noise=settings.picture_noise,
         rng=rng,
     )
-    scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, f"synthetic-{seed}")
+    scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, name)
     return scan, _truth(sitter, scan_from_model, flashes, finish, exposure, settings.size)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from scan2albedo.synthetic.textures import skin, smooth_noise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Painter = Callable[[FloatArray], FloatArray]
 
 FACE, HEAD, HAIR, CLOTHES = range(4)
 
@@ -48,6 +50,8 @@ class Sitter:
     tone, hair_color, cloth_color : float, (3,), (3,)
     seed : int
         Of the textures.
+    face_albedo : callable
+        Linear albedo (N, 3) of the face at chart coordinates (N, 2).
     """
 
     model: AnnotatedFaceModel
@@ -62,10 +66,7 @@ class Sitter:
     hair_color: FloatArray
     cloth_color: FloatArray
     seed: int
-
-    def face_albedo(self, uv: FloatArray) -> FloatArray:
-        """Return (N, 3) linear albedo of the face at chart coordinates (N, 2)."""
-        return paint_face(uv, self.model, np.random.default_rng(self.seed), tone=self.tone)
+    face_albedo: Painter
 
     def albedo_at(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
         """Return (N, 3) linear albedo at surface points given by face (N,) and barycentric (N, 3)."""
@@ -100,10 +101,36 @@ class Sitter:
         return scale
 
 
-def sit_down(seed: int, *, expression: Expression, model: AnnotatedFaceModel) -> Sitter:
-    """Return a random person, head upright in the model's frame."""
+def sit_down(
+    seed: int,
+    *,
+    expression: Expression,
+    model: AnnotatedFaceModel,
+    expression_strength: float = 1.0,
+    tone: float | None = None,
+    face_albedo: Painter | None = None,
+) -> Sitter:
+    """Return a random person, head upright in the model's frame.
+
+    Parameters
+    ----------
+    seed : int
+        Of shape and textures.
+    expression, expression_strength
+        As in `identity.person`.
+    model : AnnotatedFaceModel
+    tone : float, optional
+        Of the skin, 0 lightest ... 1 darkest; random when None.
+    face_albedo : callable, optional
+        What the face is painted with, see `Sitter`; `paint_face` at random when None.
+    """
     rng = np.random.default_rng([seed, 6])
-    control_points = person(model, np.random.default_rng([seed, 2]), expression=expression)
+    control_points = person(
+        model,
+        np.random.default_rng([seed, 2]),
+        expression=expression,
+        expression_strength=expression_strength,
+    )
     face = with_relief(face_surface(model, control_points), rng)
     head_vertices, head_faces, head_uv = head_around(face.vertices, face.faces, face.normals)
     bare = join([(face.vertices, face.faces), (head_vertices, head_faces)])
@@ -112,6 +139,12 @@ def sit_down(seed: int, *, expression: Expression, model: AnnotatedFaceModel) ->
     parts = [(face.vertices, face.faces), (head_vertices, head_faces), hair, clothes]
     vertices, faces = join(parts)
     corner_uv = [face.corner_uv, head_uv[head_faces], _hair_uv(hair), _flat_uv(clothes)]
+    drawn = float(rng.uniform(0, 0.8))
+    skin_tone = drawn if tone is None else tone
+
+    def at_random(uv: FloatArray) -> FloatArray:
+        return paint_face(uv, model, np.random.default_rng(seed), tone=skin_tone)
+
     return Sitter(
         model,
         control_points,
@@ -121,10 +154,11 @@ def sit_down(seed: int, *, expression: Expression, model: AnnotatedFaceModel) ->
         _welded_normals(parts),
         np.repeat(np.arange(4), [len(f) for _, f in parts]),
         np.concatenate(corner_uv),
-        tone=float(rng.uniform(0, 0.8)),
+        tone=skin_tone,
         hair_color=_HAIR_COLORS[rng.integers(len(_HAIR_COLORS))],
         cloth_color=_CLOTH_COLORS[rng.integers(len(_CLOTH_COLORS))],
         seed=seed,
+        face_albedo=at_random if face_albedo is None else face_albedo,
     )
 
 

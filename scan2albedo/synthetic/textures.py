@@ -54,7 +54,12 @@ def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> Floa
 
 
 def skin(
-    uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0, tone: float | None = None
+    uv: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    grain: float = 1.0,
+    tone: float | None = None,
+    marks: bool = True,
 ) -> FloatArray:
     """Return (N, 3) linear albedo of bare skin: tone, blotches, pores, freckles and moles.
 
@@ -68,6 +73,8 @@ def skin(
         Size of the pattern, 1 = pores of 1/160 of the unit square.
     tone : float, optional
         0 lightest ... 1 darkest; drawn when None.
+    marks : bool
+        Whether there are freckles and moles.
     """
     xy = np.asarray(uv, float)
     depth = rng.uniform(0, 0.75) if tone is None else tone
@@ -78,7 +85,7 @@ def skin(
     pores = np.maximum(0, smooth_noise(scaled, (160, 160), rng)) * 0.06
     freckles = spots(xy, rng, count=int(rng.integers(40, 200)), radius=(0.002 * grain, 0.005 * grain))
     moles = spots(xy, rng, count=int(rng.integers(3, 9)), radius=(0.005 * grain, 0.009 * grain))
-    pigment = pigment + pores + 0.22 * freckles + 0.9 * moles
+    pigment = pigment + pores + marks * (0.22 * freckles + 0.9 * moles)
     return np.clip(base * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN), 0.01, 0.95)
 
 

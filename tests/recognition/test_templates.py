@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import TemplateOptions, Templates, albedo_templates, similarity_matrix
-from scan2albedo.recognition.preparation import averaged_down, carried_mask, filled
+from scan2albedo.recognition.preparation import averaged_down, carried_mask, filled, without_holes
 from scan2albedo.recognition.pyramid import coarsest_bands
 
 
@@ -100,3 +100,46 @@ def test_templates_that_cannot_be_used_are_named(albedo):
 def test_options_out_of_range_are_refused(values):
     with pytest.raises(ValueError, match=next(iter(values))):
         TemplateOptions(**values)
+
+
+def test_small_holes_are_filled_and_large_ones_stay(albedo):
+    rows, columns = np.mgrid[:128, :128]
+    mask = np.ones((128, 128), bool)
+    mask[np.hypot(rows - 40, columns - 40) < 2.5] = False
+    mask[np.hypot(rows - 90, columns - 90) < 9] = False
+    holed = np.where(mask, albedo(0, steepness=2.0), 7.0)
+    closed, open_ = (
+        albedo_templates([holed], ["ann"], masks=[mask], options=TemplateOptions(hole_radius=radius))
+        for radius in (0.024, 0.0)
+    )
+    assert closed.mask[0, 10, 10]
+    assert not open_.mask[0, 10, 10]
+    assert not closed.mask[0, 22, 22]
+    assert not open_.mask[0, 22, 22]
+    # What stood in the hole was never seen: the coefficient is that of its surroundings.
+    whole = albedo_templates([albedo(0, steepness=2.0)], ["ann"])
+    scale = np.abs(whole.coefficients).mean()
+    assert np.abs(closed.coefficients - whole.coefficients)[0, :, 10, 10].max() < 2 * scale
+
+
+def test_a_mask_that_reaches_the_edge_is_not_widened_beyond_it():
+    mask = np.zeros((64, 64), bool)
+    mask[10:, 5:50] = True
+    np.testing.assert_array_equal(without_holes(mask, 0.1), mask)
+
+
+def test_sets_are_joined_in_order(albedo):
+    a, b = (albedo_templates([albedo(k)], [name]) for k, name in enumerate(("ann", "bob")))
+    both = Templates.joined([a, b, a])
+    assert both.names == ("ann", "bob", "ann")
+    np.testing.assert_array_equal(both.coefficients[1], b.coefficients[0])
+    np.testing.assert_array_equal(both.select([2]).mask, a.mask)
+
+
+def test_sets_made_otherwise_are_not_joined(albedo):
+    a = albedo_templates([albedo(0)], ["ann"])
+    b = albedo_templates([albedo(0)], ["ann"], options=TemplateOptions(size=64))
+    with pytest.raises(RecognitionError, match="set 1"):
+        Templates.joined([a, b])
+    with pytest.raises(RecognitionError, match="no set"):
+        Templates.joined([])

@@ -1,0 +1,1 @@
+"""Experiments of the paper, reproducible by one call."""

@@ -1,0 +1,176 @@
+"""A population that is hard to tell apart, scanned several times: for experiments on recognition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
+from scan2albedo.synthetic.identity import Expression
+from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of
+from scan2albedo.synthetic.renderer import Material
+from scan2albedo.synthetic.sitter import sit_down
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_ANGLE_DEG = 30.0
+"""Between two flashes, which would else be one; no more than the cone they are drawn from allows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationOptions:
+    """How alike the people are, and under what they are scanned.
+
+    Parameters
+    ----------
+    individuality : float
+        Share of the (logarithmic) albedo that is one's own, within (0, 1]; the rest is common to all, as
+        relatives have it. Small shares make people alike, and hard to tell apart.
+    tones : (float, float)
+        Range of the skin's tone, 0 lightest ... 1 darkest.
+    light_cone_deg : float
+        Lights come from within this angle of the front, uniformly over the solid angle.
+    two_lights : float
+        Share of the scans with two flashes.
+    light_distance_mm, light_intensity : (float, float)
+        Ranges; intensity relative to ambient = 1.
+    highlight : (float, float)
+        Range of the highlight's strength.
+    expression : float
+        Largest strength of a scan's expression, 1 a plain one; every scan has one at random.
+    capture : RawScanOptions
+
+    Raises
+    ------
+    ValueError
+        When a share or range is out of bounds.
+    """
+
+    individuality: float = 0.7
+    tones: tuple[float, float] = (0.2, 0.45)
+    light_cone_deg: float = 60.0
+    two_lights: float = 0.5
+    light_distance_mm: tuple[float, float] = (700.0, 1500.0)
+    light_intensity: tuple[float, float] = (1.5, 4.0)
+    highlight: tuple[float, float] = (0.05, 0.15)
+    expression: float = 0.5
+    capture: RawScanOptions = field(default_factory=RawScanOptions)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.individuality <= 1:
+            raise ValueError(f"individuality is {self.individuality}, expected within (0, 1]")
+        if not 0 <= self.two_lights <= 1 or self.expression < 0:
+            raise ValueError(
+                f"two_lights is {self.two_lights} and expression {self.expression}, expected within [0, 1] "
+                "and >= 0"
+            )
+        if not 0 < self.light_cone_deg <= 90:
+            raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
+        for name in ("tones", "light_distance_mm", "light_intensity", "highlight"):
+            low, high = getattr(self, name)
+            if not 0 <= low <= high:
+                raise ValueError(f"{name} is ({low}, {high}), expected 0 <= low <= high")
+
+
+def population_scan(
+    person: int,
+    session: int,
+    *,
+    seed: int = 0,
+    options: PopulationOptions = PopulationOptions(),
+    model: AnnotatedFaceModel | None = None,
+) -> tuple[RawScan, SyntheticTruth]:
+    """Scan one person of a population.
+
+    Shape, skin with its moles and freckles, brows and lips belong to the person; light, highlight,
+    expression, pose, noise and damage to the session.
+
+    Parameters
+    ----------
+    person, session : int
+        From 0; any order, any number.
+    seed : int
+        Of the population.
+    options : PopulationOptions
+    model : AnnotatedFaceModel, optional
+        The default model when omitted; it needs landmarks.
+
+    Returns
+    -------
+    scan : RawScan
+        Named "person-<person>-session-<session>".
+    truth : SyntheticTruth
+    """
+    template = model or AnnotatedFaceModel.default()
+    own = np.random.default_rng([seed, person, 11])
+    shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*options.tones))
+    paint = _painter(template, own, tone, options, [seed, 12])
+    now = np.random.default_rng([seed, person, session, 13])
+    lights = _random_lights(now, options)
+    finish = Material(0.3, float(now.uniform(*options.highlight)), 14.0)
+    sitter = sit_down(
+        shape_seed,
+        expression=get_args(Expression)[now.integers(len(get_args(Expression)))],
+        model=template,
+        expression_strength=float(now.uniform(0, options.expression)),
+        tone=tone,
+        face_albedo=paint,
+    )
+    return scan_of(sitter, lights, finish, options.capture, now, f"person-{person}-session-{session}")
+
+
+def _painter(
+    model: AnnotatedFaceModel,
+    own: np.random.Generator,
+    tone: float,
+    options: PopulationOptions,
+    common_seed: list[int],
+) -> Callable[[FloatArray], FloatArray]:
+    features = PaintedFeatures(
+        brow_thickness=float(own.uniform(0.65, 1.35)),
+        brow_lift=float(own.uniform(-0.006, 0.006)),
+        brow_arch=float(own.uniform(-0.003, 0.008)),
+        brow_reach=float(own.uniform(0.75, 1.1)),
+        lip_fullness=float(own.uniform(-0.004, 0.004)),
+    )
+    paint_seed = int(own.integers(2**31))
+
+    def paint(uv: FloatArray) -> FloatArray:
+        mine = paint_face(uv, model, np.random.default_rng(paint_seed), tone=tone, features=features)
+        shared = paint_face(
+            uv, model, np.random.default_rng(common_seed), tone=sum(options.tones) / 2, marks=False
+        )
+        share = options.individuality
+        return np.exp(share * np.log(mine) + (1 - share) * np.log(shared))
+
+    return paint
+
+
+def _random_lights(rng: np.random.Generator, options: PopulationOptions) -> tuple[PointLight, ...]:
+    first = _random_light(rng, options)
+    if rng.uniform() >= options.two_lights:
+        return (first,)
+    apart = np.cos(np.deg2rad(min(_LEAST_ANGLE_DEG, options.light_cone_deg)))
+    while True:
+        second = _random_light(rng, options)
+        if first.direction @ second.direction < apart:
+            return first, second
+
+
+def _random_light(rng: np.random.Generator, options: PopulationOptions) -> PointLight:
+    z = rng.uniform(np.cos(np.deg2rad(options.light_cone_deg)), 1)
+    turn, radius = rng.uniform(0, 2 * np.pi), np.sqrt(1 - z * z)
+    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    return PointLight(
+        float(np.arctan2(x, z)),
+        float(np.arcsin(y)),
+        float(rng.uniform(*options.light_distance_mm)),
+        float(rng.uniform(*options.light_intensity)),
+    )

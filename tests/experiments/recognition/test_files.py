@@ -1,0 +1,72 @@
+"""What the experiment leaves behind can be read, and looked at."""
+
+import csv
+import json
+
+import cv2
+import pytest
+from typer.testing import CliRunner
+
+from scan2albedo.cli import app
+from scan2albedo.errors import OutputError
+from scan2albedo.experiments.recognition import run_recognition_experiment
+from scan2albedo.experiments.recognition.files import RECORD, write_report
+
+
+def test_all_files_are_there(filled_cache, small_options, tmp_path):
+    report = run_recognition_experiment(filled_cache, options=small_options)
+    folder = write_report(report, tmp_path / "out", filled_cache)
+    figures = json.loads((folder / RECORD).read_text())
+    assert figures["persons"] == 4
+    assert figures["probes"] == 8
+    assert figures["methods"][0]["method"] == "raw texture"
+    assert figures["options"]["population"]["individuality"] == 1.0
+    with (folder / "probes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["person"] for row in rows] == list(report.results[0].identification.probe_names)
+    assert all(row["albedo, oren-nayar"] == row["person"] for row in rows)
+    for name in ("cmc.png", "roc.png", "people.png", "error_vs_time.png"):
+        assert min(cv2.imread(str(folder / name)).shape[:2]) > 200
+    assert (folder / "table.txt").read_text() == report.table() + "\n"
+    assert not list(folder.glob(".*"))
+
+
+def test_without_the_scans_there_is_no_sheet_of_people(filled_cache, small_options, tmp_path):
+    report = run_recognition_experiment(filled_cache, options=small_options)
+    assert not (write_report(report, tmp_path / "out") / "people.png").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_named(filled_cache, small_options, tmp_path):
+    report = run_recognition_experiment(filled_cache, options=small_options)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match="file"):
+        write_report(report, tmp_path / "file" / "out")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--persons", "1"], "persons"),
+        (["--individuality", "2"], "individuality is 2"),
+        (["--brdf", "phong"], "phong"),
+        (["--budget", "-1"], "budget is -1"),
+        (["--size", "32"], "expected at least the 128"),
+    ],
+)
+def test_wrong_choices_are_usage_errors(arguments, message, tmp_path):
+    result = CliRunner().invoke(app, ["experiment", "recognition", "-o", str(tmp_path), *arguments])
+    assert result.exit_code == 2
+    assert message in " ".join(result.output.replace("│", " ").split())
+
+
+def test_the_command_reports_what_a_folder_holds(small_options, charts, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "scan2albedo.experiments.recognition.sessions.made_session", lambda o, p, s: charts[p, s]
+    )
+    arguments = ["--persons", "3", "--probes", "1", "--jobs", "1", "--size", "128"]
+    arguments += ["--brdf", "oren-nayar", "--brdf", "lambert", "-o", str(tmp_path), "--json"]
+    result = CliRunner().invoke(app, ["experiment", "recognition", *arguments])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["persons"] == 3
+    assert (tmp_path / RECORD).exists()
+    assert len(list(tmp_path.glob("scans/*/*.npz"))) == 6
