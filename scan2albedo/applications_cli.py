@@ -194,19 +194,36 @@ def transfer_expression(
         str, typer.Option(help="addition, or local-frames: turned and scaled with the surface.")
     ] = "addition",
     strength: Annotated[float, typer.Option(help="Factor of the expression.")] = 1.0,
+    correspondence: Annotated[
+        str,
+        typer.Option(
+            help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
+            "refined where the faces are on the model's mesh."
+        ),
+    ] = "auto",
+    model: Annotated[
+        str,
+        typer.Option(help="With which the faces were processed: default, or a model's or template's file."),
+    ] = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Give B's face the expression of A's."""
     from scan2albedo import applications
+    from scan2albedo.applications.expression_transfer import level_to_refine
+    from scan2albedo.pipeline import chosen_model
 
+    chosen: dict[str, Any] = {"method": method, "strength": strength, "correspondence": correspondence}
     try:
-        options = applications.TransferOptions(method=method, strength=strength)  # type: ignore[arg-type]
+        options = applications.TransferOptions(**chosen)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     load = applications.load_result
     faces = [load(neutral_a), load(expression_a), load(neutral_b)]
-    made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options)
-    _finish(made, out, "transfer-expression", faces, {"method": method, "strength": strength}, json_summary)
+    template = chosen_model(model)
+    made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
+    refined = level_to_refine(faces[0].mesh, options, template) is not None
+    chosen["correspondence"] = "refined" if refined else "as-fitted"
+    _finish(made, out, "transfer-expression", faces, chosen, json_summary)
 
 
 def _finish(

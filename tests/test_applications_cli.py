@@ -114,6 +114,17 @@ def test_new_faces_go_on_to_other_commands(folders, tmp_path, command, inputs, o
     assert again.exit_code == 0, again.output
 
 
+def test_the_correspondence_used_is_told(folders, tmp_path):
+    faces = [folders / name for name in ("a", "a_smiling", "b")]
+    done = run("transfer-expression", *faces, "-o", tmp_path / "new", "--json")
+    assert json.loads(done.stdout)["options"]["correspondence"] == "as-fitted"
+    refused = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "refined")
+    assert refused.exit_code != 0
+    wrong = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "guessed")
+    assert wrong.exit_code == 2
+    assert not (tmp_path / "no").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -1,12 +1,13 @@
 """Errors of applications against ground truth.
 
 python tools/bench_applications.py relight       relit textures, albedo true and estimated, ten new lights
-python tools/bench_applications.py expression    a smile and an open jaw of measured faces, given to another
+python tools/bench_applications.py expression    expressions of measured and synthetic faces, given to another
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.lighting.asrm import Reflectance
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
+from scan2albedo.synthetic.identity import person
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.renderer import render
 
@@ -36,8 +38,23 @@ LIGHTS = [
     light_at(-60, 0, distance_mm=350, intensity=4),
     light_at(85, 45, intensity=6),
 ]
-GENERIC, OTHER = "generic_neutral", "person2"
-MOVES = ("generic_mouthSmile_L_mouthSmile_R", "generic_jawOpen0.7")
+GENERIC = "generic_neutral"
+SMILE = "generic_mouthSmile_L_mouthSmile_R"
+PAIRS = (
+    ("generic_neutral", "smile", "person2"),
+    ("generic_neutral", "left smile", "person2"),
+    ("generic_neutral", "jaw", "person2"),
+    ("generic_neutral", "left smile and jaw", "person1"),
+    ("generic_neutral", "brows and jaw", "person1"),
+    ("person1", "smile", "person2"),
+    ("person2", "smile", "person1"),
+    ("person4", "jaw", "generic_neutral"),
+    ("person3", "brows and jaw", "person4"),
+)
+"""Who makes which face, and to whom it is given."""
+SIDE_MM = 6.0
+"""Over this width from the middle a one-sided smile fades out."""
+SYNTHETIC = ("smile", "frown", "pout", "surprise")
 NEAR_MM = 2.0
 """Vertices farther than this from the fitted face at rest do not belong to it."""
 
@@ -79,64 +96,134 @@ def bench_relight() -> None:
             print(f"{seed:4d}  {gloss:5.2f}  {a[0]:16.2f} {a[1]:6.2f}  {b[0]:16.2f} {b[1]:6.2f}", flush=True)
 
 
-def mesh_of(fitted: FittedFace) -> FaceMesh:
-    return FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
+@dataclass(frozen=True)
+class Pair:
+    """Vertices of A at rest and with the expression, of B, and of B with the same: (V, 3) mm each.
+
+    `inner` of them are measured, the same index being the same point; `faces` (F, 3) are all of theirs.
+    """
+
+    name: str
+    a: FloatArray
+    moving: FloatArray
+    b: FloatArray
+    truth: FloatArray
+    faces: NDArray[np.int64]
+    inner: int
 
 
-def carried_error(
-    fits: dict[str, FittedFace], move: str, truth: FloatArray, rest: FloatArray, method: str
-) -> str:
-    """Return the errors of measured points carried with the fitted face, and of the surface."""
-    other = fits[OTHER]
-    rest, truth = (transform_points(other.model_from_scan, points) for points in (rest, truth))
-    moved = expression_displacement(
-        mesh_of(fits[GENERIC]),
-        mesh_of(fits[move]),
-        mesh_of(other),
-        options=TransferOptions(method=method),  # type: ignore[arg-type]
-    )
-    hits = surface_query(other.vertices, other.faces).query(rest)
-    near = hits.distance < NEAR_MM
-    carried = hits.points + np.einsum("nk,nkc->nc", hits.barycentric, moved[other.faces[hits.face]])
-    error = np.linalg.norm(carried - truth, axis=1)[near]
-    surface = surface_query(other.vertices + moved, other.faces).query(truth[near]).distance
-    motion = np.linalg.norm(truth - rest, axis=1)[near].mean()
-    return (
-        f"points {error.mean():.2f} mean {np.median(error):.2f} median, surface {surface.mean():.2f} mean; "
-        f"they move {motion:.2f}; {near.mean():.0%} of the points"
-    )
+def measured_moves(shapes: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return displacements (V, 3) mm of light-stage expressions, which add to any of the shapes."""
+    rest = shapes[GENERIC]
+    smile, jaw = shapes[SMILE] - rest, shapes["generic_jawOpen0.7"] - rest
+    left = smile / (1 + np.exp(-rest[:, :1] / SIDE_MM))
+    brows = shapes["person3_browInnerUp_L_browInnerUp_R_jawOpen0.5"] - shapes["person3"]
+    return {
+        "smile": smile,
+        "jaw": jaw,
+        "left smile": left,
+        "left smile and jaw": left + 0.4 * jaw,
+        "brows and jaw": brows,
+    }
 
 
-def bench_expression() -> None:
+def measured_pairs() -> tuple[list[Pair], s2a.AnnotatedFaceModel]:
+    """Return pairs of light-stage shapes, and the model that the generic one makes."""
     with np.load(DATA / "ict_faces.npz") as data:
         shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
         faces, inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
-        area = faces[: int(data["face_area_faces"])]
         own = s2a.AnnotatedFaceModel.from_mesh(
-            shapes[GENERIC], area, landmarks=data["landmarks68"].astype(np.int64), name="generic face"
+            shapes[GENERIC],
+            faces[: int(data["face_area_faces"])],
+            landmarks=data["landmarks68"].astype(np.int64),
+            name="generic face",
         )
-    truths = {move: shapes[OTHER] + shapes[move] - shapes[GENERIC] for move in MOVES}
-    count = int(area.max()) + 1
-    print("mm; measured vertices, no fit")
-    for move, truth in truths.items():
-        for method in ("addition", "local-frames"):
-            meshes = [FaceMesh(shapes[n][:count], area, np.zeros((count, 2))) for n in (GENERIC, move, OTHER)]
-            options = TransferOptions(method=method)  # type: ignore[arg-type]
-            made = meshes[2].vertices + expression_displacement(*meshes, options=options)
-            print(f"  {move} {method}: {np.linalg.norm(made - truth[:count], axis=1).mean():.3f} mean")
+    moves, pairs = measured_moves(shapes), []
+    for a, move, b in PAIRS:
+        moved = [shapes[name] + moves[move] for name in (a, b)]
+        name = f"{a.removesuffix('_neutral')} {move} to {b.removesuffix('_neutral')}"
+        pairs.append(Pair(name, shapes[a], moved[0], shapes[b], moved[1], faces, inner))
+    return pairs, own
+
+
+def synthetic_pairs() -> list[Pair]:
+    """Return pairs of synthetic people, whose skin has no features but those of the default model."""
+    model = s2a.AnnotatedFaceModel.default()
+    surface = model.subdivision(2)
+
+    def shape(seed: int, expression: str) -> FloatArray:
+        made = person(model, np.random.default_rng(seed), expression=expression)  # type: ignore[arg-type]
+        return np.asarray(surface.matrix @ made)
+
+    rest, count = [shape(seed, "neutral") for seed in (1, 2)], surface.matrix.shape[0]
+    return [
+        Pair(f"synthetic {e}", rest[0], shape(1, e), rest[1], shape(2, e), surface.faces, count)
+        for e in SYNTHETIC
+    ]
+
+
+def fitted(vertices: FloatArray, faces: NDArray[np.int64], model: s2a.AnnotatedFaceModel) -> FittedFace:
+    scan = s2a.RawScan(vertices, faces)
+    return s2a.fit(scan, model, s2a.register(scan, model))
+
+
+def mesh_of(face: FittedFace) -> FaceMesh:
+    return FaceMesh(face.vertices, face.faces, face.uv)
+
+
+def carried_errors(pair: Pair, b: FittedFace, moved: FloatArray) -> FloatArray:
+    """Return (N,) mm by which measured points carried with B's fitted face miss their true places."""
+    rest, truth = (
+        transform_points(b.model_from_scan, points[: pair.inner]) for points in (pair.b, pair.truth)
+    )
+    hits = surface_query(b.vertices, b.faces).query(rest)
+    near = hits.distance < NEAR_MM
+    carried = hits.points + np.einsum("nk,nkc->nc", hits.barycentric, moved[b.faces[hits.face]])
+    return np.asarray(np.linalg.norm(carried - truth, axis=1)[near])
+
+
+def true_displacement(pair: Pair, a: FittedFace) -> FloatArray:
+    """Return (V, 3) by which the points of A that the fit at rest found truly move."""
+    rest, moving = (transform_points(a.model_from_scan, points) for points in (pair.a, pair.moving))
+    hits = surface_query(rest, pair.faces).query(a.vertices)
+    return np.asarray(np.einsum("nk,nkc->nc", hits.barycentric, (moving - rest)[pair.faces[hits.face]]))
+
+
+def expression_row(pair: Pair, model: s2a.AnnotatedFaceModel) -> list[float]:
+    """Return mean errors in mm: nothing carried, as fitted with the model and from A at rest, refined (the
+    median too), with local frames, and the truth of A carried."""
+    a, moving, b = (fitted(v, pair.faces, model) for v in (pair.a, pair.moving, pair.b))
+    own = fitted(pair.moving, pair.faces, personal_model(a))
+
+    def errors(expression: FittedFace, options: TransferOptions) -> FloatArray:
+        meshes = (mesh_of(face) for face in (a, expression, b))
+        return carried_errors(pair, b, expression_displacement(*meshes, options=options, model=model))
+
+    unrefined, refined = (TransferOptions(correspondence=how) for how in ("as-fitted", "refined"))  # type: ignore[arg-type]
+    local, best = TransferOptions(method="local-frames"), errors(moving, refined)
+    return [
+        float(carried_errors(pair, b, np.zeros_like(b.vertices)).mean()),
+        *(float(errors(face, unrefined).mean()) for face in (moving, own)),
+        float(best.mean()),
+        float(np.median(best)),
+        float(errors(moving, local).mean()),
+        float(carried_errors(pair, b, true_displacement(pair, a)).mean()),
+    ]
+
+
+def bench_expression() -> None:
+    measured, own = measured_pairs()
     default = s2a.AnnotatedFaceModel.default()
-    for model, personal in ((default, False), (default, True), (own, False), (own, True)):
-        fits = {}
-        for name in (GENERIC, OTHER, *MOVES):
-            scan = s2a.RawScan(shapes[name], faces)
-            start = personal_model(fits[GENERIC]) if personal and name in MOVES else model
-            fits[name] = s2a.fit(scan, start, s2a.register(scan, start))
-        how = "expressions with the personal model" if personal else "each head by itself"
-        print(f"mm; registered and fitted, {how}: {model.name}")
-        for move, truth in truths.items():
-            for method in ("addition", "local-frames"):
-                row = carried_error(fits, move, truth[:inner], shapes[OTHER][:inner], method)
-                print(f"  {move} {method}: {row}", flush=True)
+    for model, pairs in ((default, [*measured, *synthetic_pairs()]), (own, measured)):
+        print(
+            f"mm, registered and fitted with {model.name}: none carried, as fitted, as fitted from A at rest,"
+        )
+        print("refined mean and median, refined with local frames, A's true displacement carried")
+        rows = []
+        for pair in pairs:
+            rows.append(expression_row(pair, model))
+            print(f"  {pair.name:40s}" + "".join(f"{value:6.2f}" for value in rows[-1]), flush=True)
+        print(f"  {'mean':40s}" + "".join(f"{value:6.2f}" for value in np.mean(rows, axis=0)))
 
 
 def main() -> None:

@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.compatibility import on_common_chart
+from scan2albedo.applications.expression_correspondence import refined_expression, refinement_level
 from scan2albedo.applications.local_frames import local_similarities
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.errors import ApplicationError
+from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 FloatArray = NDArray[np.float64]
 Method = Literal["addition", "local-frames"]
+Correspondence = Literal["auto", "refined", "as-fitted"]
 
 _ROUNDS = 20
 _STILL_MM, _STILL_PERCENTILE = 0.1, 25
@@ -34,10 +38,17 @@ class TransferOptions:
     """First lay A's expression rigidly on A at rest, by what did not move."""
     reach_mm: float = 12.0
     """Over which local frames are smoothed."""
+    correspondence: Correspondence = "auto"
+    """"as-fitted" believes that A's two fits put each vertex on one point of the skin; "refined" fits A at
+    rest to the surface with the expression; "auto" refines faces on the model's own mesh, and no others."""
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
             raise ValueError(f"method is {self.method!r}, expected one of {get_args(Method)}")
+        if self.correspondence not in get_args(Correspondence):
+            raise ValueError(
+                f"correspondence is {self.correspondence!r}, expected one of {get_args(Correspondence)}"
+            )
         if not (np.isfinite(self.strength) and np.isfinite(self.reach_mm) and self.reach_mm > 0):
             raise ValueError(f"strength and reach_mm must be finite and reach_mm above 0, got {self}")
 
@@ -48,6 +59,7 @@ def transfer_expression(
     neutral_b: ProcessedFace,
     *,
     options: TransferOptions = TransferOptions(),
+    model: AnnotatedFaceModel | None = None,
 ) -> ProcessedFace:
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
@@ -58,17 +70,23 @@ def transfer_expression(
     neutral_a, expression_a, neutral_b : ProcessedFace
         Of one model and size.
     options : TransferOptions
+    model : AnnotatedFaceModel, optional
+        With which the faces were processed; the default model when omitted.
 
     Raises
     ------
     ApplicationError
-        When the faces do not share a chart.
+        When the faces do not share a chart; when the correspondence is to be refined and they are not on
+        the model's mesh.
 
     Notes
     -----
     Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out. On
     light-stage shapes addition errs less than local frames do, so it is the default; local frames carry over
-    to a head that is turned or of another size. Best fit A's expression with `personal_model` of A at rest.
+    to a head that is turned or of another size.
+
+    A's two fits slide along the skin each in its own way, which is most of the error; see
+    `refined_expression` for what is done about it.
 
     References
     ----------
@@ -76,7 +94,7 @@ def transfer_expression(
        to face recognition", section on applications: arithmetic of geometry images.
     """
     a, smiling, b = on_common_chart(neutral_a, expression_a, neutral_b)
-    moved = expression_displacement(a.mesh, smiling.mesh, b.mesh, options=options)
+    moved = expression_displacement(a.mesh, smiling.mesh, b.mesh, options=options, model=model)
     mask, mesh = b.mask, replace(b.mesh, vertices=b.mesh.vertices + moved)
     position = b.image.position[mask] + b.mesh.on_chart(moved, mask)
     return b.reshaped(mesh, position, f"{b.name}+{smiling.name}")
@@ -88,6 +106,7 @@ def expression_displacement(
     neutral_b: FaceMesh,
     *,
     options: TransferOptions = TransferOptions(),
+    model: AnnotatedFaceModel | None = None,
 ) -> FloatArray:
     """Return (V, 3) mm by which each vertex of B moves.
 
@@ -96,15 +115,47 @@ def expression_displacement(
     neutral_a, expression_a, neutral_b : FaceMesh
         The same triangles.
     options : TransferOptions
+    model : AnnotatedFaceModel, optional
+        Whose mesh it is; the default model when omitted.
+
+    Raises
+    ------
+    ApplicationError
+        When the correspondence is to be refined and the mesh is not the model's.
     """
-    rest, moved = neutral_a.vertices, expression_a.vertices
-    if options.align:
-        moved = laid_on_what_is_still(moved, rest)
+    lay = laid_on_what_is_still if options.align else _as_it_lies
+    rest, moved = neutral_a.vertices, lay(expression_a.vertices, neutral_a.vertices)
+    level = level_to_refine(neutral_a, options, model)
+    if level is not None:
+        given = model or AnnotatedFaceModel.default()
+        moved = lay(refined_expression(neutral_a, moved, given, level), rest)
     displacement = options.strength * (moved - rest)
     if options.method == "addition":
         return displacement
     carried = local_similarities(rest, neutral_b.vertices, neutral_a.faces, options.reach_mm)
     return np.einsum("vij,vj->vi", carried, displacement)
+
+
+def level_to_refine(
+    neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedFaceModel | None = None
+) -> int | None:
+    """Return the refinement of the model that the mesh is; None where A's fits are taken as they are.
+
+    Raises
+    ------
+    ApplicationError
+        When the correspondence is to be refined and the mesh is not the model's.
+    """
+    if options.correspondence == "as-fitted":
+        return None
+    given = model or AnnotatedFaceModel.default()
+    level = refinement_level(neutral_a, given)
+    if level is None and options.correspondence == "refined":
+        raise ApplicationError(
+            f"the correspondence cannot be refined: the faces are not on the mesh of {given.name!r}; give "
+            'the model that they were processed with, or take correspondence "as-fitted"'
+        )
+    return level
 
 
 def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
@@ -122,3 +173,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
         if np.abs(placed - before).max() < 1e-4:
             break
     return placed
+
+
+def _as_it_lies(moved: FloatArray, rest: FloatArray) -> FloatArray:
+    return moved

@@ -14,9 +14,9 @@ def personal_model(fitted: FittedFace) -> AnnotatedFaceModel:
     """Return the fitted face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
-    itself. An expression that starts from the person's own face at rest, and not from the model's, ends with
-    what did not move where it was: on a light-stage smile that `transfer_expression` carries to another
-    person, the mean error of points falls from 1.7 to 1.4 mm.
+    itself. An expression that starts from the person's own face at rest, and not from the model's, mostly
+    ends with what did not move where it was. For `transfer_expression` there is no need of it: that finds out
+    which points correspond by itself, and better (the figures are with `refined_expression`).
 
     Parameters
     ----------

@@ -108,6 +108,14 @@ class JawHinge:
         missing = self._turned(self.limit @ control_points, angle_deg) - self.limit @ turned
         return turned + self._from_limit(self.limit.T @ missing)
 
+    def angle_deg(self, rest: FloatArray, moved: FloatArray) -> float:
+        """Return the median angle by which the jaw's surface turned from control points `rest` to `moved`."""
+        jaw = self.weight > JAW_WEIGHT
+        _, y, z = ((self.limit @ rest)[jaw] - self.center).T
+        _, v, w = ((self.limit @ moved)[jaw] - self.center).T
+        turned = np.arctan2(y * w - z * v, y * v + z * w)
+        return float(np.rad2deg(np.median(turned / self.weight[jaw])))
+
     def _turned(self, points: FloatArray, angle_deg: float) -> FloatArray:
         angle = np.deg2rad(angle_deg) * self.weight
         _, y, z = (points - self.center).T

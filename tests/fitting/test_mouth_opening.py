@@ -32,6 +32,13 @@ def test_the_jaw_turns_and_the_upper_face_stays(ict):
     np.testing.assert_allclose(hinge.opened(model.control_vertices, 0), model.control_vertices, atol=1e-9)
 
 
+@pytest.mark.parametrize("angle", [0.0, 5.0, 20.0])
+def test_the_angle_of_a_turned_jaw_is_read_off(ict, angle):
+    rest = ict.model.control_vertices
+    hinge = JawHinge.of(ict.model, rest)
+    assert hinge.angle_deg(rest, hinge.opened(rest, angle)) == pytest.approx(angle, abs=0.2)
+
+
 @pytest.mark.parametrize("angle", [0.0, 12.0, 20.0])
 def test_the_search_finds_the_angle_of_an_opened_model(ict, angle):
     model = ict.model
