@@ -12,12 +12,12 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from scan2albedo.applications.records import ApplicationRecord
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile
 from scan2albedo.eyeglasses.files.label_files import LabelsFile
 from scan2albedo.eyeglasses.files.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.io.application_json import ApplicationRecord
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
 from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord

@@ -174,6 +174,7 @@ def test_the_glb_shines_by_itself_and_keeps_its_place(person, tmp_path):
     [
         (PointLight(0, 0, intensity=np.nan), "must be finite"),
         (PointLight(np.inf, 0), "must be finite"),
+        (PointLight(0, 0, intensity=-0.5), "0 or more"),
         (PointLight(0, 0, distance_mm=30.0), "place it outside"),
         (PointLight(0, 0, distance_mm=-1.0), "place it outside"),
     ],
@@ -186,12 +187,20 @@ def test_impossible_lights_are_refused(person, light, words):
 def test_misuse_is_told(person):
     with pytest.raises(ApplicationError, match="ambient"):
         relight(person(0), ambient=np.nan)
+    with pytest.raises(ApplicationError, match="not negative"):
+        relight(person(0), ambient=-0.1)
     with pytest.raises(ValueError, match="environment_linear"):
         relight(person(0), environment_linear=np.ones((4, 8)))
     with pytest.raises(ValueError, match="view_direction"):
         relight(person(0), options=RelightOptions(view_direction=(0, 0, 0)))
     with pytest.raises(ValueError, match="elevation"):
         default_camera(person(0), elevation_rad=np.pi / 2)
+    with pytest.raises(ValueError, match="azimuth"):
+        default_camera(person(0), azimuth_rad=np.nan)
+    with pytest.raises(ValueError, match="1 sample or more"):
+        relight(person(0)).picture(samples=0)
+    with pytest.raises(ValueError, match="exposure is -1"):
+        relight(person(0)).picture(shape=(8, 8)).srgb(-1)
     with pytest.raises(ApplicationError, match="albedo is"):
         replace(person(0), albedo_linear=np.ones((4, 4, 3)))
     spoilt = person(0).albedo_linear.copy()
