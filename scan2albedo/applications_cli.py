@@ -1,4 +1,4 @@
-"""The commands for processed faces: relight, swap, blend, transfer-expression."""
+"""The commands for processed faces: relight, swap, blend, transfer-expression, personal-model."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ def add_commands(app: typer.Typer) -> None:
     app.command()(swap)
     app.command()(blend)
     app.command("transfer-expression")(transfer_expression)
+    app.command("personal-model")(personal_model)
 
 
 def swap(
@@ -84,6 +85,37 @@ def transfer_expression(
     faces = [load(neutral_a), load(expression_a), load(neutral_b)]
     made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options)
     _finish(made, out, "transfer-expression", faces, {"method": method, "strength": strength}, json_summary)
+
+
+def personal_model(
+    result: Annotated[Path, typer.Argument(help="Folder of the person's processed scan at rest.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The model: a .json file, and .npz beside it.")],
+    model: Annotated[
+        str, typer.Option(help="What the scan was processed with: a model's file, a mesh, or 'default'.")
+    ] = "default",
+    json_summary: JsonOption = False,
+) -> None:
+    """Make a model of one person, for process --model on other scans of the same person.
+
+    Expressions then start from the person's own face at rest, which transfer-expression gains by; the chart
+    stays, so results go with those of the model itself.
+    """
+    from scan2albedo import applications
+    from scan2albedo.pipeline import chosen_model
+
+    if out.suffix.lower() != ".json":
+        raise typer.BadParameter(f"-o takes a name that ends in .json, not {out}")
+    if out.resolve() == Path(model).resolve():
+        raise typer.BadParameter(f"-o {out} is the model itself; choose another name")
+    template = chosen_model(model)
+    if template is None:
+        raise typer.BadParameter("--model none has no shape to make a person's of")
+    face = applications.load_result(result)
+    stop_cleanly_on_interrupt(None)
+    applications.personal_model(face, template).save(out)
+    typer.echo(f"{face.name}: personal model in {out}", err=True)
+    if json_summary:
+        echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
 
 
 def _new_folder(out: Path, inputs: list[Path]) -> None:

@@ -186,6 +186,20 @@ def test_bad_input_is_one_line_and_exit_2(folders, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+def test_personal_models_are_refused_where_they_cannot_be_made(folders, tmp_path):
+    for arguments, words in (
+        (("-o", tmp_path / "model.npz"), "ends in .json"),
+        (("-o", tmp_path / "model.json", "--model", tmp_path / "model.json"), "the model itself"),
+        (("-o", tmp_path / "model.json", "--model", "none"), "no shape"),
+    ):
+        done = run("personal-model", folders / "a", *arguments)
+        assert done.exit_code == 2
+        assert words in " ".join(done.output.replace("│", " ").split())
+    done = run("personal-model", folders / "a", "-o", tmp_path / "model.json")
+    assert "processed with the model 'default', not" in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_processed_scan_is_not_written_over(folders, tmp_path):
     (tmp_path / "result.json").write_text("{}")
     made = load_result(folders / "a")
