@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 DISTANCE_MM = 700.0
 """From the default camera to the middle of the face: a portrait's."""
 _MARGIN = 1.12
+_TESSELLATION = 0.75
+"""Between flat triangles, 0, and the mean of the tangent planes at their corners, 1."""
 _BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
 """Where automatic exposure puts which percentile of the brightest channel."""
 
@@ -150,7 +152,7 @@ def photograph(
     projection, fine = normalized_cameras(given[None])[0], (shape[0] * samples, shape[1] * samples)
     mesh = face.mesh
     sample, corners, weight, through = _visible_samples(mesh, projection, fine, samples)
-    position = np.einsum("nk,nkc->nc", weight, mesh.vertices[corners])
+    position = _curved(mesh, corners, weight)
     normal = normalized(np.einsum("nk,nkc->nc", weight, mesh.normals[corners]))
     occluder = RayCaster(*face.image.occluder_mesh()) if shadows else None
     shadow_map = ShadowMap(occluder, position, normal, face.shadow_offset_mm)
@@ -160,6 +162,25 @@ def photograph(
     color[sample, :3], color[sample, 3] = albedo * lit.diffuse + lit.specular, 1.0
     pooled = _pooled(color.reshape(*fine, 4), samples)
     return Picture(pooled[..., :3], pooled[..., 3])
+
+
+def _curved(mesh: FaceMesh, corners: NDArray[np.int64], weight: FloatArray) -> FloatArray:
+    """Return (N, 3) the points of a mesh at barycentric coordinates (N, 3) of triangles (N, 3).
+
+    The triangles between texels cut under the surface they stand for, and its finer occluder would shade
+    them: points of a chart's mesh are lifted to the surface that the normals tell (Phong tessellation [1]_).
+
+    References
+    ----------
+    .. [1] T. Boubekeur, M. Alexa, "Phong tessellation", ACM Transactions on Graphics 27(5), 2008.
+    """
+    vertices = mesh.vertices[corners]
+    flat = np.asarray(np.einsum("nk,nkc->nc", weight, vertices))
+    if not mesh.from_chart:
+        return flat
+    normals = mesh.normals[corners]
+    below = np.einsum("nkc,nkc->nk", vertices - flat[:, None], normals)
+    return flat + _TESSELLATION * np.einsum("nk,nk,nkc->nc", weight, below, normals)
 
 
 def _visible_samples(

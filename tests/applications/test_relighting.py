@@ -184,6 +184,21 @@ def test_impossible_lights_are_refused(person, light, words):
         relight(person(0), [light])
 
 
+@pytest.mark.parametrize("azimuth", [20, 60])
+def test_a_coarse_chart_is_not_shaded_by_the_finer_surface_it_stands_for(azimuth):
+    """A ball of 24 x 24 texels inside the true one: it is convex, so nothing shades it."""
+    scene, ball = hemisphere(size=24), trimesh.creation.icosphere(5, 80.0)
+    image = replace(scene.image, occluder=(ball.vertices, ball.faces))
+    face = ProcessedFace.of("ball", image, np.ones((24, 24, 3)))
+    cast, attached = (
+        relight(face, [light_at(azimuth)], options=RelightOptions(shadows=shadows))
+        .picture(shape=(64, 64), samples=1)
+        .linear
+        for shadows in (True, False)
+    )
+    np.testing.assert_array_equal(cast, attached)
+
+
 def test_misuse_is_told(person):
     with pytest.raises(ApplicationError, match="ambient"):
         relight(person(0), ambient=np.nan)
