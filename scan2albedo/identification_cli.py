@@ -55,7 +55,10 @@ def identify(
     from scan2albedo.identification_files import identification_record, write_identification
     from scan2albedo.progress import ProgressLines
     from scan2albedo.recognition import identify_results, read_labelled_templates, write_templates
+    from scan2albedo.result_files import check_writable
 
+    if out is not None:
+        check_writable(out)
     with ProgressLines("identify") as progress:
         known = read_labelled_templates(
             gallery,

@@ -146,4 +146,10 @@ def test_bad_input_is_one_line_and_exit_2(folder, tmp_path):
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "lacks the column person" in done.stderr
-    assert not (tmp_path / "out").exists()
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_read(folder, tmp_path):
+    (tmp_path / "file").touch()
+    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "file", gallery="none.csv")
+    assert isinstance(done.exception, OutputError)
