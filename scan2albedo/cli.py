@@ -22,6 +22,7 @@ from scan2albedo.cli_tools import (
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments_cli import app as experiments_app
 from scan2albedo.glasses_cli import app as glasses_app
+from scan2albedo.identification_cli import identify
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -33,6 +34,7 @@ app = typer.Typer(
 app.add_typer(glasses_app, name="glasses")
 app.add_typer(experiments_app, name="experiment")
 add_commands(app)
+app.command()(identify)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]

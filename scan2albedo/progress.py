@@ -63,6 +63,25 @@ class ProgressLines:
             self._stage, self._last_plain = row.stage, now
             self.say(f"{self._name}: {row.stage} ... {row.error:.4g} {row.unit}")
 
+    def count(self, stage: str, done: int, total: int) -> None:
+        """Show how many things of a stage are done."""
+        if self._bar is not None:
+            text = f"{done} of {total}"
+            self._bar.update(
+                self._task,
+                description=f"{self._name}: {stage}",
+                completed=done,
+                total=total,
+                error=text,
+            )
+            return
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._last_plain = stage, now
+        elif now - self._last_plain > PLAIN_INTERVAL_S:
+            self._last_plain = now
+            self.say(f"{self._name}: {stage} ... {done} of {total}")
+
     def say(self, line: str) -> None:
         """Print a line that stays."""
         self._console.print(line, highlight=False, markup=False, soft_wrap=True)

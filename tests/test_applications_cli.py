@@ -145,6 +145,35 @@ def test_wrong_options_are_usage_errors(folders, tmp_path, arguments, words):
     assert not (tmp_path / "out.png").exists()
 
 
+@pytest.mark.parametrize("weight", ["-0.1", "1.5", "nan"])
+def test_weights_are_parts(folders, tmp_path, weight):
+    done = run("blend", folders / "a", folders / "b", "--weight", weight, "-o", tmp_path / "new")
+    assert done.exit_code == 2
+    assert "--weight is" in done.output
+
+
+@pytest.mark.parametrize(
+    ("command", "inputs"),
+    [("swap", ("a", "b")), ("blend", ("a", "b")), ("transfer-expression", ("a", "a_smiling", "b"))],
+)
+def test_an_input_is_not_written_over(folders, command, inputs):
+    before = (folders / "b" / "albedo.exr").read_bytes()
+    done = run(command, *(folders / name for name in inputs), "-o", folders / "a" / ".." / "b")
+    assert done.exit_code == 2
+    assert "one of the inputs" in " ".join(done.output.replace("│", " ").split())
+    assert (folders / "b" / "albedo.exr").read_bytes() == before
+
+
+def test_relight_leaves_the_result_as_it_is(folders):
+    before = (folders / "a" / "albedo.exr").read_bytes()
+    shown = run("relight", folders / "a", "--light", "0,0", "-o", folders / "a" / "albedo.exr")
+    swept = run("relight", folders / "a", "--sweep", 2, "-o", folders / "a")
+    assert (shown.exit_code, swept.exit_code) == (2, 2)
+    assert "processed scan itself" in " ".join(shown.output.replace("│", " ").split())
+    assert (folders / "a" / "albedo.exr").read_bytes() == before
+    assert not list((folders / "a").glob("frame_*"))
+
+
 def test_wrong_extensions_are_usage_errors(folders, tmp_path):
     assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out.bmp").exit_code == 2
     assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out").exit_code == 2
@@ -166,6 +195,20 @@ def test_bad_input_is_one_line_and_exit_2(folders, tmp_path):
     assert done.stderr.count("\n") == 1
     assert "result.json: is missing" in done.stderr
     assert not (tmp_path / "new").exists()
+
+
+def test_personal_models_are_refused_where_they_cannot_be_made(folders, tmp_path):
+    for arguments, words in (
+        (("-o", tmp_path / "model.npz"), "ends in .json"),
+        (("-o", tmp_path / "model.json", "--model", tmp_path / "model.json"), "the model itself"),
+        (("-o", tmp_path / "model.json", "--model", "none"), "no shape"),
+    ):
+        done = run("personal-model", folders / "a", *arguments)
+        assert done.exit_code == 2
+        assert words in " ".join(done.output.replace("│", " ").split())
+    done = run("personal-model", folders / "a", "-o", tmp_path / "model.json")
+    assert "processed with the model 'default', not" in str(done.exception)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_processed_scan_is_not_written_over(folders, tmp_path):

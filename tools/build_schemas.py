@@ -12,13 +12,14 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from scan2albedo.applications.records import ApplicationRecord
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile
 from scan2albedo.eyeglasses.files.label_files import LabelsFile
 from scan2albedo.eyeglasses.files.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.io.application_json import ApplicationRecord
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
+from scan2albedo.io.identification_json import IdentificationRecord
 from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
@@ -30,6 +31,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "registration": RegistrationRecord,
     "annotated_face_model": FaceModelFile,
     "application": ApplicationRecord,
+    "identification": IdentificationRecord,
     "cameras": CamerasFile,
     "canonical_eyeglasses": CanonicalFrameRecord,
     "canonical_eyeglasses_set": CanonicalSetRecord,

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.compatibility import on_common_chart
 from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.applications.skin_continuation import continued, trusted
 from scan2albedo.errors import ApplicationError
 from scan2albedo.lighting.asrm import Reflectance
 
-_FEATHER = 0.03
-"""Width of the border between two textures, as a part of the image's side."""
-_LEAST_TRUST = 0.02
-"""In a texture that was not seen, so that a face keeps its own where the other has little say."""
+_MARGIN = 2
+"""Texels beside badly seen ones that are not trusted either."""
+_OWN_END = 0.05
+"""Within this weight of an end a face gets its badly seen texels back, so that the ends are the faces."""
 
 
 def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> ProcessedFace:
@@ -25,7 +26,8 @@ def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> Proc
     Positions are blended linearly on the chart that both share; normals follow the new surface; the albedos
     are brought to one level, between theirs geometrically, and then blended linearly: their own levels only
     tell how the scans were exposed, and the brighter scan would win otherwise. Where the texture of one was
-    not seen, the other's takes most of its part, over a feathered border.
+    not seen, hair over a temple for instance, the detail of the other is continued in its colours, as in
+    `swap_texture`; where neither was, the colour is continued smoothly.
 
     Parameters
     ----------
@@ -60,8 +62,7 @@ def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> Proc
         texture_valid=a.image.seen & b.image.seen,
         specular_scale=_between_maps(a.image.specular_scale, b.image.specular_scale, weight),
     )
-    part = _part_of_b(a, b, weight)[..., None]
-    albedo = _between(gains[0] * a.albedo_linear, gains[1] * b.albedo_linear, part)
+    albedo = _between(gains[0] * _whole_skin(a, b, weight), gains[1] * _whole_skin(b, a, 1 - weight), weight)
     return replace(
         shaped,
         name=f"{a.name}+{b.name}",
@@ -76,21 +77,13 @@ def _between(a: NDArray, b: NDArray, weight: float | NDArray[np.float64]) -> NDA
     return np.asarray((1 - weight) * a + weight * b, np.float64)
 
 
-def _part_of_b(a: ProcessedFace, b: ProcessedFace, weight: float) -> NDArray[np.float64]:
-    """Return (H, W) w c_B / ((1 - w) c_A + w c_B), c the trust in each texture."""
-    trust_a, trust_b = _trust(a), _trust(b)
-    return weight * trust_b / ((1 - weight) * trust_a + weight * trust_b)
-
-
-def _trust(face: ProcessedFace) -> NDArray[np.float64]:
-    """Return (H, W) 1 far from badly seen texels, falling to little on them."""
-    from scipy.ndimage import distance_transform_edt
-
-    unseen = face.mask & ~face.image.seen
-    if not unseen.any():
-        return np.ones(face.mask.shape)
-    away = distance_transform_edt(~unseen)
-    return np.clip(away / (_FEATHER * max(face.mask.shape)), _LEAST_TRUST, 1.0)
+def _whole_skin(face: ProcessedFace, other: ProcessedFace, weight: float) -> NDArray[np.float64]:
+    """Return (H, W, 3) the albedo, continued where it was badly seen unless `weight` of `other` is low."""
+    own, known = face.albedo_linear.astype(np.float64), trusted(face, _MARGIN)
+    share = min(weight / _OWN_END, 1.0)
+    if share == 0:
+        return own
+    return _between(own, continued(own, known, other, trusted(other, _MARGIN)), share)
 
 
 def _between_maps(a: NDArray | None, b: NDArray | None, weight: float) -> NDArray | None:

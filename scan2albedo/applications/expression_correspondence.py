@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.applications.model_surface import limit_control_points
 from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting import FitOptions, fit
-from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
-from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.io.raw_scan import RawScan
 
 FloatArray = NDArray[np.float64]
@@ -29,7 +28,6 @@ REFIT = FitOptions(
 )
 """One person twice, in one frame, without noise: pose, size and proportions are known, and nothing along the
 surface is to be believed but what keeps the sheet smooth."""
-_MOST_LEVELS = 4
 
 
 def refined_expression(
@@ -84,24 +82,6 @@ def refined_expression(
     scan = RawScan(subdivision.matrix @ as_fitted, rest.faces[skin], name="the face with the expression")
     fitted = fit(scan, start, np.eye(4), options=REFIT)
     return np.asarray(rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest))
-
-
-def refinement_level(mesh: FaceMesh, model: AnnotatedFaceModel) -> int | None:
-    """Return how often the model's control mesh is refined to these triangles; None when they are others."""
-    for level in range(_MOST_LEVELS + 1):
-        if len(mesh.faces) == len(model.control_faces) * 4**level:
-            same = np.array_equal(model.subdivision(level).faces, mesh.faces)
-            return level if same else None
-    return None
-
-
-def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:
-    """Return the control points c (C, 3) whose limit surface S c is nearest to the vertices (V, 3).
-
-    S^T S c = S^T v; exact where the vertices come from control points.
-    """
-    matrix = subdivision.matrix
-    return factorized(matrix.T @ matrix)(matrix.T @ vertices)
 
 
 def _with_jaw_turned(model: AnnotatedFaceModel, at_rest: FloatArray, as_fitted: FloatArray) -> FloatArray:

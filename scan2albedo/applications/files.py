@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scan2albedo import __version__
 from scan2albedo.applications.pictures import auto_exposure, padded
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.applications.records import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.applications.relighting import relight
 from scan2albedo.errors import OutputError
+from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import write_geometry_image
@@ -27,6 +27,25 @@ from scan2albedo.staging import publish, staging_folder, telling_where
 
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
+
+
+SCAN_FILE = "result.json"
+FILES = frozenset(
+    {"application.json", "geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "picture.png"}
+)
+"""Every file of a face that an application made."""
+
+
+def check_face_folder(folder: Path) -> None:
+    """Refuse the folder of a processed scan, which a new face would spoil.
+
+    Raises
+    ------
+    OutputError
+        Naming it.
+    """
+    if (folder / SCAN_FILE).exists():
+        raise OutputError(f"{folder}: is the folder of a processed scan; choose another for the new face")
 
 
 def write_face(
@@ -48,8 +67,7 @@ def write_face(
         When the folder cannot be written, or is that of a processed scan.
     """
     target = Path(folder)
-    if (target / "result.json").exists():
-        raise OutputError(f"{target}: is the folder of a processed scan; choose another for the new face")
+    check_face_folder(target)
     with telling_where(target), staging_folder(make_folder(target), "face") as staging:
         _write_images(face, staging)
         written = sorted(path.name for path in staging.iterdir())

@@ -16,6 +16,7 @@ from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.io.atomic import make_folder, write_bytes
 from scan2albedo.io.images import write_png
 from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.staging import publish, staging_folder, telling_where
 
 
 def light_arc(
@@ -29,11 +30,18 @@ def light_arc(
 ) -> list[PointLight]:
     """Return `count` places of a light that goes around the face from one azimuth to another.
 
+    Raises
+    ------
+    ValueError
+        Without a place, or for angles that are not finite.
+
     >>> [round(math.degrees(light.azimuth_rad)) for light in light_arc(3)]
     [-75, 0, 75]
     """
     if count < 1:
         raise ValueError(f"count must be 1 or more, got {count}")
+    if not np.isfinite([first_rad, last_rad, elevation_rad]).all():
+        raise ValueError(f"angles must be finite, got {first_rad}, {last_rad} and {elevation_rad}")
     return [
         PointLight(float(azimuth), elevation_rad, distance_mm, intensity)
         for azimuth in np.linspace(first_rad, last_rad, count)
@@ -61,23 +69,38 @@ def sweep(
 
 
 def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[NDArray[np.uint8]]:
-    """Return (H, W, 3) sRGB bytes of pictures at one exposure: the brightest one's when None."""
+    """Return (H, W, 3) sRGB bytes of pictures at one exposure: the brightest one's when None.
+
+    Raises
+    ------
+    ValueError
+        Without a picture, or for an exposure that is not finite and above 0.
+    """
+    if not pictures:
+        raise ValueError("an animation needs a frame at least")
     factor = min(picture.auto_exposure() for picture in pictures) if exposure is None else exposure
     return [picture.srgb(factor) for picture in pictures]
 
 
 def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> list[Path]:
-    """Write frames as ``frame_000.png`` and so on into a folder; return the files.
+    """Write frames as ``frame_000.png`` and so on into a folder, all or none; return the files.
+
+    Frames that an earlier sweep left in the folder are removed, so that all of them are of this one. They
+    become a film with, for instance, ``ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4``.
 
     Raises
     ------
     OutputError
         When the folder cannot be written.
     """
-    files = [make_folder(folder) / f"frame_{k:03d}.png" for k in range(len(frames))]
-    for file, frame in zip(files, frames, strict=True):
-        write_png(file, frame)
-    return files
+    target, names = Path(folder), [f"frame_{k:03d}.png" for k in range(len(frames))]
+    with telling_where(target), staging_folder(make_folder(target), "frames") as staging:
+        for name, frame in zip(names, frames, strict=True):
+            write_png(staging / name, frame)
+        for old in target.glob("frame_[0-9]*.png"):
+            old.unlink()
+        publish(staging, target)
+    return [target / name for name in names]
 
 
 def write_gif(
@@ -90,12 +113,17 @@ def write_gif(
     OutputError
         When the folder cannot be written.
     ValueError
-        Without frames.
+        Without frames, for frames of different sizes, or a time that is not above 0.
     """
     from PIL import Image
 
     if not frames:
         raise ValueError("an animation needs a frame at least")
+    if len({np.shape(frame) for frame in frames}) > 1 or not 0 < seconds_per_frame < math.inf:
+        raise ValueError(
+            f"frames have shapes {sorted({np.shape(frame) for frame in frames})} and {seconds_per_frame} "
+            "seconds each, expected one shape and a time above 0"
+        )
     shown = [Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1])]
     data = BytesIO()
     shown[0].save(

@@ -11,8 +11,8 @@ import numpy as np
 
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
-from scan2albedo.applications.records import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.errors import ApplicationError, Scan2AlbedoError
+from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.images import read_image_linear

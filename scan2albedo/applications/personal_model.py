@@ -5,13 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ApplicationError
+
 if TYPE_CHECKING:
+    from scan2albedo.applications.processed_face import ProcessedFace
     from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.fitting import FittedFace
 
+_SAME_SURFACE_MM = 0.05
+"""A surface farther than this from one of the model is of another model."""
 
-def personal_model(fitted: FittedFace) -> AnnotatedFaceModel:
-    """Return the fitted face's model with the control points that the fit found.
+
+def personal_model(
+    face: FittedFace | ProcessedFace, model: AnnotatedFaceModel | None = None
+) -> AnnotatedFaceModel:
+    """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
     itself. An expression that starts from the person's own face at rest, and not from the model's, mostly
@@ -20,8 +31,16 @@ def personal_model(fitted: FittedFace) -> AnnotatedFaceModel:
 
     Parameters
     ----------
-    fitted : FittedFace
-        Of the person at rest.
+    face : FittedFace or ProcessedFace
+        Of the person at rest. Files hold the fitted surface and not its control points: for what
+        `load_result` reads, they are solved for by least squares, S P = vertices, S the subdivision's matrix.
+    model : AnnotatedFaceModel, optional
+        Of the fit; a FittedFace knows its own, for other faces the default model when omitted.
+
+    Raises
+    ------
+    ApplicationError
+        When the face was not fitted with that model.
 
     Examples
     --------
@@ -30,4 +49,31 @@ def personal_model(fitted: FittedFace) -> AnnotatedFaceModel:
     ...     at_rest = s2a.process(rest)
     ...     return at_rest, s2a.process(smiling, model=s2a.applications.personal_model(at_rest.fitted))
     """
-    return replace(fitted.model, control_vertices=fitted.control_points)
+    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.fitting import FittedFace
+
+    if isinstance(face, FittedFace):
+        return replace(face.model, control_vertices=face.control_points)
+    template = AnnotatedFaceModel.default() if model is None else model
+    if face.model_name != template.name:
+        raise ApplicationError(
+            f"{face.name}: was processed with the model {face.model_name!r}, not {template.name!r}; give "
+            "that model"
+        )
+    return replace(template, control_vertices=_control_points(face, template))
+
+
+def _control_points(face: ProcessedFace, model: AnnotatedFaceModel) -> NDArray[np.float64]:
+    """Return (C, 3) mm: the control points whose limit surface is the face's."""
+    from scan2albedo.applications.model_surface import limit_control_points, refinement_level
+
+    level = refinement_level(face.mesh, model)
+    if level is not None:
+        subdivision = model.subdivision(level)
+        points = limit_control_points(face.mesh.vertices, subdivision)
+        if np.abs(subdivision.matrix @ points - face.mesh.vertices).max() < _SAME_SURFACE_MM:
+            return points
+    raise ApplicationError(
+        f"{face.name}: its surface is none of the model {model.name!r}; give the folder of a scan that was "
+        "processed with this very model"
+    )

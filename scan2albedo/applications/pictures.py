@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 DISTANCE_MM = 700.0
 """From the default camera to the middle of the face: a portrait's."""
 _MARGIN = 1.12
+_TESSELLATION = 0.75
+"""Between flat triangles, 0, and the mean of the tangent planes at their corners, 1."""
 _BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
 """Where automatic exposure puts which percentile of the brightest channel."""
 
@@ -51,8 +53,14 @@ class Picture:
         return auto_exposure(self.linear[self.alpha > 0])
 
     def srgb(self, exposure: float | None = None, background: float = 1.0) -> NDArray[np.uint8]:
-        """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None."""
-        factor = self.auto_exposure() if exposure is None else exposure
+        """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None.
+
+        Raises
+        ------
+        ValueError
+            For an exposure that is not finite and above 0.
+        """
+        factor = self.auto_exposure() if exposure is None else checked_exposure(exposure)
         shown = np.clip(factor * self.linear, 0, self.alpha[..., None])
         return encode_srgb_bytes(shown + background * (1 - self.alpha[..., None]))
 
@@ -62,6 +70,13 @@ def auto_exposure(linear: ArrayLike) -> float:
     brightest = np.asarray(linear).reshape(-1, 3).max(-1)
     bright = float(np.percentile(brightest, _BRIGHT_PERCENTILE)) if len(brightest) else 0.0
     return _BRIGHT / bright if bright > 0 else 1.0
+
+
+def checked_exposure(exposure: float) -> float:
+    """Return an exposure; raises ValueError unless it is finite and above 0."""
+    if not (np.isfinite(exposure) and exposure > 0):
+        raise ValueError(f"exposure is {exposure}, expected a finite number above 0")
+    return exposure
 
 
 def default_camera(
@@ -80,9 +95,18 @@ def default_camera(
         Of the picture.
     azimuth_rad, elevation_rad : float
         Of the camera seen from the face: from +z toward +x, and toward +y; it may not be right above.
+
+    Raises
+    ------
+    ValueError
+        For an azimuth that is not finite, an elevation beyond 89 degrees, or a shape below 2 pixels.
     """
     if not abs(elevation_rad) < np.deg2rad(89):
         raise ValueError(f"elevation_rad is {elevation_rad}, expected between -89 and 89 degrees")
+    if not np.isfinite(azimuth_rad) or min(shape) < 2:
+        raise ValueError(
+            f"azimuth_rad is {azimuth_rad} and shape {shape}, expected a finite angle and 2 pixels or more"
+        )
     low, high = face.mesh.vertices.min(0), face.mesh.vertices.max(0)
     middle, horizontal = (low + high) / 2, np.cos(elevation_rad)
     toward = np.array(
@@ -116,12 +140,19 @@ def photograph(
         On each side of a pixel; their mean is the pixel.
     shadows : bool
         Cast shadows, beside attached ones.
+
+    Raises
+    ------
+    ValueError
+        For a camera that is none, a shape below 2 pixels, or no sample.
     """
+    if min(shape) < 2 or samples < 1:
+        raise ValueError(f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more")
     given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
     projection, fine = normalized_cameras(given[None])[0], (shape[0] * samples, shape[1] * samples)
     mesh = face.mesh
     sample, corners, weight, through = _visible_samples(mesh, projection, fine, samples)
-    position = np.einsum("nk,nkc->nc", weight, mesh.vertices[corners])
+    position = _curved(mesh, corners, weight)
     normal = normalized(np.einsum("nk,nkc->nc", weight, mesh.normals[corners]))
     occluder = RayCaster(*face.image.occluder_mesh()) if shadows else None
     shadow_map = ShadowMap(occluder, position, normal, face.shadow_offset_mm)
@@ -131,6 +162,25 @@ def photograph(
     color[sample, :3], color[sample, 3] = albedo * lit.diffuse + lit.specular, 1.0
     pooled = _pooled(color.reshape(*fine, 4), samples)
     return Picture(pooled[..., :3], pooled[..., 3])
+
+
+def _curved(mesh: FaceMesh, corners: NDArray[np.int64], weight: FloatArray) -> FloatArray:
+    """Return (N, 3) the points of a mesh at barycentric coordinates (N, 3) of triangles (N, 3).
+
+    The triangles between texels cut under the surface they stand for, and its finer occluder would shade
+    them: points of a chart's mesh are lifted to the surface that the normals tell (Phong tessellation [1]_).
+
+    References
+    ----------
+    .. [1] T. Boubekeur, M. Alexa, "Phong tessellation", ACM Transactions on Graphics 27(5), 2008.
+    """
+    vertices = mesh.vertices[corners]
+    flat = np.asarray(np.einsum("nk,nkc->nc", weight, vertices))
+    if not mesh.from_chart:
+        return flat
+    normals = mesh.normals[corners]
+    below = np.einsum("nkc,nkc->nk", vertices - flat[:, None], normals)
+    return flat + _TESSELLATION * np.einsum("nk,nk,nkc->nc", weight, below, normals)
 
 
 def _visible_samples(

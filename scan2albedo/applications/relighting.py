@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.applications.pictures import Picture, auto_exposure, padded, photograph
+from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, padded, photograph
 from scan2albedo.applications.processed_face import ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
 from scan2albedo.errors import ApplicationError
@@ -69,9 +69,11 @@ class RelitFace:
         ------
         OutputError
             When the folder cannot be written.
+        ValueError
+            For an exposure that is not finite and above 0.
         """
         mask = self.face.mask
-        factor = auto_exposure(self.texture_linear[mask]) if exposure is None else exposure
+        factor = auto_exposure(self.texture_linear[mask]) if exposure is None else checked_exposure(exposure)
         texture = encode_srgb_bytes(np.clip(factor * padded(self.texture_linear, mask), 0, 1))
         mesh = self.face.mesh
         write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True)
@@ -111,7 +113,7 @@ def relight(
     Raises
     ------
     ApplicationError
-        For light that is not finite, or a lamp nearer to the origin than part of the face.
+        For light that is negative or not finite, or a lamp nearer to the origin than part of the face.
     ValueError
         For an environment of another shape, or a zero view direction.
 
@@ -157,10 +159,14 @@ def _check_lights(face: ProcessedFace, lights: Sequence[PointLight], ambient: fl
         numbers = (light.azimuth_rad, light.elevation_rad, light.intensity)
         if not np.isfinite(numbers).all() or np.isnan(light.distance_mm):
             raise ApplicationError(f"light {k + 1} of {len(lights)} is {light}; its numbers must be finite")
+        if light.intensity < 0:
+            raise ApplicationError(
+                f"light {k + 1} of {len(lights)} has intensity {light.intensity:g}; give 0 or more"
+            )
         if light.distance_mm <= reach:
             raise ApplicationError(
                 f"light {k + 1} of {len(lights)} is {light.distance_mm:g} mm from the origin, but "
                 f"{face.name} reaches {reach:.0f} mm; place it outside"
             )
-    if not np.isfinite(ambient):
-        raise ApplicationError(f"ambient is {ambient}; it must be finite")
+    if not 0 <= ambient < np.inf:
+        raise ApplicationError(f"ambient is {ambient}; it must be finite and not negative")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.chart import common_chart
 from scan2albedo.recognition.options import SimilarityOptions
 from scan2albedo.recognition.similarity import check_window, no_window_message, window_sums
 from scan2albedo.recognition.templates import Templates
@@ -26,8 +27,8 @@ def similarity_matrix(
     Raises
     ------
     RecognitionError
-        When the sets were made with other options or sizes, are empty, or the masks of a pair have no window
-        in common; names it.
+        When the sets were made with other options, sizes or charts, are empty, or the masks of a pair have no
+        window in common; names it.
 
     Notes
     -----
@@ -145,4 +146,5 @@ def _check_sets(a: Templates, b: Templates, options: SimilarityOptions) -> None:
             f"the templates have {a.mask.shape[1:]} and {b.mask.shape[1:]} coefficients; make them from "
             "images of one size"
         )
+    common_chart(a.chart, b.chart, "the first set of templates", "the second")
     check_window(a.mask.shape[1:], options)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.all_pairs import similarity_matrix
@@ -106,7 +106,7 @@ def identify(
 
 
 def identify_by_similarity(
-    similarities: FloatArray,
+    similarities: ArrayLike,
     gallery_names: Sequence[str],
     probe_names: Sequence[str],
     *,
@@ -128,21 +128,8 @@ def identify_by_similarity(
     >>> found.ranks.tolist(), found.rate(1)
     ([1, 2], 0.5)
     """
-    scores = np.asarray(similarities, np.float64)
     _check_closed(gallery_names, probe_names)
-    if scores.shape != (len(probe_names), len(gallery_names)):
-        raise ValueError(
-            f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
-            "probes by gallery images"
-        )
-    if not np.isfinite(scores).all():
-        i, j = np.argwhere(~np.isfinite(scores))[0]
-        raise RecognitionError(
-            f"the similarity of probe {i} ({probe_names[i]}) and gallery image {j} ({gallery_names[j]}) is "
-            f"{scores[i, j]}; leave one of them out"
-        )
-    persons = tuple(sorted(set(gallery_names)))
-    scores = _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
+    persons, scores = similarities_by_person(similarities, gallery_names, probe_names, combine)
     right = np.searchsorted(persons, probe_names)
     own = scores[np.arange(len(scores)), right]
     best = scores.max(axis=1, keepdims=True)
@@ -158,6 +145,38 @@ def identify_by_similarity(
     )
 
 
+def similarities_by_person(
+    similarities: ArrayLike,
+    gallery_names: Sequence[str],
+    probe_names: Sequence[str | None],
+    combine: Combine,
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the persons of a gallery, in alphabetical order, and the similarities (probes, persons).
+
+    Raises
+    ------
+    ValueError
+        When `similarities` are not (probes, gallery images), or `combine` is none.
+    RecognitionError
+        When a set is empty, or a similarity is not finite.
+    """
+    scores = np.asarray(similarities, np.float64)
+    _check_not_empty(len(gallery_names), len(probe_names))
+    if scores.shape != (len(probe_names), len(gallery_names)):
+        raise ValueError(
+            f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
+            "probes by gallery images"
+        )
+    if not np.isfinite(scores).all():
+        i, j = np.argwhere(~np.isfinite(scores))[0]
+        raise RecognitionError(
+            f"the similarity of probe {i} ({probe_names[i] or 'nobody named'}) and gallery image {j} "
+            f"({gallery_names[j]}) is {scores[i, j]}; leave one of them out"
+        )
+    persons = tuple(sorted(set(gallery_names)))
+    return persons, _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
+
+
 def _by_person(scores: FloatArray, person: NDArray[np.int64], count: int, combine: Combine) -> FloatArray:
     """Return (P, count) of scores (P, images), images of `person` (images,) taken together."""
     if combine == "best":
@@ -171,11 +190,15 @@ def _by_person(scores: FloatArray, person: NDArray[np.int64], count: int, combin
     raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
 
 
-def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str]) -> None:
-    if len(gallery_names) == 0:
+def _check_not_empty(gallery_images: int, probes: int) -> None:
+    if gallery_images == 0:
         raise RecognitionError("the gallery is empty; give one image or more of each person")
-    if len(probe_names) == 0:
+    if probes == 0:
         raise RecognitionError("no probe was given; give one or more")
+
+
+def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str]) -> None:
+    _check_not_empty(len(gallery_names), len(probe_names))
     known = set(gallery_names)
     strangers = [f"{k} ({name})" for k, name in enumerate(probe_names) if name not in known]
     if strangers:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.atomic import atomic_path
+from scan2albedo.recognition.chart import Chart
 from scan2albedo.recognition.options import Channel, TemplateOptions
 from scan2albedo.recognition.templates import Templates
 
@@ -30,6 +31,15 @@ class TemplateOptionsRecord(BaseModel):
     unit_mean: bool
 
 
+class ChartRecord(BaseModel):
+    """The chart that the images lie on; see `Chart`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    model: str | None = Field(description="Name of the face model; null where nobody told.")
+    shape: tuple[int, int] = Field(description="Height and width of the images in texels.")
+
+
 class TemplatesHeader(BaseModel):
     """The text "header" in a file of templates, as JSON."""
 
@@ -39,6 +49,7 @@ class TemplatesHeader(BaseModel):
     format_version: Literal[1] = 1
     names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
     options: TemplateOptionsRecord
+    chart: ChartRecord | None = Field(None, description="Of the images; null where it is not known.")
 
 
 def write_templates(path: str | Path, templates: Templates) -> None:
@@ -62,7 +73,8 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     if len(templates) == 0:
         raise RecognitionError("there is no template to write; give one or more")
     options = TemplateOptionsRecord.model_validate(templates.options, from_attributes=True)
-    header = TemplatesHeader(names=templates.names, options=options).model_dump_json()
+    chart = None if templates.chart is None else ChartRecord(**vars(templates.chart))
+    header = TemplatesHeader(names=templates.names, options=options, chart=chart).model_dump_json()
     with atomic_path(path) as temporary:
         np.savez(temporary, header=np.array(header), coefficients=templates.coefficients, mask=templates.mask)
 
@@ -79,7 +91,8 @@ def read_templates(path: str | Path) -> Templates:
     try:
         header = TemplatesHeader.model_validate_json(str(arrays["header"]))
         options = TemplateOptions(**header.options.model_dump())
-        return Templates(arrays["coefficients"], arrays["mask"], header.names, options)
+        chart = None if header.chart is None else Chart(**header.chart.model_dump())
+        return Templates(arrays["coefficients"], arrays["mask"], header.names, options, chart)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the header"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.chart import Chart
 from scan2albedo.recognition.options import TemplateOptions
 from scan2albedo.recognition.preparation import (
     averaged_down,
@@ -34,6 +35,8 @@ class Templates:
     names : tuple of N str
         Of the persons; several templates may bear one name.
     options : TemplateOptions
+    chart : Chart, optional
+        That the images lie on, where it is known; templates of different charts are not compared.
 
     Raises
     ------
@@ -47,6 +50,7 @@ class Templates:
     mask: NDArray[np.bool_]
     names: tuple[str, ...]
     options: TemplateOptions = TemplateOptions()
+    chart: Chart | None = None
 
     def __post_init__(self) -> None:
         coefficients, mask = self.coefficients, self.mask
@@ -101,7 +105,7 @@ class Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
-        return Templates(self.coefficients[chosen], self.mask[chosen], names, self.options)
+        return Templates(self.coefficients[chosen], self.mask[chosen], names, self.options, self.chart)
 
 
 def image_coefficients(

@@ -36,8 +36,8 @@ def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figur
     axis.set_xticks(sorted({1, *range(max(1, last // 4), last + 1, max(1, last // 4))}))
     axis.set_title(f"CMC, {_confidence(curves)} intervals", fontsize=11)
     axis.set_xlabel("rank")
-    axis.set_ylabel("share of probes with the right person among the first")
-    axis.legend(loc="lower right", fontsize=9)
+    axis.set_ylabel("probes whose person is among the first")
+    figure.legend(loc="outside lower center", fontsize=9)
     return figure
 
 
@@ -61,7 +61,7 @@ def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
     axis.set_title(f"ROC, {_confidence(curves)} intervals", fontsize=11)
     axis.set_xlabel("false accept rate")
     axis.set_ylabel("true accept rate")
-    axis.legend(loc="lower right", fontsize=9)
+    figure.legend(loc="outside lower center", fontsize=9)
     return figure
 
 
@@ -77,7 +77,7 @@ def _figure(curves: Mapping[str, object]) -> tuple[Figure, Axes]:
         raise ValueError("no curve was given, expected one or more")
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4, 4.8), dpi=110, layout="constrained")
+    figure = Figure(figsize=(6.4, 5.2), dpi=110, layout="constrained")
     axis = figure.subplots()
     axis.set_ylim(0, 1.02)
     axis.grid(alpha=0.3)

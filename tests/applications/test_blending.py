@@ -86,6 +86,27 @@ def test_an_unseen_texture_takes_the_other_ones(person):
     assert steps.max() < 0.7
 
 
+def test_what_neither_saw_is_skin_in_a_blend_and_its_own_at_the_ends(person):
+    """Hair over both temples: dark texels that neither face saw."""
+    hair = np.zeros(person(0).mask.shape, bool)
+    hair[16:32, :14] = True
+    a, b = (
+        replace(
+            face,
+            albedo_linear=np.where(hair[..., None], 0.01 * face.albedo_linear, face.albedo_linear),
+            image=replace(face.image, texture_valid=face.mask & ~hair),
+        )
+        for face in (person(0), person(1))
+    )
+    temple = hair & a.mask & b.mask
+    for weight in (0.1, 0.5, 0.9):
+        made = blend_faces(a, b, weight)
+        assert made.albedo_linear[temple].max(-1).min() > 0.4 * made.level()
+    same(blend_faces(a, b, 0.0), a)
+    almost = blend_faces(a, b, 1e-4)
+    np.testing.assert_allclose(almost.albedo_linear, a.albedo_linear, atol=0.01)
+
+
 def test_a_blend_can_be_relit_and_blended_again(person):
     made = blend_faces(blend_faces(person(0), person(1)), person(2), 0.3)
     assert np.isfinite(relight(made, [light_at(30)]).texture_linear).all()

@@ -13,12 +13,9 @@ from scan2albedo.applications import (
     load_result,
     transfer_expression,
 )
-from scan2albedo.applications.expression_correspondence import (
-    limit_control_points,
-    refined_expression,
-    refinement_level,
-)
+from scan2albedo.applications.expression_correspondence import refined_expression
 from scan2albedo.applications.expression_transfer import expression_displacement
+from scan2albedo.applications.model_surface import limit_control_points, refinement_level
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points

@@ -4,11 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from scan2albedo.applications import FaceMesh, TransferOptions, personal_model, transfer_expression
+import scan2albedo as s2a
+from scan2albedo.applications import (
+    FaceMesh,
+    TransferOptions,
+    load_result,
+    personal_model,
+    transfer_expression,
+)
 from scan2albedo.applications.expression_transfer import expression_displacement, laid_on_what_is_still
 from scan2albedo.applications.local_frames import local_similarities
+from scan2albedo.cli import app
+from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.pipeline import chosen_model
 
 SMILE = "mouthSmile_L_mouthSmile_R"
 BAR_MM = 1.5
@@ -114,6 +125,43 @@ def test_a_personal_model_is_the_person_on_the_same_chart(result):
     np.testing.assert_array_equal(model.control_vertices, result.fitted.control_points)
     np.testing.assert_array_equal(model.uv, given.uv)
     assert model.name == given.name
+
+
+def test_a_personal_model_of_files_is_that_of_the_fit(result, stored, tmp_path):
+    rng = np.random.default_rng(0)
+    control = result.fitted.control_points + rng.normal(0, 2, result.fitted.control_points.shape)
+    subdivision = result.fitted.model.subdivision(1)
+    fitted = replace(result.fitted, control_points=control, vertices=subdivision.matrix @ control)
+    face = load_result(stored)
+    face = replace(face, mesh=replace(face.mesh, vertices=fitted.vertices))
+    ours, theirs = personal_model(face), personal_model(fitted)
+    np.testing.assert_allclose(ours.control_vertices, theirs.control_vertices, atol=1e-8)
+    ours.save(tmp_path / "person.json")
+    loaded = s2a.AnnotatedFaceModel.load(tmp_path / "person.json")
+    np.testing.assert_array_equal(loaded.control_vertices, ours.control_vertices)
+    np.testing.assert_allclose(loaded.landmarks, fitted.model.landmarks_of(control), atol=1e-8)
+
+
+def test_the_command_writes_a_model_that_process_takes(result, stored, tmp_path):
+    out = tmp_path / "person.json"
+    done = CliRunner().invoke(app, ["personal-model", str(stored), "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    model = chosen_model(out)
+    np.testing.assert_allclose(model.control_vertices, result.fitted.control_points, atol=1e-8)
+    assert model.name == result.fitted.model.name
+
+
+def test_a_personal_model_needs_the_model_of_the_fit(result, stored, person):
+    face, model = load_result(stored), result.fitted.model
+    with pytest.raises(ApplicationError, match="processed with the model 'default annotated face model'"):
+        personal_model(face, replace(model, name="mine"))
+    with pytest.raises(ApplicationError, match="none of the model"):
+        personal_model(replace(person(0), model_name=model.name))
+    bent = replace(face.mesh, vertices=face.mesh.vertices + np.random.default_rng(0).normal(0, 1, (1, 3)))
+    personal_model(replace(face, mesh=bent))
+    crumpled = face.mesh.vertices + np.random.default_rng(0).normal(0, 1, face.mesh.vertices.shape)
+    with pytest.raises(ApplicationError, match="none of the model"):
+        personal_model(replace(face, mesh=replace(face.mesh, vertices=crumpled)))
 
 
 @pytest.mark.parametrize(

@@ -37,10 +37,23 @@ def test_files(pictures, tmp_path):
     with Image.open(tmp_path / "sweep.gif") as gif:
         assert gif.n_frames == 4
         assert gif.info["loop"] == 0
+    for name in ("frame_007.png", "frame_notes.txt"):
+        (tmp_path / "frames" / name).touch()
+    write_frames(tmp_path / "frames", frames[:2])
+    names = sorted(f.name for f in (tmp_path / "frames").iterdir())
+    assert names == ["frame_000.png", "frame_001.png", "frame_notes.txt"]
     with pytest.raises(OutputError, match="cannot write"):
         write_gif(tmp_path / "none" / "sweep.gif", frames)
     with pytest.raises(ValueError, match="a frame at least"):
         write_gif(tmp_path / "sweep.gif", [])
+    with pytest.raises(ValueError, match="one shape"):
+        write_gif(tmp_path / "sweep.gif", [frames[0], frames[1][:5]])
+    with pytest.raises(ValueError, match="above 0"):
+        write_gif(tmp_path / "sweep.gif", frames, seconds_per_frame=math.nan)
+    with pytest.raises(ValueError, match="a frame at least"):
+        frames_srgb([])
+    with pytest.raises(ValueError, match="exposure is nan"):
+        frames_srgb(pictures, math.nan)
 
 
 def test_places_of_the_light():
@@ -50,3 +63,5 @@ def test_places_of_the_light():
     assert math.isinf(arc[0].distance_mm)
     with pytest.raises(ValueError, match="count"):
         light_arc(0)
+    with pytest.raises(ValueError, match="finite"):
+        light_arc(3, last_rad=math.nan)

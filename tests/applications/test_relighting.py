@@ -174,6 +174,7 @@ def test_the_glb_shines_by_itself_and_keeps_its_place(person, tmp_path):
     [
         (PointLight(0, 0, intensity=np.nan), "must be finite"),
         (PointLight(np.inf, 0), "must be finite"),
+        (PointLight(0, 0, intensity=-0.5), "0 or more"),
         (PointLight(0, 0, distance_mm=30.0), "place it outside"),
         (PointLight(0, 0, distance_mm=-1.0), "place it outside"),
     ],
@@ -183,15 +184,38 @@ def test_impossible_lights_are_refused(person, light, words):
         relight(person(0), [light])
 
 
+@pytest.mark.parametrize("azimuth", [20, 60])
+def test_a_coarse_chart_is_not_shaded_by_the_finer_surface_it_stands_for(azimuth):
+    """A ball of 24 x 24 texels inside the true one: it is convex, so nothing shades it."""
+    scene, ball = hemisphere(size=24), trimesh.creation.icosphere(5, 80.0)
+    image = replace(scene.image, occluder=(ball.vertices, ball.faces))
+    face = ProcessedFace.of("ball", image, np.ones((24, 24, 3)))
+    cast, attached = (
+        relight(face, [light_at(azimuth)], options=RelightOptions(shadows=shadows))
+        .picture(shape=(64, 64), samples=1)
+        .linear
+        for shadows in (True, False)
+    )
+    np.testing.assert_array_equal(cast, attached)
+
+
 def test_misuse_is_told(person):
     with pytest.raises(ApplicationError, match="ambient"):
         relight(person(0), ambient=np.nan)
+    with pytest.raises(ApplicationError, match="not negative"):
+        relight(person(0), ambient=-0.1)
     with pytest.raises(ValueError, match="environment_linear"):
         relight(person(0), environment_linear=np.ones((4, 8)))
     with pytest.raises(ValueError, match="view_direction"):
         relight(person(0), options=RelightOptions(view_direction=(0, 0, 0)))
     with pytest.raises(ValueError, match="elevation"):
         default_camera(person(0), elevation_rad=np.pi / 2)
+    with pytest.raises(ValueError, match="azimuth"):
+        default_camera(person(0), azimuth_rad=np.nan)
+    with pytest.raises(ValueError, match="1 sample or more"):
+        relight(person(0)).picture(samples=0)
+    with pytest.raises(ValueError, match="exposure is -1"):
+        relight(person(0)).picture(shape=(8, 8)).srgb(-1)
     with pytest.raises(ApplicationError, match="albedo is"):
         replace(person(0), albedo_linear=np.ones((4, 4, 3)))
     spoilt = person(0).albedo_linear.copy()

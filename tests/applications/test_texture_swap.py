@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.applications import SwapOptions, swap_texture
-from scan2albedo.applications.texture_swap import trusted
+from scan2albedo.applications.skin_continuation import trusted
 
 
 def test_the_shape_is_as_and_the_skin_bs(person):
@@ -66,6 +66,23 @@ def test_the_detail_of_the_filling_is_as(person):
     assert np.corrcoef(np.diff(logs[0]).ravel(), np.diff(logs[1]).ravel())[0, 1] > 0.95
 
 
+def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
+    """A dark line of A crosses the border of the hole; on B there is none."""
+    a, b = person(0), person(1)
+    line = np.zeros(a.mask.shape, bool)
+    line[34:40, 20:31] = True
+    marked = replace(a, albedo_linear=np.where(line[..., None], 0.1 * a.albedo_linear, a.albedo_linear))
+    hole = np.zeros(a.mask.shape, bool)
+    hole[28:48, 28:46] = True
+    plain = swap_texture(a, with_hole(b, hole)).albedo_linear
+    made = swap_texture(marked, with_hole(b, hole)).albedo_linear / marked.level() * a.level()
+    beyond = hole & ~line
+    change = np.abs(np.log(made[beyond].max(-1) / plain[beyond].max(-1)))
+    assert change.max() < 0.05
+    # What of the line lies in the hole stays a line.
+    assert (made[36:38, 28:31] < 0.3 * plain[36:38, 28:31]).all()
+
+
 def test_where_neither_was_seen_the_colour_is_continued(person):
     hole = np.zeros(person(0).mask.shape, bool)
     hole[30:40, 30:40] = True
@@ -73,6 +90,11 @@ def test_where_neither_was_seen_the_colour_is_continued(person):
     made = swap_texture(a, b)
     assert np.abs(np.diff(np.log(made.albedo_linear[32:38, 32:38].max(-1)), axis=1)).max() < 0.3
     assert made.albedo_linear[hole].min() > 0.02
+
+
+def test_margins_are_not_negative():
+    with pytest.raises(ValueError, match="margin is -1"):
+        SwapOptions(margin=-1)
 
 
 def test_a_skin_never_seen_still_gives_numbers(person):

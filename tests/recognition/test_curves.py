@@ -113,7 +113,7 @@ def test_figures_show_every_curve_with_its_interval():
     axis = cmc_figure(curves, most_ranks=5).axes[0]
     assert [len(line.get_xdata()) for line in axis.lines] == [5, 5]
     assert len(axis.collections) == 2
-    assert axis.get_legend().get_texts()[1].get_text().startswith("texture, 40 probes: rank 1")
+    assert axis.figure.legends[0].get_texts()[1].get_text().startswith("texture, 40 probes: rank 1")
     rocs = {name: roc_curve(one, resamples=20) for name, one in found.items()}
     axis = roc_figure(rocs).axes[0]
     assert axis.get_xscale() == "log"

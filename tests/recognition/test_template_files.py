@@ -1,12 +1,13 @@
 """Templates come back from their files bit for bit; files that hold something else say so."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scan2albedo.errors import OutputError, RecognitionError
-from scan2albedo.recognition import TemplateOptions, albedo_templates, read_templates, write_templates
+from scan2albedo.recognition import Chart, TemplateOptions, albedo_templates, read_templates, write_templates
 
 
 @pytest.fixture
@@ -32,6 +33,12 @@ def test_templates_come_back(tmp_path, templates):
     assert back.names == templates.names
     assert back.options == templates.options
     assert [p.name for p in tmp_path.iterdir()] == ["gallery.npz"]
+
+
+@pytest.mark.parametrize("chart", [None, Chart(None, (128, 128)), Chart("mine", (256, 256))])
+def test_the_chart_comes_back(tmp_path, templates, chart):
+    write_templates(tmp_path / "gallery.npz", replace(templates, chart=chart))
+    assert read_templates(tmp_path / "gallery.npz").chart == chart
 
 
 def test_a_write_that_fails_leaves_the_old_file(tmp_path, templates, monkeypatch):

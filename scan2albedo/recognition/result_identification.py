@@ -1,0 +1,135 @@
+"""`identify_results`: who of a gallery of processed scans is on other processed scans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition.all_pairs import similarity_matrix
+from scan2albedo.recognition.chart import common_chart
+from scan2albedo.recognition.identification import Combine
+from scan2albedo.recognition.labelled_templates import LabelledTemplates, read_labelled_templates
+from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.probe_matches import ProbeMatches, match_probes
+
+StageCallback = Callable[[str, int, int], None]
+"""Called with "gallery" or "probes", how many results are read, and of how many."""
+
+
+@dataclass(frozen=True)
+class ResultIdentification:
+    """What `identify_results` found.
+
+    Parameters
+    ----------
+    gallery, probes : LabelledTemplates
+    matches : ProbeMatches
+        Of the probes, in their order.
+    combine : {"best", "mean"}
+    notes : tuple of str
+        What is odd about the input, one sentence each.
+    """
+
+    gallery: LabelledTemplates
+    probes: LabelledTemplates
+    matches: ProbeMatches
+    combine: Combine
+    notes: tuple[str, ...]
+
+
+def identify_results(
+    gallery: str | Path | LabelledTemplates,
+    probes: str | Path | LabelledTemplates,
+    *,
+    combine: Combine = "best",
+    options: TemplateOptions | None = None,
+    similarity: SimilarityOptions = SimilarityOptions(),
+    on_count: StageCallback | None = None,
+) -> ResultIdentification:
+    """Identify the persons of processed scans among those of others.
+
+    Parameters
+    ----------
+    gallery : path or LabelledTemplates
+        A CSV file with the columns person and result, each result the folder of a processed scan (see
+        `read_albedo`), or a file of templates. Several results may show one person.
+    probes : path or LabelledTemplates
+        The same; a cell of person may be empty, then the probe is taken for somebody, and no rate counts it.
+    combine : {"best", "mean"}
+        A person's similarity is the best of, or the mean over, the images in the gallery.
+    options : TemplateOptions, optional
+        Those of a file of templates, otherwise the default ones, when omitted.
+    similarity : SimilarityOptions
+    on_count : callable, optional
+        Called after each result that was read.
+
+    Raises
+    ------
+    ValueError
+        When `combine` is something else.
+    RecognitionError
+        When a file cannot be read or used, sizes or models differ, or a probe's person is not in the gallery.
+
+    Examples
+    --------
+    >>> import scan2albedo as s2a
+    >>> def who(gallery_csv, probes_csv):
+    ...     return s2a.recognition.identify_results(gallery_csv, probes_csv).matches.predicted()
+    """
+    if combine not in ("best", "mean"):
+        raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
+    known = _read(gallery, "gallery", options, on_count)
+    shown = _read(probes, "probes", known.templates.options, on_count)
+    _check_pair(known, shown)
+    scores = similarity_matrix(shown.templates, known.templates, options=similarity)
+    matches = match_probes(scores, known.templates.names, shown.persons, combine=combine)
+    return ResultIdentification(
+        known, shown, matches, combine, (*known.notes, *shown.notes, *_copies(known, shown))
+    )
+
+
+def _read(
+    source: str | Path | LabelledTemplates,
+    stage: str,
+    options: TemplateOptions | None,
+    on_count: StageCallback | None,
+) -> LabelledTemplates:
+    if isinstance(source, LabelledTemplates):
+        return source
+    count = None if on_count is None else lambda done, total: on_count(stage, done, total)
+    return read_labelled_templates(
+        source, persons_required=stage == "gallery", options=options, on_count=count
+    )
+
+
+def _check_pair(gallery: LabelledTemplates, probes: LabelledTemplates) -> None:
+    common_chart(gallery.templates.chart, probes.templates.chart, str(gallery.source), str(probes.source))
+    strangers = [
+        f"{label} ({person})"
+        for label, person in zip(probes.labels, probes.persons, strict=True)
+        if person is not None and person not in gallery.templates.names
+    ]
+    if strangers:
+        more = f" and {len(strangers) - 5} more" if len(strangers) > 5 else ""
+        raise RecognitionError(
+            f"{gallery.source} has no image of whom these probes of {probes.source} show: "
+            f"{', '.join(strangers[:5])}{more}; add their images to the gallery, or leave their person "
+            "empty: then they are taken for somebody of the gallery, and not counted"
+        )
+
+
+def _copies(gallery: LabelledTemplates, probes: LabelledTemplates) -> Iterator[str]:
+    """Give a note for probes that are images of the gallery themselves."""
+    stored = {values.tobytes() for values in gallery.templates.coefficients}
+    same = [
+        label
+        for label, values in zip(probes.labels, probes.templates.coefficients, strict=True)
+        if values.tobytes() in stored
+    ]
+    if same:
+        yield (
+            f"{len(same)} of {len(probes.labels)} probes are in the gallery themselves ({', '.join(same[:5])}"
+            f"{', ...' if len(same) > 5 else ''}): that they are recognised tells nothing"
+        )

@@ -1,0 +1,124 @@
+"""Albedos of processed scans as recognition takes them: colour, what of it was seen, and the chart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import RecognitionError, Scan2AlbedoError
+from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
+from scan2albedo.io.geometry_image_files import read_geometry_image
+from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
+from scan2albedo.io.result_json import ResultRecord, read_record
+from scan2albedo.recognition.chart import Chart
+
+RESULT_FILE, IMAGE_FILE, ALBEDO_FILE = "result.json", "geometry_image.npz", "albedo.exr"
+_NO_MODEL = "none"
+
+
+@dataclass(frozen=True)
+class StoredAlbedo:
+    """An albedo from files.
+
+    Parameters
+    ----------
+    albedo_linear : (H, W, 3) float32
+    seen : (H, W) bool
+        Texels whose albedo comes from the scan's texture; others were filled in.
+    chart : Chart
+    """
+
+    albedo_linear: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    chart: Chart
+
+
+def read_albedo(path: str | Path) -> StoredAlbedo:
+    """Read an albedo from the folder of a processed scan, of what an application wrote, or from an image.
+
+    Parameters
+    ----------
+    path : path
+        A folder with result.json or application.json, geometry_image.npz and albedo.exr; a file in such a
+        folder means the folder. Any other image has to lie on the model's chart: it counts where its alpha is
+        half or more or, without alpha, where it is not black.
+
+    Raises
+    ------
+    RecognitionError
+        When something is missing, cannot be read, or holds no albedo on a model's chart; names it.
+    """
+    source = Path(path)
+    if source.is_file() and (source.parent / IMAGE_FILE).is_file():
+        source = source.parent
+    try:
+        return _of_folder(source) if source.is_dir() else _of_image(source)
+    except RecognitionError:
+        raise
+    except Scan2AlbedoError as error:
+        text = str(error) if str(source) in str(error) else f"{source}: {error}"
+        raise RecognitionError(text) from error
+
+
+def _of_folder(folder: Path) -> StoredAlbedo:
+    model = _model_name(folder)
+    if model == _NO_MODEL:
+        raise RecognitionError(
+            f"{folder}: was processed without a model, so its chart is its own and texels do not correspond "
+            "to those of others; process the scan with a model"
+        )
+    for name in (IMAGE_FILE, ALBEDO_FILE):
+        if not (folder / name).is_file():
+            raise RecognitionError(
+                f"{folder / name}: is missing; process the scan again, coloured and with the stage albedo"
+            )
+    image = read_geometry_image(folder / IMAGE_FILE)
+    albedo = read_image_linear(folder / ALBEDO_FILE)
+    if albedo.shape[:2] != image.shape:
+        raise RecognitionError(
+            f"{folder / ALBEDO_FILE}: has {albedo.shape[:2]} texels and {IMAGE_FILE} {image.shape}; they "
+            "come from different runs: process the scan again"
+        )
+    return StoredAlbedo(albedo, image.seen, Chart(model, image.shape))
+
+
+def _model_name(folder: Path) -> str:
+    if (folder / RESULT_FILE).is_file():
+        return str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", _NO_MODEL))
+    if (folder / APPLICATION_FILE).is_file():
+        return read_record(folder / APPLICATION_FILE, ApplicationRecord).model
+    raise RecognitionError(
+        f"{folder}: holds no {RESULT_FILE}; give the folder of one processed scan, OUT/<scan name>"
+    )
+
+
+def _of_image(file: Path) -> StoredAlbedo:
+    if file.suffix.lower() == ".npz":
+        raise RecognitionError(
+            f"{file}: is a NumPy archive; a file of templates stands for a whole gallery, in place of the "
+            "CSV file"
+        )
+    if file.suffix.lower() not in SUPPORTED_IMAGES:
+        raise RecognitionError(
+            f"{file}: is neither the folder of a processed scan nor an image ({', '.join(SUPPORTED_IMAGES)})"
+        )
+    albedo, alpha = read_image_linear(file), _alpha(file)
+    seen = albedo.max(-1) > 0 if alpha is None else alpha >= 0.5
+    return StoredAlbedo(albedo, seen, Chart(None, (albedo.shape[0], albedo.shape[1])))
+
+
+def _alpha(file: Path) -> NDArray[np.float32] | None:
+    """Return (H, W) the alpha channel of an image, 0 to 1, or None."""
+    if file.suffix.lower() == ".exr":
+        return read_exr_channels(file).get("A")
+    import cv2
+
+    pixels = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None or pixels.ndim != 3 or pixels.shape[2] != 4:
+        return None
+    alpha = np.asarray(pixels)[..., 3]
+    most = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}.get(alpha.dtype, 1.0)
+    return np.asarray(alpha / most, np.float32)

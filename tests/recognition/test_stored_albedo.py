@@ -1,0 +1,96 @@
+"""Albedos from folders and images; what is missing or foreign is named."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import RecognitionError
+from scan2albedo.io.images import encode_image, write_exr
+from scan2albedo.recognition import read_albedo
+from scan2albedo.synthetic import face
+
+
+@pytest.fixture
+def folder(people, tmp_path):
+    return shutil.copytree(people / "ann", tmp_path / "ann")
+
+
+def test_a_folder_gives_albedo_seen_texels_and_chart(stored, tmp_path):
+    hidden = np.zeros((64, 64), bool)
+    hidden[30:40, 20:50] = True
+    folder = stored(tmp_path / "ann", 0, hidden=hidden, model="mine")
+    scene, read = face(0, size=64), read_albedo(folder)
+    np.testing.assert_array_equal(read.albedo_linear, scene.albedo_linear)
+    np.testing.assert_array_equal(read.seen, scene.image.mask & ~hidden)
+    assert (read.chart.model, read.chart.shape) == ("mine", (64, 64))
+    of_file = read_albedo(folder / "albedo.exr")
+    np.testing.assert_array_equal(of_file.seen, read.seen)
+
+
+def test_processed_scans_are_read_too(folder):
+    (folder / "application.json").unlink()
+    record = {
+        "scan2albedo_version": "0",
+        "versions": {},
+        "name": "ann",
+        "seed": 0,
+        "options": {"model": "mine"},
+        "input": {"sha256": "0" * 64, "vertices": 3, "faces": 1},
+        "plan": [],
+        "metrics": {},
+        "parameters": {},
+        "timings_s": {},
+    }
+    (folder / "result.json").write_text(json.dumps(record))
+    assert read_albedo(folder).chart.model == "mine"
+    (folder / "result.json").write_text(json.dumps(record | {"options": {"model": "none"}}))
+    with pytest.raises(RecognitionError, match="without a model"):
+        read_albedo(folder)
+
+
+@pytest.mark.parametrize("name", ["application.json", "geometry_image.npz", "albedo.exr"])
+def test_what_is_missing_or_damaged_is_named(folder, name):
+    whole = (folder / name).read_bytes()
+    (folder / name).write_bytes(whole[: len(whole) // 3])
+    with pytest.raises(RecognitionError, match=name.replace(".", r"\.")):
+        read_albedo(folder)
+    (folder / name).unlink()
+    words = "holds no result" if name == "application.json" else f"{name}: is missing"
+    with pytest.raises(RecognitionError, match=words):
+        read_albedo(folder)
+
+
+def test_files_of_different_runs_are_refused(folder):
+    write_exr(folder / "albedo.exr", np.ones((20, 20, 3)))
+    with pytest.raises(RecognitionError, match="different runs"):
+        read_albedo(folder)
+
+
+def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
+    scene = face(0, size=64)
+    mask, albedo = scene.image.mask, scene.albedo_linear
+    assert not mask.all()
+    write_exr(tmp_path / "black.exr", albedo)
+    write_exr(tmp_path / "alpha.exr", np.dstack([albedo, mask]))
+    white = np.where(mask[..., None], np.round(255 * albedo), 255)
+    (tmp_path / "alpha.png").write_bytes(
+        encode_image(np.dstack([white, 255 * mask]).astype(np.uint8), ".png")
+    )
+    for name in ("black.exr", "alpha.exr", "alpha.png"):
+        read = read_albedo(tmp_path / name)
+        np.testing.assert_array_equal(read.seen, mask, err_msg=name)
+        assert (read.chart.model, read.chart.shape) == (None, (64, 64))
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "gallery.npz").touch()
+    with pytest.raises(RecognitionError, match="a file of templates stands for a whole gallery"):
+        read_albedo(tmp_path / "gallery.npz")
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(RecognitionError, match="neither the folder of a processed scan nor an image"):
+        read_albedo(tmp_path / "notes.txt")
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    with pytest.raises(RecognitionError, match=r"bad\.png"):
+        read_albedo(tmp_path / "bad.png")
