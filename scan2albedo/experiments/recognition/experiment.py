@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
+import threading
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 from scan2albedo.errors import RecognitionError
@@ -176,7 +178,7 @@ def _in_processes(
     """Yield sessions as they are done; a few are under way at a time, so that a budget can end it soon."""
     threads = max(1, (os.cpu_count() or 1) // jobs)
     waiting = list(reversed(keys))
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _set_threads, (threads,)) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker, (threads,)) as pool:
         running: dict[Future[Session], _Key] = {}
         while waiting or running:
             while waiting and len(running) < jobs:
@@ -187,7 +189,17 @@ def _in_processes(
                 yield running.pop(future), future.result()
 
 
-def _set_threads(threads: int) -> None:
+def _begin_worker(threads: int) -> None:
+    """Share the cores with the other workers, leave Ctrl-C to the parent, and end when it has ended."""
     import numba
 
     numba.set_num_threads(threads)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

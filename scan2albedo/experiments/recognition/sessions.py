@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scan2albedo.albedo import estimate_albedo
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments.recognition.options import RecognitionExperimentOptions
-from scan2albedo.io.atomic import atomic_path, make_folder
+from scan2albedo.io.atomic import make_folder, write_bytes
 from scan2albedo.pipeline import process
 from scan2albedo.synthetic.population import population_scan
 
@@ -96,9 +96,10 @@ def keep_session(
     """
     path = session_file(cache, options, person, session)
     make_folder(path.parent)
-    with atomic_path(path) as temporary:
-        arrays: dict[str, Any] = {"seen": made.seen, "failure": np.array(made.failure), **made.images}
-        np.savez_compressed(temporary, **arrays)
+    arrays: dict[str, Any] = {"seen": made.seen, "failure": np.array(made.failure), **made.images}
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **arrays)
+    write_bytes(path, packed.getvalue())
 
 
 def session_of(cache: Path, options: RecognitionExperimentOptions, person: int, session: int) -> Session:
