@@ -41,6 +41,10 @@ class ApplicationError(Scan2AlbedoError):
     """Processed faces cannot be relit, swapped, blended or given another's expression."""
 
 
+class ReflectanceError(Scan2AlbedoError):
+    """Photographs, reflectances or a morphable reflectance model cannot be used."""
+
+
 class OutputError(Scan2AlbedoError):
     """Results cannot be written."""
 

@@ -10,7 +10,7 @@ import pytest
 import scan2albedo
 
 PACKAGE = Path(scan2albedo.__file__).parent
-STAGES = ("registration", "fitting", "sampling", "albedo", "eyeglasses", "recognition")
+STAGES = ("registration", "fitting", "sampling", "albedo", "eyeglasses", "recognition", "reflectance")
 GROUND = ("errors", "optimization", "geometry", "io", "face_model", "lighting")
 HEAVY = ("open3d", "igl", "embreex", "matplotlib", "cv2", "trimesh", "numba", "xatlas", "scipy", "pyrtools")
 

@@ -1,0 +1,5 @@
+"""Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
+
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+
+__all__ = ["EXPONENTS", "VertexReflectance"]
