@@ -23,16 +23,17 @@ from scan2albedo.experiments.recognition import (
 )
 from scan2albedo.experiments.recognition.files import write_report
 from scan2albedo.optimization import TraceRow
-from scan2albedo.recognition import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 
 CHOICES = {
-    "window 3": (TemplateOptions(), SimilarityOptions(window=3)),
+    "as it is": (TemplateOptions(), IDENTIFICATION),
     "window 5": (TemplateOptions(), SimilarityOptions(window=5)),
-    "holes stay": (TemplateOptions(hole_radius=0), SimilarityOptions()),
-    "V": (TemplateOptions(channel="value"), SimilarityOptions()),
-    "256 texels": (TemplateOptions(size=256), SimilarityOptions()),
+    "window 7": (TemplateOptions(), SimilarityOptions(window=7)),
+    "holes stay": (TemplateOptions(hole_radius=0), IDENTIFICATION),
+    "V": (TemplateOptions(channel="value"), IDENTIFICATION),
+    "256 texels": (TemplateOptions(size=256), IDENTIFICATION),
     "256 texels, window 5": (TemplateOptions(size=256), SimilarityOptions(window=5)),
-    "256 texels, 4 scales": (TemplateOptions(size=256, scales=4), SimilarityOptions()),
+    "256 texels, 4 scales": (TemplateOptions(size=256, scales=4), IDENTIFICATION),
 }
 
 

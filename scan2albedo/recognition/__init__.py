@@ -6,7 +6,7 @@ from scan2albedo.recognition.cumulative_match import CmcCurve, cmc_curve
 from scan2albedo.recognition.identification import Identification, identify, identify_by_similarity
 from scan2albedo.recognition.labelled_templates import LabelledTemplates, read_labelled_templates
 from scan2albedo.recognition.manifest import Manifest, ManifestEntry, read_manifest
-from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions, TemplateOptions
 from scan2albedo.recognition.probe_matches import ProbeMatches, match_probes
 from scan2albedo.recognition.pyramid import SteerablePyramid, steerable_pyramid
 from scan2albedo.recognition.receiver_operating import RocCurve, roc_curve
@@ -19,6 +19,7 @@ from scan2albedo.recognition.templates import Templates, albedo_templates
 from scan2albedo.recognition.transformers import DistanceTransformer, TemplateTransformer
 
 __all__ = [
+    "IDENTIFICATION",
     "Chart",
     "CmcCurve",
     "DistanceTransformer",

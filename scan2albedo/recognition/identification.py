@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.all_pairs import similarity_matrix
-from scan2albedo.recognition.options import SimilarityOptions
+from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions
 from scan2albedo.recognition.templates import Templates
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +63,7 @@ def identify(
     probes: Templates,
     *,
     combine: Combine = "best",
-    similarity: SimilarityOptions = SimilarityOptions(),
+    similarity: SimilarityOptions = IDENTIFICATION,
 ) -> Identification:
     """Identify the person of every probe among the persons of a gallery.
 

@@ -11,7 +11,7 @@ from scan2albedo.recognition.all_pairs import similarity_matrix
 from scan2albedo.recognition.chart import common_chart
 from scan2albedo.recognition.identification import Combine
 from scan2albedo.recognition.labelled_templates import LabelledTemplates, read_labelled_templates
-from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions, TemplateOptions
 from scan2albedo.recognition.probe_matches import ProbeMatches, match_probes
 
 StageCallback = Callable[[str, int, int], None]
@@ -45,7 +45,7 @@ def identify_results(
     *,
     combine: Combine = "best",
     options: TemplateOptions | None = None,
-    similarity: SimilarityOptions = SimilarityOptions(),
+    similarity: SimilarityOptions = IDENTIFICATION,
     on_count: StageCallback | None = None,
 ) -> ResultIdentification:
     """Identify the persons of processed scans among those of others.

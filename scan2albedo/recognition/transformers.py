@@ -139,7 +139,7 @@ class DistanceTransformer(_Parameters):
         See `SimilarityOptions`.
     """
 
-    def __init__(self, *, window: int = 7, stabilizer: float = 1e-3) -> None:
+    def __init__(self, *, window: int = 3, stabilizer: float = 1e-3) -> None:
         self.window = window
         self.stabilizer = stabilizer
 

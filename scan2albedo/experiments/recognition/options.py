@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from scan2albedo.albedo.estimate import BRDFS
-from scan2albedo.recognition import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 from scan2albedo.sampling.size import SMALLEST_SIZE
 from scan2albedo.synthetic.population import PopulationOptions
 from scan2albedo.synthetic.raw_scan import RawScanOptions
@@ -61,7 +61,7 @@ class RecognitionExperimentOptions:
         default_factory=lambda: PopulationOptions(capture=RawScanOptions(picture_size=640, size=64))
     )
     templates: TemplateOptions = TemplateOptions()
-    similarity: SimilarityOptions = SimilarityOptions()
+    similarity: SimilarityOptions = IDENTIFICATION
 
     def __post_init__(self) -> None:
         if self.persons < 2 or self.probes < 1:
