@@ -25,13 +25,11 @@ def _common() -> None:
 def recognition(
     out: Annotated[
         Path,
-        typer.Option(
-            "--out", "-o", help="Folder for figures; processed scans are kept in it for the next run."
-        ),
+        typer.Option("--out", "-o", help="Folder for figures; scans are kept in it for the next run."),
     ] = Path("recognition_out"),
-    persons: Annotated[int, typer.Option(help="People, of whom nobody is like another.", min=2)] = 60,
+    persons: Annotated[int, typer.Option(help="How many people.", min=2)] = 60,
     probes: Annotated[int, typer.Option(help="Scans of each beside the gallery's.", min=1)] = 3,
-    size: Annotated[int, typer.Option(help="Height and width of the geometry images.", min=8)] = 256,
+    size: Annotated[int, typer.Option(help="Side of the geometry images, 128 or more.", min=8)] = 256,
     individuality: Annotated[
         float | None,
         typer.Option(help="Share of the skin's paint that is one's own, 0 to 1; less is harder."),
@@ -54,6 +52,7 @@ def recognition(
     from scan2albedo.experiments.recognition.files import write_report
     from scan2albedo.progress import ProgressLines
     from scan2albedo.result_files import check_writable
+    from scan2albedo.staging import gone_if_empty
 
     try:
         options = RecognitionExperimentOptions(persons=persons, probes=probes, size=size, seed=seed)
@@ -66,9 +65,9 @@ def recognition(
             raise ValueError(f"budget is {budget}, expected seconds above 0")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    check_writable(out)
     stop_cleanly_on_interrupt(None)
-    with ProgressLines("recognition") as progress:
+    with gone_if_empty(out), ProgressLines("recognition") as progress:
+        check_writable(out)
         report = run_recognition_experiment(
             out / SCANS,
             options=options,

@@ -56,10 +56,11 @@ def identify(
     from scan2albedo.progress import ProgressLines
     from scan2albedo.recognition import identify_results, read_labelled_templates, write_templates
     from scan2albedo.result_files import check_writable
+    from scan2albedo.staging import gone_if_empty
 
-    if out is not None:
-        check_writable(out)
-    with ProgressLines("identify") as progress:
+    with gone_if_empty(out), ProgressLines("identify") as progress:
+        if out is not None:
+            check_writable(out)
         known = read_labelled_templates(
             gallery,
             options=_template_options(size),

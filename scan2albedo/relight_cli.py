@@ -51,7 +51,8 @@ def relight(
     sweep: Annotated[
         int | None,
         typer.Option(
-            help="So many frames, a light going around the face. A film of frames in a folder: "
+            help="So many places of a light that goes around the face (a GIF goes there and back). "
+            "A film of frames in a folder: "
             "ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4",
             min=1,
             max=1000,

@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scan2albedo.errors import OutputError
@@ -38,6 +38,19 @@ def publish(source: Path, target: Path, record: str | None = None) -> None:
     files = [path for path in source.iterdir() if path.is_file()]
     for path in sorted(files, key=lambda p: p.name == record):
         os.replace(path, target / path.name)
+
+
+@contextmanager
+def gone_if_empty(out: Path | None) -> Iterator[None]:
+    """Remove the folder `out` again when the block made it and fails before anything is in it."""
+    there = out is None or out.exists()
+    try:
+        yield
+    except BaseException:
+        if out is not None and not there:
+            with suppress(OSError):
+                out.rmdir()
+        raise
 
 
 @contextmanager

@@ -27,7 +27,7 @@ def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> Proc
     are brought to one level, between theirs geometrically, and then blended linearly: their own levels only
     tell how the scans were exposed, and the brighter scan would win otherwise. Where the texture of one was
     not seen, hair over a temple for instance, the detail of the other is continued in its colours, as in
-    `swap_texture`; where neither was, the colour is continued smoothly.
+    `swap_texture`; where neither was, the colour is continued smoothly. Two faces of one skin keep it.
 
     Parameters
     ----------

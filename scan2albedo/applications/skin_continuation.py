@@ -36,7 +36,8 @@ def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide:
     Gradients of log albedo are integrated from the border of what is known, so that no seam is left [1]_.
     They count where both their texels lie in `guide`, and are 0 elsewhere. A feature that only one face has
     at the border, such as the end of a brow, would be carried on as a bright or dark stain: what sets it
-    apart from its surroundings fades out within a few texels instead.
+    apart from its surroundings fades out within a few texels instead. The other face's very albedo is left
+    as it is: there is nothing to be had from the other face.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide:
     .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
     """
     missing = other.mask & ~known
-    if not missing.any() or not known.any():
+    if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):
         return albedo
     floor = _FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))

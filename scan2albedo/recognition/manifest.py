@@ -122,8 +122,8 @@ def _table(text: str, file: Path) -> tuple[list[str], list[tuple[int, list[str]]
     if missing := [name for name in COLUMNS if name not in header]:
         found = f"its first line has {', '.join(rows[0][1])}" if rows else "it is empty"
         raise RecognitionError(
-            f"{file} lacks the column {' and '.join(missing)} ({found}); begin it with a header of "
-            f"{','.join(COLUMNS)}"
+            f"{file} lacks the column{'s' * (len(missing) > 1)} {' and '.join(missing)} ({found}); begin it "
+            f"with a header of {','.join(COLUMNS)}"
         )
     return header, rows[1:]
 

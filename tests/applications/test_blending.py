@@ -30,6 +30,15 @@ def test_a_face_with_itself_is_itself(person, weight):
     same(blend_faces(person(0), person(0), weight), person(0))
 
 
+@pytest.mark.parametrize("weight", [0.02, 0.5])
+def test_a_face_with_itself_keeps_what_was_not_seen(person, weight):
+    face = person(0)
+    hidden = np.zeros(face.mask.shape, bool)
+    hidden[20:40, 20:40] = True
+    face = replace(face, image=replace(face.image, texture_valid=face.mask & ~hidden))
+    same(blend_faces(face, face, weight), face)
+
+
 def test_the_ends_are_the_faces(person):
     a, b = person(0), person(1)
     same(blend_faces(a, b, 0.0), a)

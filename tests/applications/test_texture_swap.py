@@ -29,6 +29,15 @@ def test_a_face_with_its_own_skin_is_itself(person):
     assert made.reflectance == person(0).reflectance
 
 
+def test_its_own_skin_stays_where_it_was_not_seen(person):
+    face = person(0)
+    hidden = np.zeros(face.mask.shape, bool)
+    hidden[20:40, 20:40] = True
+    face = replace(face, image=replace(face.image, texture_valid=face.mask & ~hidden))
+    made = swap_texture(face, face)
+    np.testing.assert_allclose(made.albedo_linear, face.albedo_linear, rtol=1e-6)
+
+
 def test_the_level_can_stay_bs(person):
     made = swap_texture(person(0), person(1), options=SwapOptions(match_level=False))
     np.testing.assert_allclose(made.albedo_linear, person(1).albedo_linear, rtol=1e-6)

@@ -59,10 +59,10 @@ def test_persons_may_be_left_open(folder):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", r"lacks the column person and result \(it is empty\)"),
+        ("", r"lacks the columns person and result \(it is empty\)"),
         ("\n\n", "it is empty"),
         ("name,result\nann,out/ann\n", r"lacks the column person \(its first line has name, result\)"),
-        ("ann,out/ann\n", "lacks the column person and result"),
+        ("ann,out/ann\n", "lacks the columns person and result"),
         ("person,result\n", "no entry below its header"),
         ("person,result\nann\n", "line 2: names no result"),
         ("person,result\nann,\n", "line 2: names no result"),

@@ -6,9 +6,10 @@ import os
 import signal
 import tempfile
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import closing, contextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -57,7 +58,7 @@ def run_recognition_experiment(
     ValueError
         When `jobs` is below 1.
     RecognitionError
-        When the budget ends, or scans fail, before there are two persons.
+        When the budget ends, or scans fail, before there are two persons; when a process was killed.
     OutputError
         When the cache cannot be written.
 
@@ -75,13 +76,9 @@ def run_recognition_experiment(
             if (kept := cached_session(folder, options, *key)) is not None:
                 run.take(key, kept)
         missing = [key for key in run.wanted() if key not in run.done]
-        made = _in_processes(folder, options, missing, jobs) if jobs > 1 else _here(folder, options, missing)
-        with closing(made):
-            for key, session in made:
-                run.take(key, session)
-                run.record(key)
-                if meter.exhausted:
-                    break
+        for key, session in _made(folder, options, missing, jobs, lambda: meter.exhausted):
+            run.take(key, session)
+            run.record(key)
     return run.report()
 
 
@@ -165,25 +162,46 @@ def _folder(cache: str | Path | None) -> Iterator[Path]:
         yield Path(folder)
 
 
-def _here(
-    cache: Path, options: RecognitionExperimentOptions, keys: list[_Key]
-) -> Generator[tuple[_Key, Session], None, None]:
-    for key in keys:
-        yield key, session_of(cache, options, *key)
+def _made(
+    cache: Path,
+    options: RecognitionExperimentOptions,
+    keys: list[_Key],
+    jobs: int,
+    ended: Callable[[], bool],
+) -> Iterator[tuple[_Key, Session]]:
+    """Yield sessions as they are done; when it has `ended`, no other is begun."""
+    if jobs == 1:
+        for key in keys:
+            if ended():
+                return
+            yield key, session_of(cache, options, *key)
+        return
+    try:
+        yield from _made_in_processes(cache, options, keys, jobs, ended)
+    except BrokenProcessPool as error:
+        raise RecognitionError(
+            "a process that worked on a scan was ended from outside, for want of memory perhaps; run it "
+            "again with fewer jobs: scans that are done are kept in the cache"
+        ) from error
 
 
-def _in_processes(
-    cache: Path, options: RecognitionExperimentOptions, keys: list[_Key], jobs: int
-) -> Generator[tuple[_Key, Session], None, None]:
-    """Yield sessions as they are done; a few are under way at a time, so that a budget can end it soon."""
+def _made_in_processes(
+    cache: Path,
+    options: RecognitionExperimentOptions,
+    keys: list[_Key],
+    jobs: int,
+    ended: Callable[[], bool],
+) -> Iterator[tuple[_Key, Session]]:
     threads = max(1, (os.cpu_count() or 1) // jobs)
     waiting = list(reversed(keys))
     with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker, (threads,)) as pool:
         running: dict[Future[Session], _Key] = {}
-        while waiting or running:
-            while waiting and len(running) < jobs:
+        while True:
+            while waiting and len(running) < jobs and not ended():
                 key = waiting.pop()
                 running[pool.submit(session_of, cache, options, *key)] = key
+            if not running:
+                return
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 yield running.pop(future), future.result()

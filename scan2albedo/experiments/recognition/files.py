@@ -27,7 +27,7 @@ def write_report(report: RecognitionReport, out: str | Path, cache: str | Path |
 
     ``recognition.json`` (all figures), ``table.txt``, ``probes.csv`` (who was taken for whom by each
     method), ``cmc.png``, ``roc.png``, ``trace.csv``, ``error_vs_time.png``, and with the experiment's
-    cache ``people.png``.
+    cache ``people.png``. A run that had nothing left to do leaves the trace of the one before.
 
     Raises
     ------
@@ -38,14 +38,15 @@ def write_report(report: RecognitionReport, out: str | Path, cache: str | Path |
     figures = {
         "cmc.png": cmc_figure({result.method: result.cmc for result in report.results}),
         "roc.png": roc_figure({result.method: result.roc for result in report.results}),
-        "error_vs_time.png": report.trace.plot(),
     }
+    if len(report.trace):
+        figures["error_vs_time.png"] = report.trace.plot()
+        write_text(folder / "trace.csv", report.trace.to_csv())
     if cache is not None and (people := _people(report, Path(cache))) is not None:
         figures["people.png"] = people
     for name, figure in figures.items():
         with atomic_path(folder / name) as temporary:
             figure.savefig(temporary)
-    write_text(folder / "trace.csv", report.trace.to_csv())
     write_text(folder / "table.txt", report.table() + "\n")
     write_text(folder / "probes.csv", _probes(report))
     write_text(folder / RECORD, json.dumps(plain_json(report.figures()), indent=2, allow_nan=False) + "\n")

@@ -16,11 +16,15 @@ FloatArray = NDArray[np.float64]
 
 RAW, RAW_SRGB = "raw texture", "raw texture, sRGB"
 RETINEX, EQUALIZED = "multi-scale retinex", "histogram equalisation"
+CHROMATICITY = "raw red to green"
+"""Free of shading where all lamps have one colour, as they have here."""
+
+_DARKEST = 1 / 255
 
 
 def method_names(options: RecognitionExperimentOptions) -> tuple[str, ...]:
     """Return the names of what is compared, raw texture first."""
-    return (RAW, RAW_SRGB, EQUALIZED, RETINEX, *map(albedo_method, options.brdfs))
+    return (RAW, RAW_SRGB, EQUALIZED, RETINEX, CHROMATICITY, *map(albedo_method, options.brdfs))
 
 
 def albedo_method(brdf: str) -> str:
@@ -38,6 +42,8 @@ def method_image(method: str, session: Session, options: RecognitionExperimentOp
         return texture
     if method == RAW_SRGB:
         return linear_to_srgb(texture)
+    if method == CHROMATICITY:
+        return np.maximum(texture[..., 0], _DARKEST) / np.maximum(texture[..., 1], _DARKEST)
     bright = one_channel(texture, options.templates.channel)
     if method == EQUALIZED:
         return histogram_equalized(bright, session.seen)

@@ -19,13 +19,15 @@ _PROCESSING = (
     "face_model",
     "fitting",
     "geometry",
+    "io",
     "lighting",
     "optimization",
+    "pipeline.py",
     "registration",
     "sampling",
     "synthetic",
 )
-"""Packages whose code decides what becomes of a scan."""
+"""Code and data that decide what becomes of a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +102,9 @@ class RecognitionExperimentOptions:
 def _code_hash() -> str:
     package = Path(__file__).parents[2]
     digest = hashlib.sha256()
-    for folder in _PROCESSING:
-        for file in sorted((package / folder).rglob("*.py")):
+    for name in _PROCESSING:
+        path = package / name
+        files = [path] if path.is_file() else path.rglob("*")
+        for file in sorted(f for f in files if f.suffix in (".py", ".npz", ".json")):
             digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
     return digest.hexdigest()

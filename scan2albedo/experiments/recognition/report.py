@@ -152,7 +152,7 @@ class RecognitionReport:
             + ("" if self.converged else ", the budget ended before the rest")
             + (f"; {len(self.failures)} scans failed and are left out" if self.failures else ""),
             f"  {'':28}{'rank 1':>7}  {'95 % interval':15}{'by persons':15}{'equal error':>11}"
-            f"{'against raw':>15}{'paper':>8}",
+            f"{'against raw':>19}{'paper':>8}",
         ]
         for result in self.results:
             gained, lost, p = result.against(self.results[0])
@@ -160,7 +160,7 @@ class RecognitionReport:
             lines.append(
                 f"  {result.method:28}{result.rank_1:7.1%}  {_span(result.interval):15}"
                 f"{_span(result.interval_by_persons):15}{result.roc.equal_error_rate:11.1%}"
-                + f"{'' if result is self.results[0] else f'+{gained} -{lost} p {p:.2g}':>17}"
+                + f"{' ' * 19 if result is self.results[0] else f'+{gained} -{lost} p {p:.1g}':>19}"
                 + f"{'' if paper is None else f'{paper:.1%}':>8}"
             )
         return "\n".join(lines)

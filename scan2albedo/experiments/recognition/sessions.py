@@ -34,11 +34,14 @@ class Session:
         Texels whose texture was seen.
     failure : str
         The pipeline's message; empty when it did not fail.
+    brdfs : tuple of str
+        What a scan that failed was tried with; another choice is tried anew.
     """
 
     images: Mapping[str, NDArray[np.float16]]
     seen: NDArray[np.bool_]
     failure: str = ""
+    brdfs: tuple[str, ...] = ()
 
 
 def session_file(cache: Path, options: RecognitionExperimentOptions, person: int, session: int) -> Path:
@@ -60,9 +63,12 @@ def cached_session(
     if "seen" not in arrays or "failure" not in arrays:
         return None
     seen, failure = arrays.pop("seen"), str(arrays.pop("failure"))
-    if not failure and not {TEXTURE, *options.brdfs} <= set(arrays):
+    if failure:
+        tried = tuple(str(name) for name in arrays.get("brdfs", ()))
+        return Session({}, seen, failure, tried) if tried == options.brdfs else None
+    if not {TEXTURE, *options.brdfs} <= set(arrays):
         return None
-    return Session(arrays, seen, failure)
+    return Session(arrays, seen)
 
 
 def made_session(options: RecognitionExperimentOptions, person: int, session: int) -> Session:
@@ -78,7 +84,7 @@ def made_session(options: RecognitionExperimentOptions, person: int, session: in
         for brdf in options.brdfs[1:]:
             estimates[brdf] = estimate_albedo(image, brdf=brdf, seed=seed)
     except Scan2AlbedoError as error:
-        return Session({}, np.zeros((options.size, options.size), bool), str(error))
+        return Session({}, np.zeros((options.size, options.size), bool), str(error), options.brdfs)
     images = {TEXTURE: _kept(image.texture_linear, image.seen)}
     images |= {brdf: _kept(e.albedo_linear, image.seen) for brdf, e in estimates.items()}
     return Session(images, image.seen)
@@ -97,6 +103,8 @@ def keep_session(
     path = session_file(cache, options, person, session)
     make_folder(path.parent)
     arrays: dict[str, Any] = {"seen": made.seen, "failure": np.array(made.failure), **made.images}
+    if made.failure:
+        arrays["brdfs"] = np.array(made.brdfs)
     packed = io.BytesIO()
     np.savez_compressed(packed, **arrays)
     write_bytes(path, packed.getvalue())

@@ -1,13 +1,18 @@
 """The experiment: every figure from the scans, resumed where it stopped, honest about what is missing."""
 
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.experiments.recognition import RecognitionExperimentOptions, run_recognition_experiment
-from scan2albedo.experiments.recognition.methods import method_image, method_names
+from scan2albedo.experiments.recognition import (
+    RecognitionExperimentOptions,
+    experiment,
+    run_recognition_experiment,
+)
+from scan2albedo.experiments.recognition.methods import CHROMATICITY, method_image, method_names
 from scan2albedo.experiments.recognition.sessions import (
     Session,
     cached_session,
@@ -17,7 +22,8 @@ from scan2albedo.experiments.recognition.sessions import (
 )
 from scan2albedo.optimization import Budget
 
-FAILED = Session({}, np.zeros((128, 128), bool), "person-2-session-0: no face was found")
+BOTH = ("oren-nayar", "lambert")
+FAILED = Session({}, np.zeros((128, 128), bool), "person-2-session-0: no face was found", BOTH)
 
 
 def test_scans_that_are_there_are_not_made_again(filled_cache, small_options):
@@ -72,6 +78,30 @@ def test_failed_scans_are_left_out_and_told(filled_cache, small_options):
     assert report.result("raw texture").identification.probe_names == ("0000", "0000", "0001", "0001", "0003")
     assert len(report.failures) == 2
     assert "2 scans failed" in report.table()
+
+
+def test_what_failed_with_other_reflectances_is_tried_anew(filled_cache, small_options):
+    keep_session(filled_cache, small_options, 2, 0, FAILED)
+    assert cached_session(filled_cache, small_options, 2, 0).failure == FAILED.failure
+    assert cached_session(filled_cache, replace(small_options, brdfs=("minnaert",)), 2, 0) is None
+
+
+def test_a_ratio_of_channels_sees_no_light_that_is_white(small_options, charts):
+    one, other = (method_image(CHROMATICITY, charts[0, scan], small_options) for scan in (0, 1))
+    seen = charts[0, 0].seen
+    textures = [charts[0, scan].images["texture"].astype(float)[seen] for scan in (0, 1)]
+    assert np.abs(np.log(textures[0] / textures[1])).mean() > 0.1
+    assert np.abs(np.log(one / other))[seen].mean() < 0.01
+
+
+def test_a_worker_that_was_killed_is_told(tmp_path, small_options, monkeypatch):
+    def killed(*arguments):
+        raise BrokenProcessPool("gone")
+        yield
+
+    monkeypatch.setattr(experiment, "_made_in_processes", killed)
+    with pytest.raises(RecognitionError, match="fewer jobs"):
+        run_recognition_experiment(tmp_path, options=small_options, jobs=2)
 
 
 def test_when_all_fail_the_error_tells_why(filled_cache, small_options):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import cv2
 import pytest
@@ -11,6 +12,7 @@ from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
 from scan2albedo.experiments.recognition import run_recognition_experiment
 from scan2albedo.experiments.recognition.files import RECORD, write_report
+from scan2albedo.optimization import Trace, TraceRow
 
 
 def test_all_files_are_there(filled_cache, small_options, tmp_path):
@@ -25,10 +27,19 @@ def test_all_files_are_there(filled_cache, small_options, tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["person"] for row in rows] == list(report.results[0].identification.probe_names)
     assert all(row["albedo, oren-nayar"] == row["person"] for row in rows)
-    for name in ("cmc.png", "roc.png", "people.png", "error_vs_time.png"):
+    for name in ("cmc.png", "roc.png", "people.png"):
         assert min(cv2.imread(str(folder / name)).shape[:2]) > 200
     assert (folder / "table.txt").read_text() == report.table() + "\n"
     assert not list(folder.glob(".*"))
+
+
+def test_a_run_with_nothing_to_do_leaves_the_trace(filled_cache, small_options, tmp_path):
+    report = run_recognition_experiment(filled_cache, options=small_options)
+    row = TraceRow("experiment.recognition", 9.0, 8.0, 4, 0.5, "1 - rank-1 rate")
+    folder = write_report(replace(report, trace=Trace((row,))), tmp_path / "out")
+    before = (folder / "trace.csv").read_text(), (folder / "error_vs_time.png").read_bytes()
+    write_report(report, folder)
+    assert before == ((folder / "trace.csv").read_text(), (folder / "error_vs_time.png").read_bytes())
 
 
 def test_without_the_scans_there_is_no_sheet_of_people(filled_cache, small_options, tmp_path):
