@@ -1,6 +1,7 @@
 """The recognition experiment in full, and what its choices are worth.
 
-    python tools/experiment_recognition.py [-o recognition_out] [--persons 60] [--jobs 2] [--choices]
+    python tools/experiment_recognition.py [-o recognition_out] [--persons 60] [--probes 3] [--lamp-colors 0]
+                                           [--jobs 2] [--choices]
 
 Scans and processes 60 persons, four times each (an hour on two cores; a run that was stopped goes on), writes
 the report, and prints pairs of reflectances beside each other. --choices repeats the identification, on the
@@ -66,11 +67,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
     parser.add_argument("-o", "--out", type=Path, default=Path("recognition_out"))
     parser.add_argument("--persons", type=int, default=60)
+    parser.add_argument("--probes", type=int, default=3)
+    parser.add_argument(
+        "--lamp-colors", type=float, default=0.0, help="deviation of log red and blue of each lamp; 0: white"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the population")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--choices", action="store_true", help="identify with other templates, too")
     arguments = parser.parse_args()
-    options = RecognitionExperimentOptions(persons=arguments.persons, seed=arguments.seed)
+    options = RecognitionExperimentOptions(
+        persons=arguments.persons, probes=arguments.probes, seed=arguments.seed
+    )
+    crowd = replace(options.population, lamp_colors=arguments.lamp_colors)
+    options = replace(options, population=crowd)
     cache = arguments.out / "scans"
     report = run_recognition_experiment(cache, options=options, jobs=arguments.jobs, on_progress=show)
     write_report(report, arguments.out, cache)

@@ -43,6 +43,9 @@ class PopulationOptions:
         Ranges; intensity relative to ambient = 1.
     highlight : (float, float)
         Range of the highlight's strength.
+    lamp_colors : float
+        Standard deviation of the logarithms of red and blue over green, of the ambient light and of each
+        lamp; 0 for white ones.
     expression : float
         Largest strength of a scan's expression, 1 a plain one; every scan has one at random.
     capture : RawScanOptions
@@ -60,16 +63,18 @@ class PopulationOptions:
     light_distance_mm: tuple[float, float] = (700.0, 1500.0)
     light_intensity: tuple[float, float] = (1.5, 4.0)
     highlight: tuple[float, float] = (0.05, 0.15)
+    lamp_colors: float = 0.0
     expression: float = 0.5
     capture: RawScanOptions = field(default_factory=RawScanOptions)
 
     def __post_init__(self) -> None:
         if not 0 < self.individuality <= 1:
             raise ValueError(f"individuality is {self.individuality}, expected within (0, 1]")
-        if not 0 <= self.two_lights <= 1 or self.expression < 0:
+        if not 0 <= self.two_lights <= 1:
+            raise ValueError(f"two_lights is {self.two_lights}, expected within [0, 1]")
+        if self.expression < 0 or self.lamp_colors < 0:
             raise ValueError(
-                f"two_lights is {self.two_lights} and expression {self.expression}, expected within [0, 1] "
-                "and >= 0"
+                f"expression is {self.expression} and lamp_colors {self.lamp_colors}, expected >= 0"
             )
         if not 0 < self.light_cone_deg <= 90:
             raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
@@ -123,7 +128,9 @@ def population_scan(
         tone=tone,
         face_albedo=paint,
     )
-    return scan_of(sitter, lights, finish, options.capture, now, f"person-{person}-session-{session}")
+    name = f"person-{person}-session-{session}"
+    colors = _random_colors(1 + len(lights), now, options.lamp_colors) if options.lamp_colors else None
+    return scan_of(sitter, lights, finish, options.capture, now, name, colors)
 
 
 def _painter(
@@ -174,3 +181,9 @@ def _random_light(rng: np.random.Generator, options: PopulationOptions) -> Point
         float(rng.uniform(*options.light_distance_mm)),
         float(rng.uniform(*options.light_intensity)),
     )
+
+
+def _random_colors(count: int, rng: np.random.Generator, deviation: float) -> FloatArray:
+    logarithms = np.zeros((count, 3))
+    logarithms[:, [0, 2]] = rng.normal(0, deviation, (count, 2))
+    return np.exp(logarithms)

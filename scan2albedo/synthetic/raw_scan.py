@@ -149,8 +149,12 @@ def scan_of(
     settings: RawScanOptions,
     rng: np.random.Generator,
     name: str,
+    colors: FloatArray | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
-    """Scan a sitter as `raw_scan` does; `rng` is that of noise, damage and pose."""
+    """Scan a sitter as `raw_scan` does; `rng` is that of noise, damage and pose.
+
+    Ambient light and lamps have `colors` (1 + L, 3), white when omitted.
+    """
     tip = nose_tip(sitter.face.vertices)
     pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=settings.picture_reach_mm)
     measured = capture(
@@ -170,6 +174,7 @@ def scan_of(
         size=settings.picture_size,
         noise=settings.picture_noise,
         rng=rng,
+        colors=colors,
     )
     scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, name)
     return scan, _truth(sitter, scan_from_model, flashes, finish, exposure, settings.size)

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.synthetic import PopulationOptions, RawScanOptions, population_scan
+from scan2albedo.synthetic import Material, PopulationOptions, RawScanOptions, light_at, population_scan
 from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
+from scan2albedo.synthetic.flash_pictures import flash_pictures
 from scan2albedo.synthetic.population import _painter, _random_lights
+from scan2albedo.synthetic.range_scan import two_pods
 from scan2albedo.synthetic.scenes import texel_coordinates
+from scan2albedo.synthetic.sitter import sit_down
 
 SMALL = RawScanOptions(spacing_mm=8.0, picture_size=48, size=64)
 
@@ -74,6 +77,28 @@ def test_lights_stay_in_their_cone_and_apart():
     assert all(a.direction @ b.direction < np.cos(np.deg2rad(30)) for a, b in two)
 
 
+def test_light_of_several_colors_adds_up():
+    model, lights = AnnotatedFaceModel.default(), (light_at(30), light_at(-40))
+    sitter = sit_down(0, expression="neutral", model=model)
+    pods = two_pods(sitter.face.vertices.mean(0), reach_mm=150.0)
+
+    def pictured(colors):
+        rng = np.random.default_rng(0)
+        finish = Material(0.3, 0.1, 14.0)
+        return flash_pictures(sitter, pods, lights, finish, size=32, noise=0, rng=rng, colors=colors)
+
+    (plain, exposure), (white, same) = pictured(None), pictured(np.ones((3, 3)))
+    assert same == pytest.approx(exposure, rel=1e-6)
+    np.testing.assert_allclose(white, plain, atol=0.02)  # a step of 8 bits
+    _, brighter = pictured(np.full((3, 3), 0.5))
+    assert brighter == pytest.approx(2 * exposure, rel=1e-6)
+    red, _ = pictured(np.array([[1.0, 1, 1], [3.0, 1, 1], [1, 1, 1]]))
+    lit = (plain.min(-1) > 0.05) & (red.min(-1) > 0.02)
+    ratio = np.log(red[lit][:, 0] / red[lit][:, 1]) - np.log(plain[lit][:, 0] / plain[lit][:, 1])
+    assert ratio.max() > 0.5  # in the red lamp's light
+    assert np.percentile(ratio, 5) < 0.15  # in its shadow
+
+
 def test_brows_and_lips_take_their_own_form():
     model = AnnotatedFaceModel.default()
     image = face_geometry_image(model, face_surface(model, model.control_vertices), 128)
@@ -102,6 +127,7 @@ def test_brows_and_lips_take_their_own_form():
         {"individuality": 1.5},
         {"two_lights": -0.1},
         {"expression": -1.0},
+        {"lamp_colors": -0.1},
         {"light_cone_deg": 120.0},
         {"tones": (0.5, 0.2)},
         {"light_intensity": (-1.0, 2.0)},
