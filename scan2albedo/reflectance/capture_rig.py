@@ -123,8 +123,13 @@ def rig_of_head_poses(
 
 
 def _check_rotations(turn: FloatArray) -> None:
+    finite = np.isfinite(turn).all((1, 2))
+    turn = np.where(finite[:, None, None], turn, 0.0)
     off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    bad = ~(off < _ROTATION_TOLERANCE) | ~(np.linalg.det(turn) > 0)
+    bad = (off > _ROTATION_TOLERANCE) | (np.linalg.det(turn) <= 0)
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
-        raise ReflectanceError(f"head pose {first} has no proper rotation: R R^T is off by {off[first]:.3g}")
+        raise ReflectanceError(
+            f"head pose {first} has no proper rotation: R R^T is off by {off[first]:.3g}, det R is "
+            f"{np.linalg.det(turn[first]):.3g}"
+        )

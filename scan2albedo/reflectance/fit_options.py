@@ -39,12 +39,12 @@ class ReflectancePrior:
     def __post_init__(self) -> None:
         if len(self.weights_mean) != 3 or len(self.weights_std) != 3:
             raise ValueError("weights_mean and weights_std must have three numbers each")
-        for name, values in (("mean", (self.diffuse_mean, *self.weights_mean)),):
-            if not all(0 <= value < math.inf for value in values):
-                raise ValueError(f"a {name} of the prior is not finite and >= 0: {values}")
+        means = (self.diffuse_mean, *self.weights_mean)
+        if not all(0 <= value < math.inf for value in means):
+            raise ValueError(f"diffuse_mean and weights_mean must be finite and >= 0, got {means}")
         stds = (self.diffuse_std, *self.weights_std)
         if not all(0 < value < math.inf for value in stds):
-            raise ValueError(f"a standard deviation of the prior is not finite and > 0: {stds}")
+            raise ValueError(f"diffuse_std and weights_std must be finite and > 0, got {stds}")
         if self.level is not None and not 0 < self.level < math.inf:
             raise ValueError(f"level is {self.level}, expected > 0 and finite")
 

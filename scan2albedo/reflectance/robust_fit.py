@@ -39,6 +39,11 @@ class Observations:
     mean: FloatArray
     prior: FloatArray
 
+    def __post_init__(self) -> None:
+        # Kernels are compiled anew for every other memory layout.
+        for name in ("observed", "precision", "lobes"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
 
 @dataclass(frozen=True)
 class RobustFit:

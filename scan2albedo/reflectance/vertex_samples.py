@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 
 _UNIT = 1e-3
 """How far a normal's length may be from 1."""
+_LEAST_SIGMA = 1e-100
+"""Its square's inverse must be a number."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ class VertexSamples:
             raise ReflectanceError(
                 f"valid is {valid.dtype} and light {light.dtype}, expected bool, integers >= 0"
             )
-        bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > 0))
+        bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
         bad |= valid & ~np.isfinite(lobes).all(-1, keepdims=True)
         if bad.any():
             pair, vertex, _ = np.argwhere(bad)[0]
