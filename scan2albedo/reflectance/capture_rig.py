@@ -123,7 +123,7 @@ def rig_of_head_poses(
 
 
 def _check_rotations(turn: FloatArray) -> None:
-    finite = np.isfinite(turn).all((1, 2))
+    finite = np.asarray(np.isfinite(turn).all((1, 2)))
     turn = np.where(finite[:, None, None], turn, 0.0)
     off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
     bad = (off > _ROTATION_TOLERANCE) | (np.linalg.det(turn) <= 0)

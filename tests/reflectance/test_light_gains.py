@@ -8,6 +8,8 @@ from reflectance_captures import head_capture, relative_rmse, samples_of
 
 from scan2albedo.optimization import Budget
 from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance
+from scan2albedo.reflectance.light_gains import divided_by_gain
+from scan2albedo.reflectance.robust_fit import Observations
 
 GAINS = ReflectanceFitOptions(light_gains=True, gain_vertices=300)
 
@@ -49,6 +51,19 @@ def test_gains_without_noise_are_exact(capture, gain):
     options = replace(GAINS, gain_iterations=300, gain_tolerance=1e-9, loss="squares")
     fit = fit_reflectance(lit_by(capture, gain, said_noise=1e-6), options=options)
     np.testing.assert_allclose(fit.light_gain, gain, rtol=1e-5)
+
+
+def test_observations_divided_by_gains_keep_their_worth():
+    """y / g with precision g^2 / sigma^2: residuals over sigma stay as they are."""
+    rng = np.random.default_rng(6)
+    observed, precision, gain = rng.random((3, 4, 3)), rng.random((3, 4, 3)), rng.uniform(0.5, 2, (2, 3))
+    data = Observations(observed, precision, rng.random((3, 4, 4)), np.zeros(6), np.ones(6))
+    light = np.array([1, 0, 1])
+    divided, model = divided_by_gain(data, light, gain), rng.random((3, 4, 3))
+    np.testing.assert_allclose(
+        divided.precision * (divided.observed - model) ** 2,
+        precision * (observed - gain[light][:, None] * model) ** 2,
+    )
 
 
 def test_without_the_option_gains_are_one(capture):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_reflectance import design
 from reflectance_captures import head_capture, of_pairs, radiance, relative_rmse, samples_of
 
 from scan2albedo.errors import ReflectanceError
@@ -64,6 +65,30 @@ def test_one_per_cent_of_noise(fit, capture):
     inside = ((fit.low <= truth) & (truth <= fit.high))[sure].mean()
     assert 0.93 < inside < 0.98
     assert np.nanmedian(fit.misfit) == pytest.approx(1, abs=0.1)
+
+
+def test_intervals_are_those_of_the_posterior_before_the_bounds(capture):
+    matt = replace(capture, truth=replace(capture.truth, weights=np.zeros((1500, 3))))
+    samples = samples_of(of_pairs(matt, np.arange(0, 99, 9)), noise=0.01)
+    fit = fit_reflectance(samples, options=SQUARES)
+    prior, bounded = ReflectancePrior(), 0
+    mean = fit.level * np.array([prior.diffuse_mean] * 3 + list(prior.weights_mean))
+    precision = 1 / (fit.level * np.array([prior.diffuse_std] * 3 + list(prior.weights_std))) ** 2
+    for v in np.flatnonzero(fit.pair_count > 3)[::50]:
+        rows, right = design(samples, v)
+        rows, right = rows[:-6], right[:-6]
+        normal = rows.T @ rows + np.diag(precision)
+        center = np.linalg.solve(normal, rows.T @ right + precision * mean)
+        std = np.sqrt(np.diag(np.linalg.inv(normal))) * max(fit.misfit[v], 1.0)
+        np.testing.assert_allclose(fit.std[v], std, rtol=1e-6)
+        np.testing.assert_allclose(
+            fit.low[v], np.clip(center - 1.96 * std, 0, fit.parameters[v]), atol=1e-3 * std.max()
+        )
+        np.testing.assert_allclose(
+            fit.high[v], np.maximum(center + 1.96 * std, fit.parameters[v]), atol=1e-3 * std.max()
+        )
+        bounded += (center < -0.1 * std).sum()
+    assert bounded > 5
 
 
 def test_pictures_left_out_are_relit(capture):

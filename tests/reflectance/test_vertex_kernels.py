@@ -83,13 +83,15 @@ def test_the_posterior_without_bounds_is_that_of_the_dense_system():
         np.testing.assert_allclose(deviation[v], np.sqrt(np.diag(covariance)), rtol=1e-8)
 
 
-def test_observations_beyond_all_precision_keep_the_estimate_finite():
+@pytest.mark.parametrize("column", [1, 2, 3])
+@pytest.mark.parametrize("sigma", [1e-8, 1e-10, 1e-12])
+def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigma):
     """A flash at the camera: two columns are one, and what the prior says of them drowns in rounding."""
     lobes = np.abs(np.random.default_rng(4).standard_normal((6, 10, 4)))
-    lobes[..., 1] = 3 / 8 * lobes[..., 0]
+    lobes[..., column] = 3 / 8 * lobes[..., 0]
     samples = VertexSamples(
         0.5 * lobes[..., :1] * np.ones(3),
-        np.full((6, 10, 3), 1e-12),
+        np.full((6, 10, 3), sigma),
         np.ones((6, 10, 3), bool),
         lobes,
         np.zeros(6, int),
@@ -100,7 +102,9 @@ def test_observations_beyond_all_precision_keep_the_estimate_finite():
     solve_free(normal, MEAN, PRIOR, center, deviation)
     assert np.isfinite(estimate).all()
     assert np.isfinite(deviation).all()
-    radiance = estimate[:, :3] + 3 / 8 * estimate[:, 3:4]
+    assert (deviation[:, 2 + column] < 1.01 / np.sqrt(PRIOR[2 + column])).all()
+    assert (estimate[:, 2 + column] < 2).all()
+    radiance = estimate[:, :3] + 3 / 8 * estimate[:, 2 + column, None]
     np.testing.assert_allclose(radiance, 0.5, rtol=1e-4)
 
 
