@@ -5,6 +5,7 @@ from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, Reflectan
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
+from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
 from scan2albedo.reflectance.vertex_fit import fit_reflectance
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 from scan2albedo.reflectance.vertex_samples import SamplingOptions, VertexSamples, sample_vertices
@@ -19,6 +20,7 @@ __all__ = [
     "ReflectanceFit",
     "ReflectanceFitOptions",
     "ReflectancePrior",
+    "RelightingError",
     "SamplingOptions",
     "VertexReflectance",
     "VertexSamples",
@@ -26,6 +28,7 @@ __all__ = [
     "fit_reflectance",
     "point_light_lobes",
     "point_light_radiance",
+    "relighting_error",
     "rig_of_head_poses",
     "sample_vertices",
 ]

@@ -143,13 +143,12 @@ def _albedos(normal, mean, prior, zero, w0, w1, w2, c):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _least(normal, mean, prior, zero, m, r, c, best):  # type: ignore[no-untyped-def]
-    """Try the eight sets of weights at 0, with the albedos `zero` at 0; keep in best (6,) what is >= 0.
+def _least(normal, mean, prior, m, r, c, best):  # type: ignore[no-untyped-def]
+    """Fill best (6,) with the least objective with weights >= 0, of eight sets of weights at 0.
 
-    Albedos count as free of bounds when `zero` is 0: then the smallest objective with w >= 0 is returned, for
-    albedos that may be negative. Returns twice the objective's fall.
+    Albedos are not bounded here: if none is negative, it is the least objective with all six >= 0.
     """
-    _reduce(normal, mean, prior, zero, m, r)
+    _reduce(normal, mean, prior, 0, m, r)
     largest = -np.inf
     for fixed in range(8):
         w0, w1, w2 = _with_fixed(m, r, prior, fixed)
@@ -161,19 +160,18 @@ def _least(normal, mean, prior, zero, m, r, c, best):  # type: ignore[no-untyped
             best[3], best[4], best[5] = w0, w1, w2
         if fixed == 0:
             break  # the unbounded minimum obeys the bounds
-    _albedos(normal, mean, prior, zero, best[3], best[4], best[5], c)
+    _albedos(normal, mean, prior, 0, best[3], best[4], best[5], c)
     best[:3] = c
-    return largest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _least_of_all(normal, mean, prior, m, r, c, best):  # type: ignore[no-untyped-def]
     """Try all 64 sets of albedos and weights at 0 and fill best (6,)."""
-    gradient_weights = np.empty(3)
+    right = np.empty(3)
     for n in range(3):
-        gradient_weights[n] = prior[3 + n] * mean[3 + n]
+        right[n] = prior[3 + n] * mean[3 + n]
         for k in range(3):
-            gradient_weights[n] += normal[k, 11 + n]
+            right[n] += normal[k, 11 + n]
     largest = -np.inf
     for zero in range(8):
         _reduce(normal, mean, prior, zero, m, r)
@@ -184,7 +182,7 @@ def _least_of_all(normal, mean, prior, m, r, c, best):  # type: ignore[no-untype
             fall = _albedos(normal, mean, prior, zero, w0, w1, w2, c)
             if c[0] < 0.0 or c[1] < 0.0 or c[2] < 0.0:
                 continue
-            fall += gradient_weights[0] * w0 + gradient_weights[1] * w1 + gradient_weights[2] * w2
+            fall += right[0] * w0 + right[1] * w1 + right[2] * w2
             if fall > largest:
                 largest = fall
                 best[:3] = c
@@ -204,7 +202,7 @@ def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def
     m, r, c, best = np.empty(6), np.empty(3), np.empty(3), np.empty(6)
     black = 0
     for i in range(len(normal)):
-        _least(normal[i], mean, prior, 0, m, r, c, best)
+        _least(normal[i], mean, prior, m, r, c, best)
         if best[0] < 0.0 or best[1] < 0.0 or best[2] < 0.0:
             _least_of_all(normal[i], mean, prior, m, r, c, best)
             black += 1
