@@ -202,6 +202,7 @@ def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def
     m, r, c, best = np.empty(6), np.empty(3), np.empty(3), np.empty(6)
     black = 0
     for i in range(len(normal)):
+        best[:] = np.nan  # what overflows stays visible
         _least(normal[i], mean, prior, m, r, c, best)
         if best[0] < 0.0 or best[1] < 0.0 or best[2] < 0.0:
             _least_of_all(normal[i], mean, prior, m, r, c, best)

@@ -138,3 +138,13 @@ def test_weights_are_the_slope_of_the_loss(kind):
     assert slope == pytest.approx(3 * 0.5 * weights[0].sum(), rel=1e-3)
     assert (np.diff(weights[0]) <= 0).all()
     assert (weights[0][-1] == 1) == (kind == NONE)
+
+
+def test_sums_that_overflow_give_no_number():
+    """Neither the estimate of the vertex before nor 0 stands for what cannot be computed."""
+    normal = normal_equations(random_samples(5, count=3))
+    normal[1, 0, 4:] = np.inf
+    estimate = np.empty((3, 6))
+    solve_bounded(normal, MEAN, PRIOR, estimate)
+    assert np.isfinite(estimate[[0, 2]]).all()
+    assert np.isnan(estimate[1]).any()
