@@ -1,0 +1,265 @@
+"""One light at a time: what the flash alone adds, from pictures with the flash and with the room's light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ReflectanceError
+
+FloatArray = NDArray[np.float64]
+Pictures = NDArray[Any] | Sequence[NDArray[Any]]
+
+_SIGMAS = 4.0
+"""A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel."""
+
+
+@dataclass(frozen=True)
+class OlatOptions:
+    """How displayed values become light.
+
+    Parameters
+    ----------
+    gamma : float
+        Light is value^gamma; 1 for pictures that are linear already.
+    noise : float
+        Standard deviation of the values, white = 1.
+    saturation : float
+        Values from here on are clipped, or may be; inf for pictures that cannot clip.
+    brighter_room_part : float
+        A pair is told of when this part of its pixels is brighter in the room's light than with the flash,
+        and left out when more pixels are so than the other way round.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    gamma: float = 1.2
+    noise: float = 0.01
+    saturation: float = 0.98
+    brighter_room_part: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("gamma", "noise"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
+        if not self.saturation > 0:
+            raise ValueError(f"saturation is {self.saturation}, expected > 0")
+        if not 0 <= self.brighter_room_part <= 1:
+            raise ValueError(f"brighter_room_part is {self.brighter_room_part}, expected in [0, 1]")
+
+
+@dataclass(frozen=True)
+class CaptureDiagnostic:
+    """Something wrong with a pair of pictures.
+
+    Parameters
+    ----------
+    name : {"room_brighter_than_flash", "saturated", "not_finite"}
+    pair : int
+    part : float
+        Of the pair's pixels.
+    left_out : bool
+        Whether the whole pair is.
+    message : str
+        In words, with what to do.
+    """
+
+    name: str
+    pair: int
+    part: float
+    left_out: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class OlatImages:
+    """Light that the flash of each of J pairs added.
+
+    Parameters
+    ----------
+    linear : (J, H, W, 3) float32
+        Negative where noise made it so; 0 where not valid.
+    sigma : (J, H, W, 3) float32
+        Standard deviation.
+    valid : (J, H, W, 3) bool
+        Finite, not saturated, of a pair that is not left out.
+    saturated : (J, H, W, 3) bool
+        In either picture.
+    diagnostics : tuple of CaptureDiagnostic
+        Pair by pair.
+    """
+
+    linear: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    diagnostics: tuple[CaptureDiagnostic, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.linear)
+
+
+def extract_olat(
+    flash: Pictures,
+    room: Pictures,
+    *,
+    options: OlatOptions = OlatOptions(),
+) -> OlatImages:
+    """Subtract the room's light from pictures taken with a flash, in linear space.
+
+    I = F^g - R^g with g = `gamma` and, to first order in the noise s of both,
+
+        sigma^2 = (g s)^2 (F^(2 g - 2) + R^(2 g - 2)).
+
+    Negative differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the
+    other two are not.
+
+    Parameters
+    ----------
+    flash : (J, H, W, 3) array or sequence of (H, W, 3) arrays
+        Displayed values: floats, white = 1, or integers of 8 or 16 bits; NaN where there is nothing.
+    room : (J, H, W, 3) or (H, W, 3) array, or sequence of arrays
+        Likewise; one picture of the room's light serves all.
+    options : OlatOptions
+
+    Returns
+    -------
+    OlatImages
+
+    Raises
+    ------
+    ValueError
+        When shapes are others.
+    ReflectanceError
+        When there are no pairs, when values are beyond white, or when every pair is darker with its flash.
+
+    Notes
+    -----
+    The formula's slope is 0 in the dark, where first order does not hold; values count there as at least s.
+
+    References
+    ----------
+    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement, Eq. 2.
+
+    Examples
+    --------
+    >>> pair = extract_olat(np.full((1, 2, 2, 3), 0.5), np.full((2, 2, 3), 0.1))
+    >>> print(pair.linear[0, 0, 0, 0].round(4), pair.sigma[0, 0, 0, 0].round(4))
+    0.3722 0.0129
+    """
+    rooms = _pictures(room, "room")
+    pictures = _pictures(flash, "flash")
+    shape = _shape(pictures, rooms)
+    linear, sigma = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    saturated, valid = np.zeros(shape, bool), np.zeros(shape, bool)
+    diagnostics: list[CaptureDiagnostic] = []
+    for j in range(shape[0]):
+        lit = _values(pictures[j], f"flash picture {j}", options)
+        ambient = _values(rooms[j % len(rooms)], f"room picture {j}", options)
+        finite = np.isfinite(lit) & np.isfinite(ambient)
+        lit, ambient = np.where(finite, lit, 0.0), np.where(finite, ambient, 0.0)
+        difference = _light(lit, options.gamma) - _light(ambient, options.gamma)
+        deviation = np.sqrt(_variance(lit, options) + _variance(ambient, options))
+        saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
+        usable = (finite & ~saturated[j]).all(-1)
+        changed = (np.abs(difference) > _SIGMAS * deviation).all(-1) & usable
+        darker, brighter = changed & (difference < 0).all(-1), changed & (difference > 0).all(-1)
+        found = _diagnostics(j, finite, saturated[j])
+        found += _room_diagnostics(j, usable.sum(), darker.sum(), brighter.sum(), options)
+        diagnostics += found
+        valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
+        linear[j], sigma[j] = np.where(valid[j], difference, 0.0), deviation
+    _refuse_if_all_left_out(diagnostics, shape[0])
+    return OlatImages(linear, sigma, valid, saturated, tuple(diagnostics))
+
+
+def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
+    """Return pictures (H, W, 3), one for an array of one."""
+    pictures = [given] if isinstance(given, np.ndarray) and given.ndim == 3 else list(given)
+    if not pictures:
+        raise ReflectanceError(f"{name} holds no pictures: there are no pairs, give one at least")
+    return [np.asarray(picture) for picture in pictures]
+
+
+def _shape(flash: list[NDArray[Any]], room: list[NDArray[Any]]) -> tuple[int, int, int, int]:
+    shapes = {picture.shape for picture in (*flash, *room)}
+    if len(room) not in (1, len(flash)) or len(shapes) != 1 or len(flash[0].shape) != 3:
+        raise ValueError(
+            f"there are {len(flash)} flash and {len(room)} room pictures of shapes {sorted(shapes)}, "
+            "expected (H, W, 3) all, and as many of each or one of the room"
+        )
+    height, width, channels = flash[0].shape
+    if channels != 3 or 0 in (height, width):
+        raise ValueError(f"pictures are {flash[0].shape}, expected (H, W, 3)")
+    return len(flash), height, width, channels
+
+
+def _values(picture: NDArray[Any], name: str, options: OlatOptions) -> FloatArray:
+    """Return (H, W, 3) values, white = 1."""
+    array = np.asarray(picture)
+    if array.dtype in (np.uint8, np.uint16):
+        return array / float(np.iinfo(array.dtype).max)
+    if not np.issubdtype(array.dtype, np.floating):
+        raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
+    values = array.astype(np.float64)
+    largest = float(np.max(values, where=np.isfinite(values), initial=0.0))
+    if largest > 2 * options.saturation:
+        raise ReflectanceError(
+            f"{name} reaches {largest:.4g}, expected values with white = 1: divide by the largest value the "
+            "camera can give, or set OlatOptions.saturation for pictures beyond white"
+        )
+    return values
+
+
+def _light(values: FloatArray, gamma: float) -> FloatArray:
+    """Odd, so that noise around 0 keeps its mean."""
+    return np.copysign(np.abs(values) ** gamma, values)
+
+
+def _variance(values: FloatArray, options: OlatOptions) -> FloatArray:
+    slope = options.gamma * np.maximum(np.abs(values), options.noise) ** (options.gamma - 1)
+    return (options.noise * slope) ** 2
+
+
+def _diagnostics(
+    pair: int, finite: NDArray[np.bool_], saturated: NDArray[np.bool_]
+) -> list[CaptureDiagnostic]:
+    found = []
+    missing, clipped = 1 - float(finite.all(-1).mean()), float(saturated.any(-1).mean())
+    if missing > 0:
+        text = f"pair {pair}: {100 * missing:.2g} % of the pixels have no number and are left out"
+        found.append(CaptureDiagnostic("not_finite", pair, missing, missing == 1, text))
+    if clipped > 0:
+        text = f"pair {pair}: {100 * clipped:.2g} % of the pixels are saturated and their channels left out"
+        found.append(CaptureDiagnostic("saturated", pair, clipped, False, text))
+    return found
+
+
+def _room_diagnostics(
+    pair: int, usable: int, darker: int, brighter: int, options: OlatOptions
+) -> list[CaptureDiagnostic]:
+    part, swapped = float(darker / max(usable, 1)), bool(darker > brighter)
+    if part <= options.brighter_room_part:
+        return []
+    advice = (
+        "left out, were the pictures exchanged?" if swapped else "did head or exposure change between them?"
+    )
+    text = (
+        f"pair {pair}: {100 * part:.2g} % of the pixels are brighter in the room's light than "
+        f"with the flash: {advice}"
+    )
+    return [CaptureDiagnostic("room_brighter_than_flash", pair, part, swapped, text)]
+
+
+def _refuse_if_all_left_out(diagnostics: list[CaptureDiagnostic], count: int) -> None:
+    left_out = [one for one in diagnostics if one.left_out]
+    if len({one.pair for one in left_out}) == count:
+        raise ReflectanceError(f"no pair of pictures can be used; {left_out[0].message}")

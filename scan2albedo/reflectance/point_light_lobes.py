@@ -1,0 +1,120 @@
+"""What a vertex of unit albedo, and of unit weight of each lobe, sends to a camera under a point light."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+
+FloatArray = NDArray[np.float64]
+
+PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
+"""Of the lobes: where h is the normal."""
+
+
+def point_light_lobes(
+    vertices: ArrayLike,
+    normals: ArrayLike,
+    camera_positions: ArrayLike,
+    light_positions: ArrayLike,
+    *,
+    reference_distance_mm: float | None = None,
+) -> FloatArray:
+    """Return (J, V, 4): max(0, n.l) / pi and (s + 2) / (8 pi) max(0, n.h)^s for s = 1, 8, 64.
+
+    Parameters
+    ----------
+    vertices, normals : (V, 3) array_like of float
+        Millimetres; unit.
+    camera_positions, light_positions : (J, 3) array_like of float
+        Of each picture, in mm.
+    reference_distance_mm : float, optional
+        Lights fall off with the square of their distance, to 1 at this one; without it they do not.
+
+    Returns
+    -------
+    (J, V, 4) float64
+        All 0 where the light is behind the vertex. Whether something hides it is not asked.
+
+    Raises
+    ------
+    ValueError
+        When shapes disagree.
+
+    Notes
+    -----
+    As in the released code of [1]_, lobes have no factor n.l.
+
+    References
+    ----------
+    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023.
+
+    Examples
+    --------
+    >>> ahead = [[0.0, 0.0, 600.0]]
+    >>> point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], ahead, ahead).round(3)
+    array([[[0.318, 0.119, 0.398, 2.626]]])
+    """
+    arrays = [
+        np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
+    ]
+    if any(a.ndim != 2 or a.shape[1] != 3 for a in arrays) or len(arrays[0]) != len(arrays[1]):
+        raise ValueError(f"shapes are {[a.shape for a in arrays]}, expected (V, 3) twice and (J, 3) twice")
+    if len(arrays[2]) != len(arrays[3]):
+        raise ValueError(f"{len(arrays[2])} camera positions but {len(arrays[3])} light positions")
+    lobes = np.empty((len(arrays[2]), len(arrays[0]), 4))
+    reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
+    _fill_lobes(*arrays, reference, lobes)
+    return lobes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: ignore[no-untyped-def]
+    """Fill lobes (J, V, 4); the exponents 1, 8, 64 are products, since powers cost ten times as much."""
+    for j in range(len(cameras)):
+        for i in range(len(vertices)):
+            n_l = n_v = light_square = view_square = cross = 0.0
+            for k in range(3):
+                light, view = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
+                n_l += normals[i, k] * light
+                n_v += normals[i, k] * view
+                light_square += light * light
+                view_square += view * view
+                cross += light * view
+            lobes[j, i, :] = 0.0
+            if n_l <= 0.0 or view_square == 0.0:
+                continue
+            light_length, view_length = np.sqrt(light_square), np.sqrt(view_square)
+            n_l, n_v = n_l / light_length, n_v / view_length
+            half = 2.0 + 2.0 * cross / (light_length * view_length)
+            falloff = reference * reference / light_square if reference > 0.0 else 1.0
+            lobes[j, i, 0] = falloff * n_l / np.pi
+            n_h = min((n_l + n_v) / np.sqrt(half), 1.0) if half > 1e-12 else 0.0
+            if n_h > 0.0:
+                power = n_h * n_h
+                power = power * power
+                power8 = power * power
+                power = power8 * power8
+                power = power * power
+                power64 = power * power
+                lobes[j, i, 1] = falloff * 3.0 / (8.0 * np.pi) * n_h
+                lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
+                lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power64
+
+
+def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:
+    """Return (J, V, 3) linear radiance of vertices whose lobes (J, V, 4) are lit; NaN where not known.
+
+    Examples
+    --------
+    >>> face = VertexReflectance(np.full((1, 3), np.pi), np.zeros((1, 3)), np.ones(1, bool))
+    >>> point_light_radiance(face, [[[0.5, 0.1, 0.2, 0.3]]]).round(3).tolist()
+    [[[1.571, 1.571, 1.571]]]
+    """
+    terms = np.asarray(lobes, np.float64)
+    if terms.ndim != 3 or terms.shape[1:] != (len(reflectance.known), 4):
+        raise ValueError(f"lobes is {terms.shape}, expected (J, {len(reflectance.known)}, 4)")
+    gloss = np.einsum("jvs,vs->jv", terms[..., 1:], reflectance.weights)
+    return terms[..., :1] * reflectance.diffuse_linear + gloss[..., None]

@@ -1,0 +1,168 @@
+"""Iteratively reweighted bounded least squares of all vertices at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.blocks import blocks, each_block
+from scan2albedo.optimization import Meter
+from scan2albedo.reflectance import vertex_kernels as kernels
+from scan2albedo.reflectance.fit_options import ReflectanceFitOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_BLOCK = 128
+"""Vertices whose normal equations fit the first cache."""
+_KINDS = {"squares": kernels.NONE, "charbonnier": kernels.CHARBONNIER, "cauchy": kernels.CAUCHY}
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What the vertices are fitted to.
+
+    Parameters
+    ----------
+    observed, precision : (J, V, 3) float64
+        1 / sigma^2; 0 where there is no observation.
+    lobes : (J, V, 4) float64
+    mean, prior : (6,) float64
+        Means and precisions of the prior.
+    """
+
+    observed: FloatArray
+    precision: FloatArray
+    lobes: FloatArray
+    mean: FloatArray
+    prior: FloatArray
+
+    def __post_init__(self) -> None:
+        # Kernels are compiled anew for every other memory layout.
+        for name in ("observed", "precision", "lobes"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
+
+@dataclass(frozen=True)
+class RobustFit:
+    """Of the vertices `rows` (N,): what the kernels of the same names say; weight (J, N)."""
+
+    estimate: FloatArray
+    center: FloatArray
+    deviation: FloatArray
+    normal: FloatArray
+    misfit: FloatArray
+    weight: FloatArray
+    settled: NDArray[np.bool_]
+    bounded_albedos: int
+    iterations: int
+    residual: float
+
+
+def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions, meter: Meter) -> RobustFit:
+    """Fit the vertices `rows` (N,): least squares first, then weights by residuals until none moves.
+
+    Vertices that are done drop out. A budget ends it after the step that goes over it.
+    """
+    count = data.observed.shape[1]
+    state = _State(
+        weight=np.ones(data.observed.shape[:2]),
+        estimate=np.zeros((count, 6)),
+        scale=np.full(count, np.inf),
+        loss=np.zeros(count),
+        misfit=np.zeros((count, 2)),
+    )
+    observations = max(int((data.precision[:, rows] > 0).sum()), 1)
+    moving, iterations = rows, 0
+    state.solve(data, rows)
+    state.reweigh(data, rows, options)
+    meter.count()
+    meter.record(state.loss[rows].sum() / observations)
+    while (
+        options.loss != "squares" and len(moving) and iterations < options.iterations and not meter.exhausted
+    ):
+        before = state.estimate[moving]
+        deviation = state.solve(data, moving)
+        state.reweigh(data, moving, options)
+        iterations += 1
+        meter.count()
+        meter.record(state.loss[rows].sum() / observations)
+        moved = (np.abs(state.estimate[moving] - before) > options.tolerance * deviation).any(1)
+        moving = moving[moved]
+    normal, center, deviation = (
+        np.empty((len(rows), 3, 14)),
+        np.empty((len(rows), 6)),
+        np.empty((len(rows), 6)),
+    )
+
+    def describe(block: slice) -> None:
+        kernels.add_normal_equations(
+            data.observed, data.precision, data.lobes, state.weight, rows[block], normal[block]
+        )
+        kernels.solve_free(normal[block], data.mean, data.prior, center[block], deviation[block])
+
+    each_block(describe, blocks(len(rows), _BLOCK))
+    estimate = state.estimate[rows]
+    settled = ~np.isin(rows, moving) if options.loss != "squares" else np.ones(len(rows), bool)
+    return RobustFit(
+        estimate,
+        center,
+        deviation,
+        normal,
+        state.misfit[rows],
+        state.weight[:, rows],
+        settled,
+        int((estimate[:, :3] == 0).any(1).sum()),
+        iterations,
+        float(state.loss[rows].sum() / observations),
+    )
+
+
+@dataclass(frozen=True)
+class _State:
+    """weight (J, V), estimate (V, 6), scale and loss (V,), misfit (V, 2); filled in place."""
+
+    weight: FloatArray
+    estimate: FloatArray
+    scale: FloatArray
+    loss: FloatArray
+    misfit: FloatArray
+
+    def solve(self, data: Observations, rows: IntArray) -> FloatArray:
+        """Update the estimate of `rows` (N,) and return their standard deviations (N, 6)."""
+        found, center, deviation = (np.empty((len(rows), 6)) for _ in range(3))
+
+        def work(block: slice) -> None:
+            part = rows[block]
+            normal = np.empty((len(part), 3, 14))
+            kernels.add_normal_equations(data.observed, data.precision, data.lobes, self.weight, part, normal)
+            kernels.solve_bounded(normal, data.mean, data.prior, found[block])
+            kernels.solve_free(normal, data.mean, data.prior, center[block], deviation[block])
+
+        each_block(work, blocks(len(rows), _BLOCK))
+        self.estimate[rows] = found
+        return deviation
+
+    def reweigh(self, data: Observations, rows: IntArray, options: ReflectanceFitOptions) -> None:
+        """Update weights, losses and misfits of `rows` (N,)."""
+
+        def work(block: slice) -> None:
+            kernels.reweigh(
+                data.observed,
+                data.precision,
+                data.lobes,
+                self.estimate,
+                data.mean,
+                data.prior,
+                rows[block],
+                _KINDS[options.loss],
+                options.width,
+                self.scale,
+                self.weight,
+                self.loss,
+                self.misfit,
+            )
+
+        each_block(work, blocks(len(rows), _BLOCK))

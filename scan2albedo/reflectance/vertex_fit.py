@@ -1,0 +1,211 @@
+"""Albedo and highlights of each vertex from pictures lit by one flash each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.optimization import Budget, Meter, ProgressCallback
+from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
+from scan2albedo.reflectance.fit_result import ReflectanceFit
+from scan2albedo.reflectance.light_gains import divided_by_gain, find_light_gains
+from scan2albedo.reflectance.point_light_lobes import PEAKS
+from scan2albedo.reflectance.robust_fit import Observations, RobustFit, fit_rows
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+from scan2albedo.reflectance.vertex_samples import VertexSamples
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_TWO_SIDED_95 = 1.959964
+_SINGULAR = 1e-14
+"""Part of the largest eigenvalue of the normal matrix that rounding leaves of 0."""
+
+
+def fit_reflectance(
+    samples: VertexSamples,
+    *,
+    options: ReflectanceFitOptions = ReflectanceFitOptions(),
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> ReflectanceFit:
+    """Fit three albedos and the weights of three lobes to each vertex, all >= 0.
+
+    With D and S of `point_light_lobes`, a vertex minimises over its pictures j and channels k
+
+        sum rho((y_jk - c_k D_j - w.S_j) / sigma_jk) + prior(c, w),   c, w >= 0,
+
+    rho robust, the channels of a picture together; the prior is Gaussian. For given robust weights c is
+    eliminated and the eight sets of weights at 0 are tried; where an albedo would be negative, all 64 sets.
+
+    Parameters
+    ----------
+    samples : VertexSamples
+        J pictures of V vertices.
+    options : ReflectanceFitOptions
+    budget : Budget or float, optional
+        Evaluations are passes over all vertices still moving.
+    on_progress : callable, optional
+        Called with every row of the trace.
+
+    Returns
+    -------
+    ReflectanceFit
+
+    Raises
+    ------
+    ReflectanceError
+        When there are no pictures, or no vertex is seen in enough of them.
+
+    Notes
+    -----
+    Strength of the flashes times reflectance is one number: gains have mean 1, so that albedos are in units
+    of that strength. The prior follows the albedos' level, so pictures twice as bright give twice the
+    reflectance.
+
+    Intervals come from the Gaussian posterior before the bounds, cut at 0: bounds shorten them, and where a
+    number is not identified they are the prior's.
+
+    Intervals know of noise and of the prior, and widen with the misfit; they do not know of normals that are
+    off, which bend all pictures of a vertex alike: with normals off by 1 degree 71 % of them hold the truth,
+    at 1 % noise in 90 pictures, by 3 degrees 42 %.
+
+    Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less.
+
+    References
+    ----------
+    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+
+    Examples
+    --------
+    >>> lobes = np.array([[[0.3, 0.10, 0.2, 0.1]], [[0.2, 0.11, 0.3, 0.9]], [[0.1, 0.05, 0.1, 0.0]]])
+    >>> observed = 0.5 * lobes[..., :1] * np.ones(3) + 0.1 * lobes[..., 3:]
+    >>> every = np.ones(observed.shape, bool)
+    >>> samples = VertexSamples(observed, np.full(observed.shape, 1e-6), every, lobes, np.arange(3))
+    >>> fit_reflectance(samples).parameters.round(3) + 0.0
+    array([[0.5, 0.5, 0.5, 0. , 0. , 0.1]])
+    """
+    meter = Meter("reflectance", "loss per observation", Budget.of(budget), on_progress)
+    rows = _known_rows(samples, options)
+    precision = np.zeros(samples.observed.shape)
+    np.divide(1.0, samples.sigma**2, out=precision, where=samples.valid)
+    level = options.prior.level or _level(samples.observed, precision, samples.lobes, rows)
+    data = Observations(samples.observed, precision, samples.lobes, *_gaussian(options.prior, level))
+    gain, gains_settled = _unit_gain(samples, rows), True
+    if options.light_gains:
+        gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
+        data = divided_by_gain(data, samples.light, gain)
+    fitted = fit_rows(data, rows, options, meter)
+    return _result(samples, data, rows, fitted, options, gain, level, gains_settled, meter)
+
+
+def _known_rows(samples: VertexSamples, options: ReflectanceFitOptions) -> IntArray:
+    """Return the vertices with enough pictures of every channel."""
+    if len(samples.observed) == 0:
+        raise ReflectanceError("there are no pictures, give one pair at least")
+    facing = samples.valid & (samples.lobes[..., :1] > 0)
+    rows = np.flatnonzero((facing.sum(0) >= options.least_pairs).all(-1))
+    if len(rows) == 0:
+        raise ReflectanceError(
+            f"none of {samples.observed.shape[1]} vertices is seen in {options.least_pairs} or more of "
+            f"{len(samples.observed)} pictures: do cameras, flashes and mesh share one frame and unit (mm)?"
+        )
+    return rows
+
+
+def _unit_gain(samples: VertexSamples, rows: IntArray) -> FloatArray:
+    """Return ones (L, 3), NaN for flashes that lit no vertex."""
+    gain = np.full((int(samples.light.max()) + 1, 3), np.nan)
+    gain[samples.light[samples.valid[:, rows].any((1, 2))]] = 1.0
+    return gain
+
+
+def _level(observed: FloatArray, precision: FloatArray, lobes: FloatArray, rows: IntArray) -> float:
+    """Return the median albedo that squares without lobes give, all channels; 1 if that is not above 0."""
+    diffuse = lobes[..., :1]
+    below = (precision * diffuse**2).sum(0)[rows]
+    above = (precision * observed * diffuse).sum(0)[rows]
+    level = float(np.median(above / below))
+    return level if level > 0 else 1.0
+
+
+def _gaussian(prior: ReflectancePrior, level: float) -> tuple[FloatArray, FloatArray]:
+    """Return means and precisions (6,)."""
+    mean = np.array([prior.diffuse_mean] * 3 + list(prior.weights_mean)) * level
+    std = np.array([prior.diffuse_std] * 3 + list(prior.weights_std)) * level
+    return mean, 1 / std**2
+
+
+def _result(
+    samples: VertexSamples,
+    data: Observations,
+    rows: IntArray,
+    fitted: RobustFit,
+    options: ReflectanceFitOptions,
+    gain: FloatArray,
+    level: float,
+    gains_settled: bool,
+    meter: Meter,
+) -> ReflectanceFit:
+    count = samples.observed.shape[1]
+    known = np.zeros(count, bool)
+    known[rows] = True
+    estimate = _spread(fitted.estimate, rows, count)
+    misfit = _misfit(fitted.misfit, (samples.valid[:, rows]).sum((0, 2)))
+    std = fitted.deviation * np.fmax(misfit, 1.0)[:, None]
+    identifiability = fitted.deviation * np.sqrt(data.prior)
+    valid = np.asarray(samples.valid.any(-1))[..., None]
+    identified, settled = np.zeros((count, 6), bool), np.zeros(count, bool)
+    settled[rows] = fitted.settled
+    identified[rows] = identifiability < options.identified_below
+    return ReflectanceFit(
+        reflectance=VertexReflectance(estimate[:, :3], estimate[:, 3:], known),
+        std=_spread(std, rows, count),
+        low=_spread(np.clip(fitted.center - _TWO_SIDED_95 * std, 0, fitted.estimate), rows, count),
+        high=_spread(np.fmax(fitted.center + _TWO_SIDED_95 * std, fitted.estimate), rows, count),
+        pair_count=samples.pair_count,
+        condition=_spread(_condition(fitted.normal), rows, count),
+        activation=np.max(samples.lobes[..., 1:] / PEAKS, axis=0, where=valid, initial=0.0),
+        identifiability=_spread(identifiability, rows, count),
+        identified=identified,
+        misfit=_spread(misfit, rows, count),
+        light_gain=gain,
+        level=level,
+        bounded_albedos=fitted.bounded_albedos,
+        settled=settled,
+        converged=bool(fitted.settled.all()) and gains_settled,
+        iterations=fitted.iterations,
+        residual=fitted.residual,
+        trace=meter.trace,
+    )
+
+
+def _spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
+    """Return values of `rows` among `count` vertices, NaN elsewhere."""
+    spread = np.full((count, *values.shape[1:]), np.nan)
+    spread[rows] = values
+    return spread
+
+
+def _misfit(sums: FloatArray, observations: IntArray) -> FloatArray:
+    """Return (N,) root mean squared residual over sigma; NaN without a degree of freedom left."""
+    freedom = sums[:, 1] - 6
+    enough = (observations > 6) & (freedom > 0)
+    return np.sqrt(np.where(enough, sums[:, 0] / np.where(enough, freedom, 1.0), np.nan))
+
+
+def _condition(normal: FloatArray) -> FloatArray:
+    """Return (N,) condition numbers of the observations' matrices from their normal equations (N, 3, 14)."""
+    matrix = np.zeros((len(normal), 6, 6))
+    for k in range(3):
+        matrix[:, k, k] = normal[:, k, 0]
+        matrix[:, k, 3:] = matrix[:, 3:, k] = normal[:, k, 1:4]
+    lobes = normal[:, :, 4:10].sum(1)
+    row, column = np.triu_indices(3)
+    matrix[:, 3 + row, 3 + column] = lobes
+    matrix[:, 3 + column, 3 + row] = lobes
+    values = np.linalg.eigvalsh(matrix)
+    smallest = values[:, 0]
+    singular = smallest <= _SINGULAR * values[:, -1]
+    return np.sqrt(np.where(singular, np.inf, values[:, -1] / np.where(singular, 1.0, smallest)))

@@ -1,0 +1,280 @@
+"""`VertexSamples`: what J pictures, each lit by one flash, show of V vertices."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.pinhole import project
+from scan2albedo.reflectance.capture_rig import CaptureRig
+from scan2albedo.reflectance.olat import OlatImages
+from scan2albedo.reflectance.point_light_lobes import point_light_lobes
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility
+
+FloatArray = NDArray[np.float64]
+
+_UNIT = 1e-3
+"""How far a normal's length may be from 1."""
+_LEAST_SIGMA = 1e-100
+"""Its square's inverse must be a number."""
+
+
+@dataclass(frozen=True)
+class SamplingOptions:
+    """When a vertex counts as seen and lit.
+
+    Parameters
+    ----------
+    view_cosine, light_cosine : float
+        n.v and n.l must be above these.
+    margin_px : float
+        Distance in the picture from edges of the surface; 0 asks for none.
+    depth_step_mm : float
+        A step in depth above this, and above what the slope explains, is an edge.
+    shadow_rings : int
+        Edges of the mesh between a vertex and the nearest one in cast shadow.
+    offset_mm : float
+        Rays start this far along the normal.
+    reference_distance_mm : float or None
+        Distance at which light has fallen off to 1, with its square; None is no falloff.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    view_cosine: float = 0.1
+    light_cosine: float = 0.0
+    margin_px: float = 1.5
+    depth_step_mm: float = 3.0
+    shadow_rings: int = 1
+    offset_mm: float = 0.2
+    reference_distance_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("view_cosine", "light_cosine"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected in [0, 1)")
+        for name in ("margin_px", "depth_step_mm", "shadow_rings", "offset_mm"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
+        if self.reference_distance_mm is not None and not 0 < self.reference_distance_mm < math.inf:
+            raise ValueError(
+                f"reference_distance_mm is {self.reference_distance_mm}, expected > 0 and finite"
+            )
+
+
+@dataclass(frozen=True)
+class VertexSamples:
+    """Observations of V vertices in J pictures.
+
+    Parameters
+    ----------
+    observed : (J, V, 3) float64
+        Linear, negative where noise made it so; 0 where not valid.
+    sigma : (J, V, 3) float64
+        Standard deviation, > 0 where valid.
+    valid : (J, V, 3) bool
+        Seen, lit, neither saturated nor missing.
+    lobes : (J, V, 4) float64
+        What unit albedo and unit weights would send, see `point_light_lobes`.
+    light : (J,) int64
+        Number of the flash.
+
+    Raises
+    ------
+    ReflectanceError
+        When shapes disagree, or a valid observation is not finite or has no sigma.
+    """
+
+    observed: FloatArray
+    sigma: FloatArray
+    valid: NDArray[np.bool_]
+    lobes: FloatArray
+    light: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        observed, sigma = np.asarray(self.observed, np.float64), np.asarray(self.sigma, np.float64)
+        valid, lobes, light = (
+            np.asarray(self.valid),
+            np.asarray(self.lobes, np.float64),
+            np.asarray(self.light),
+        )
+        if observed.ndim != 3 or observed.shape[2] != 3:
+            raise ReflectanceError(f"observed is {observed.shape}, expected (J, V, 3)")
+        expected = (observed.shape, observed.shape, (*observed.shape[:2], 4), observed.shape[:1])
+        for name, array, shape in zip(
+            ("sigma", "valid", "lobes", "light"), (sigma, valid, lobes, light), expected, strict=True
+        ):
+            if array.shape != shape:
+                raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed says")
+        if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
+            raise ReflectanceError(
+                f"valid is {valid.dtype} and light {light.dtype}, expected bool, integers >= 0"
+            )
+        bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
+        bad |= valid & ~np.isfinite(lobes).all(-1, keepdims=True)
+        if bad.any():
+            pair, vertex, _ = np.argwhere(bad)[0]
+            raise ReflectanceError(
+                f"vertex {vertex} is said to be valid in picture {pair}, but observation, sigma or lobes are "
+                f"not finite or sigma is not above 0: {observed[pair, vertex]}, {sigma[pair, vertex]}"
+            )
+        object.__setattr__(self, "observed", np.where(valid, observed, 0.0))
+        object.__setattr__(self, "sigma", sigma)
+        object.__setattr__(self, "valid", valid)
+        object.__setattr__(self, "lobes", np.ascontiguousarray(lobes))
+        object.__setattr__(self, "light", light.astype(np.int64))
+
+    @property
+    def pair_count(self) -> NDArray[np.int64]:
+        """(V,) pictures that tell something of a vertex."""
+        return np.asarray(self.valid.any(-1).sum(0), np.int64)
+
+    def of_pairs(self, pairs: ArrayLike) -> VertexSamples:
+        """Return the samples of some pictures: indices, or a mask (J,)."""
+        keep = np.asarray(pairs)
+        return VertexSamples(
+            self.observed[keep], self.sigma[keep], self.valid[keep], self.lobes[keep], self.light[keep]
+        )
+
+
+def sample_vertices(
+    olat: OlatImages,
+    rig: CaptureRig,
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    normals: ArrayLike | None = None,
+    options: SamplingOptions = SamplingOptions(),
+) -> VertexSamples:
+    """Look up vertices in pictures, where the camera sees and the flash lights them.
+
+    Pixels are interpolated bilinearly, a channel only where all four are valid; sigma follows, pixels being
+    independent. Hidden vertices and cast shadows are found by rays against the mesh.
+
+    Parameters
+    ----------
+    olat : OlatImages
+        J pictures.
+    rig : CaptureRig
+        Their cameras and flashes, in the frame of the mesh.
+    vertices : (V, 3) array_like of float
+        Millimetres.
+    faces : (F, 3) array_like of int
+    normals : (V, 3) array_like of float, optional
+        Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
+    options : SamplingOptions
+
+    Returns
+    -------
+    VertexSamples
+
+    Raises
+    ------
+    ValueError
+        When shapes are others.
+    ReflectanceError
+        When there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
+
+    Notes
+    -----
+    Rays are cast once for each camera and each flash, not for each picture.
+    """
+    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
+        raise ValueError(f"vertices is {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)")
+    if len(rig) != len(olat):
+        raise ReflectanceError(f"there are {len(olat)} pictures but {len(rig)} cameras in the rig")
+    normal = _checked_normals(xyz, index, normals)
+    positions = rig.camera_positions
+    lobes = point_light_lobes(
+        xyz, normal, positions, rig.light_positions, reference_distance_mm=options.reference_distance_mm
+    )
+    shape = (len(olat), len(xyz), 3)
+    observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
+    visibility = VertexVisibility(xyz, index, normal, options.offset_mm)
+    seen: dict[bytes, NDArray[np.bool_]] = {}
+    lit: dict[bytes, NDArray[np.bool_]] = {}
+    for j in range(len(olat)):
+        camera, light = rig.cameras[j], rig.light_positions[j]
+        key, light_key = camera.tobytes(), light.tobytes()
+        if key not in seen:
+            seen[key] = visibility.seen(camera, options.view_cosine, options.margin_px, options.depth_step_mm)
+        if light_key not in lit:
+            lit[light_key] = visibility.lit(light, options.shadow_rings) & _facing(
+                xyz, normal, light, options.light_cosine
+            )
+        pixels, _ = project(camera, xyz)
+        usable = seen[key] & lit[light_key]
+        _bilinear(
+            olat.linear[j], olat.sigma[j], olat.valid[j], pixels, usable, observed[j], variance[j], valid[j]
+        )
+    return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light)
+
+
+def _facing(xyz: FloatArray, normal: FloatArray, light: FloatArray, cosine: float) -> NDArray[np.bool_]:
+    toward = light - xyz
+    return np.einsum("vc,vc->v", normal, toward) > cosine * np.linalg.norm(toward, axis=1)
+
+
+def _checked_normals(xyz: FloatArray, faces: NDArray[np.int64], normals: ArrayLike | None) -> FloatArray:
+    if not np.isfinite(xyz).all():
+        raise ReflectanceError("vertices are not all finite")
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(xyz):
+        raise ReflectanceError(f"faces hold no triangles, or others than of the {len(xyz)} vertices")
+    if normals is None:
+        return vertex_normals(xyz, faces)
+    given = np.ascontiguousarray(normals, np.float64)
+    if given.shape != xyz.shape:
+        raise ValueError(f"normals is {given.shape}, expected {xyz.shape} as vertices")
+    length = np.linalg.norm(given, axis=1)
+    off = ~((np.abs(length - 1) < _UNIT) | (length == 0))
+    if off.any():
+        first = int(np.flatnonzero(off)[0])
+        raise ReflectanceError(
+            f"the normal of vertex {first} has length {length[first]:.4g}, expected 1 (or 0)"
+        )
+    return given
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bilinear(picture, sigma, valid, pixels, usable, value, variance, found):  # type: ignore[no-untyped-def]
+    """Fill value, variance (V, 3) and found (V, 3) of the `usable` vertices at pixels (V, 2)."""
+    height, width = picture.shape[:2]
+    for i in range(len(pixels)):
+        x, y = pixels[i, 0], pixels[i, 1]
+        if not usable[i] or not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
+            continue
+        left, top = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+        fx, fy = x - left, y - top
+        for k in range(3):
+            if not (
+                valid[top, left, k]
+                and valid[top, right, k]
+                and valid[bottom, left, k]
+                and valid[bottom, right, k]
+            ):
+                continue
+            a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+            value[i, k] = (
+                a * picture[top, left, k]
+                + b * picture[top, right, k]
+                + c * picture[bottom, left, k]
+                + d * picture[bottom, right, k]
+            )
+            variance[i, k] = (
+                (a * sigma[top, left, k]) ** 2
+                + (b * sigma[top, right, k]) ** 2
+                + (c * sigma[bottom, left, k]) ** 2
+                + (d * sigma[bottom, right, k]) ** 2
+            )
+            found[i, k] = True

@@ -1,0 +1,77 @@
+"""Cameras stand where head poses say, flashes where their cameras do."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.pinhole import project
+from scan2albedo.reflectance import CaptureRig, rig_of_head_poses
+
+INTRINSICS = np.array([[800.0, 0, 320], [0, 810, 240], [0, 0, 1]])
+
+
+@pytest.fixture
+def poses():
+    rotations = Rotation.from_euler("yx", [[0.3, 0.1], [-0.5, 0.2], [0, 0]]).as_matrix()
+    return rotations, np.array([[5.0, -3, 700], [0, 10, 650], [1, 2, 800]])
+
+
+def test_centres_are_minus_r_transposed_t(poses):
+    rotations, shift = poses
+    rig = rig_of_head_poses(rotations, shift, INTRINSICS, view=[0, 1, 2, 0], flash=[0, 1, 2, 2])
+    centers = np.stack([-r.T @ t for r, t in zip(rotations, shift, strict=True)])
+    np.testing.assert_allclose(rig.camera_positions, centers[[0, 1, 2, 0]], atol=1e-9)
+    np.testing.assert_allclose(rig.light_positions, centers[[0, 1, 2, 2]], atol=1e-9)
+    assert rig.light.tolist() == [0, 1, 2, 2]
+
+
+def test_points_land_where_the_pose_puts_them(poses):
+    rotations, shift = poses
+    rig = rig_of_head_poses(rotations, shift, INTRINSICS, view=[1], flash=[0])
+    point = np.array([[10.0, 20, 30]])
+    image = INTRINSICS @ (rotations[1] @ point[0] + shift[1])
+    pixels, depth = project(rig.cameras[0], point)
+    np.testing.assert_allclose(pixels[0], image[:2] / image[2])
+    np.testing.assert_allclose(depth, image[2])
+
+
+def test_intrinsics_may_differ_from_camera_to_camera(poses):
+    several = np.stack([INTRINSICS, 2 * np.eye(3) * [1, 1, 0.5], INTRINSICS])
+    rig = rig_of_head_poses(*poses, several, view=[0, 1], flash=[0, 0])
+    np.testing.assert_allclose(rig.cameras[1, :, :3], several[1] @ poses[0][1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rotations": np.stack([np.diag([1.0, 1, -1])] * 3)}, "head pose 0 has no proper rotation"),
+        ({"rotations": np.stack([2 * np.eye(3)] * 3)}, "head pose 0"),
+        ({"rotations": np.full((3, 3, 3), np.nan)}, "head pose 0"),
+        ({"translations": np.zeros((2, 3))}, "expected \\(C, 3, 3\\) and \\(C, 3\\)"),
+        ({"view": [0, 3]}, "view reaches 0 to 3, but there are 3 poses"),
+        ({"flash": [0, -1]}, "flash reaches -1"),
+        ({"flash": [0.0, 1.0]}, "flash is float64"),
+        ({"flash": [0]}, "one a picture"),
+    ],
+)
+def test_poses_that_do_not_fit_are_refused(poses, change, message):
+    given = {"rotations": poses[0], "translations": poses[1], "view": [0, 1], "flash": [0, 1], **change}
+    with pytest.raises(ReflectanceError, match=message):
+        rig_of_head_poses(
+            given["rotations"], given["translations"], INTRINSICS, view=given["view"], flash=given["flash"]
+        )
+
+
+@pytest.mark.parametrize(
+    ("cameras", "lights", "light", "message"),
+    [
+        (np.zeros((1, 3, 4)), np.zeros((1, 3)), [0], "singular"),
+        (np.eye(3, 4)[None], np.zeros((2, 3)), [0], "light_positions is"),
+        (np.eye(3, 4)[None], np.full((1, 3), np.nan), [0], "finite"),
+        (np.eye(3, 4)[None], np.zeros((1, 3)), [-1], "light is"),
+    ],
+)
+def test_rigs_that_do_not_fit_are_refused(cameras, lights, light, message):
+    with pytest.raises(ReflectanceError, match=message):
+        CaptureRig(cameras, lights, np.array(light))

@@ -1,0 +1,175 @@
+"""What the flash adds comes out of displayed values, with its noise, and what is wrong is told."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import OlatOptions, extract_olat
+
+
+def displayed(linear, gamma=1.2):
+    return linear ** (1 / gamma)
+
+
+@pytest.fixture
+def lights():
+    """Light of flash and room, (2, 20, 30, 3) and (20, 30, 3), nothing clipped."""
+    rng = np.random.default_rng(0)
+    return rng.uniform(0.0, 0.6, (2, 20, 30, 3)), rng.uniform(0.0, 0.3, (20, 30, 3))
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.2, 2.2])
+def test_flash_light_is_recovered(lights, gamma):
+    flash, room = lights
+    olat = extract_olat(
+        displayed(flash + room, gamma), displayed(room, gamma), options=OlatOptions(gamma=gamma)
+    )
+    np.testing.assert_allclose(olat.linear, flash, atol=1e-6)
+    assert olat.valid.all()
+    assert olat.diagnostics == ()
+
+
+def test_one_room_picture_and_one_a_pair_agree(lights):
+    flash, room = lights
+    one = extract_olat(displayed(flash + room), displayed(room))
+    several = extract_olat(list(displayed(flash + room)), [displayed(room)] * 2)
+    assert (one.linear == several.linear).all()
+    assert (one.sigma == several.sigma).all()
+
+
+@pytest.mark.parametrize("gamma", [1.2, 2.0])
+def test_sigma_is_the_spread_of_noisy_pictures(gamma):
+    flash, room, noise = 0.6, 0.3, 0.01
+    rng = np.random.default_rng(1)
+    shape = (1, 300, 300, 3)
+    olat = extract_olat(
+        flash + noise * rng.standard_normal(shape),
+        room + noise * rng.standard_normal(shape),
+        options=OlatOptions(gamma=gamma, noise=noise),
+    )
+    assert olat.linear.std() == pytest.approx(float(olat.sigma.mean()), rel=0.01)
+    power = 2 * gamma - 2
+    expected = gamma * noise * np.sqrt(flash**power + room**power)
+    assert float(olat.sigma.mean()) == pytest.approx(expected, rel=0.01)
+
+
+def test_negatives_are_kept_so_that_the_dark_has_no_bias():
+    rng = np.random.default_rng(2)
+    shape = (1, 200, 200, 3)
+    olat = extract_olat(0.2 + 0.01 * rng.standard_normal(shape), 0.2 + 0.01 * rng.standard_normal(shape))
+    assert (olat.linear < 0).mean() == pytest.approx(0.5, abs=0.02)
+    assert abs(olat.linear.mean()) < 4 * olat.linear.std() / np.sqrt(olat.linear.size)
+
+
+def test_black_pixels_have_a_sigma():
+    olat = extract_olat(np.zeros((1, 2, 2, 3)), np.zeros((2, 2, 3)))
+    assert (olat.sigma > 0).all()
+
+
+def test_saturation_takes_the_channel_and_leaves_the_others(lights):
+    flash, room = (displayed(light) for light in (lights[0] + lights[1], lights[1]))
+    flash[0, 3, 4, 0], room[5, 6, 1] = 1.0, 1.0
+    olat = extract_olat(flash, room)
+    assert olat.saturated[0, 3, 4].tolist() == [True, False, False]
+    assert olat.valid[0, 3, 4].tolist() == [False, True, True]
+    assert not olat.valid[:, 5, 6, 1].any()
+    assert (~olat.valid).sum() == 3
+    assert [(d.name, d.pair, d.left_out) for d in olat.diagnostics] == [
+        ("saturated", 0, False),
+        ("saturated", 1, False),
+    ]
+
+
+def test_nan_pixels_are_masked_and_told(lights):
+    flash, room = (displayed(light) for light in (lights[0] + lights[1], lights[1]))
+    flash[1, :2, :, 2] = np.nan
+    olat = extract_olat(flash, room)
+    assert not olat.valid[1, :2, :, 2].any()
+    assert olat.valid[1, :2, :, :2].all()
+    assert np.isfinite(olat.linear).all()
+    assert np.isfinite(olat.sigma).all()
+    [told] = olat.diagnostics
+    assert (told.name, told.pair) == ("not_finite", 1)
+    assert told.part == pytest.approx(0.1)
+
+
+def test_a_pair_without_any_number_is_left_out(lights):
+    flash, room = (displayed(light) for light in (lights[0] + lights[1], lights[1]))
+    flash[0] = np.nan
+    olat = extract_olat(flash, room)
+    assert not olat.valid[0].any()
+    assert olat.valid[1].all()
+    assert olat.diagnostics[0].left_out
+
+
+def test_exchanged_pictures_are_left_out_by_name(lights):
+    flash, room = (displayed(light) for light in (lights[0] + lights[1], lights[1]))
+    olat = extract_olat([flash[0], room], [room, flash[1]])
+    assert olat.valid[0].all()
+    assert not olat.valid[1].any()
+    [told] = olat.diagnostics
+    assert (told.name, told.pair, told.left_out) == ("room_brighter_than_flash", 1, True)
+    assert "exchanged" in told.message
+
+
+def test_a_patch_brighter_in_the_room_is_told_and_kept(lights):
+    flash, room = (displayed(light) for light in (lights[0] + lights[1], lights[1]))
+    flash[0, :4], room = 0.1, np.maximum(room, 0.3)
+    olat = extract_olat(flash, room)
+    told = [d for d in olat.diagnostics if d.name == "room_brighter_than_flash" and d.pair == 0]
+    assert told[0].part >= 0.2
+    assert not told[0].left_out
+    assert olat.valid[0, :4].all()
+    assert (olat.linear[0, :4] < 0).all()
+
+
+def test_noise_alone_is_no_brighter_room():
+    rng = np.random.default_rng(3)
+    shape = (1, 100, 100, 3)
+    olat = extract_olat(0.3 + 0.01 * rng.standard_normal(shape), 0.3 + 0.01 * rng.standard_normal(shape))
+    assert olat.diagnostics == ()
+
+
+def test_integers_are_parts_of_their_largest():
+    flash = np.full((1, 2, 2, 3), 51, np.uint8)
+    deep = np.full((1, 2, 2, 3), 13107, np.uint16)
+    expected = 0.2**1.2
+    for pictures in (flash, deep):
+        olat = extract_olat(pictures, np.zeros_like(pictures[0]))
+        np.testing.assert_allclose(olat.linear, expected, rtol=1e-6)
+
+
+def test_all_exchanged_is_refused(lights):
+    flash, room = (displayed(light) for light in (lights[0] + lights[1], lights[1]))
+    with pytest.raises(ReflectanceError, match=r"no pair of pictures can be used; pair 0: .* exchanged"):
+        extract_olat([room, room], list(flash))
+
+
+def test_values_beyond_white_are_refused(lights):
+    with pytest.raises(ReflectanceError, match=r"flash picture 0 reaches 1.* white = 1"):
+        extract_olat(255 * lights[0], lights[1])
+    beyond = extract_olat(255 * lights[0], lights[1], options=OlatOptions(gamma=1, saturation=np.inf))
+    assert beyond.valid.all()
+
+
+@pytest.mark.parametrize(
+    ("flash", "room", "error"),
+    [
+        (np.zeros((0, 4, 4, 3)), np.zeros((4, 4, 3)), ReflectanceError),
+        (np.zeros((1, 4, 4, 3)), np.zeros((4, 5, 3)), ValueError),
+        (np.zeros((3, 4, 4, 3)), np.zeros((2, 4, 4, 3)), ValueError),
+        (np.zeros((1, 4, 4)), np.zeros((4, 4)), ValueError),
+        (np.zeros((1, 4, 4, 3), int), np.zeros((4, 4, 3), int), ReflectanceError),
+    ],
+)
+def test_pictures_that_do_not_fit_are_refused(flash, room, error):
+    with pytest.raises(error):
+        extract_olat(flash, room)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"gamma": 0}, {"noise": 0}, {"saturation": 0}, {"brighter_room_part": 2}, {"gamma": np.nan}]
+)
+def test_options_outside_their_range_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        OlatOptions(**wrong)

@@ -1,0 +1,366 @@
+"""What vertices reflect is found, with how sure it is; every extreme of captures and fits has its test."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_reflectance import design
+from reflectance_captures import head_capture, of_pairs, radiance, relative_rmse, samples_of
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.optimization import Budget
+from scan2albedo.reflectance import (
+    ReflectanceFitOptions,
+    ReflectancePrior,
+    VertexSamples,
+    fit_reflectance,
+    point_light_lobes,
+    point_light_radiance,
+)
+
+SQUARES = ReflectanceFitOptions(loss="squares")
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return head_capture(1500)
+
+
+@pytest.fixture(scope="module")
+def noisy(capture):
+    return samples_of(capture, noise=0.01)
+
+
+@pytest.fixture(scope="module")
+def fit(noisy):
+    return fit_reflectance(noisy)
+
+
+def diffuse_error(fit, capture):
+    known = fit.reflectance.known
+    return relative_rmse(fit.reflectance.diffuse_linear[known], capture.truth.diffuse_linear[known])
+
+
+def assert_sound(fit):
+    """Numbers wherever known, none elsewhere, bounds kept, intervals around the estimate."""
+    known = fit.reflectance.known
+    for values in (fit.parameters, fit.std, fit.low, fit.high, fit.identifiability):
+        assert np.isfinite(values[known]).all()
+        assert np.isnan(values[~known]).all()
+    assert (fit.parameters[known] >= 0).all()
+    assert (fit.low[known] >= 0).all()
+    assert (fit.low[known] <= fit.parameters[known]).all()
+    assert (fit.parameters[known] <= fit.high[known]).all()
+    assert (fit.identifiability[known] <= 1 + 1e-9).all()
+    assert not np.isnan(fit.condition[known]).any()
+    assert not fit.identified[~known].any()
+
+
+def test_one_per_cent_of_noise(fit, capture):
+    assert_sound(fit)
+    assert fit.converged
+    assert fit.settled.all()
+    assert diffuse_error(fit, capture) < 0.03
+    sure, truth = fit.identified, capture.parameters
+    inside = ((fit.low <= truth) & (truth <= fit.high))[sure].mean()
+    assert 0.93 < inside < 0.98
+    assert np.nanmedian(fit.misfit) == pytest.approx(1, abs=0.1)
+
+
+def test_intervals_are_those_of_the_posterior_before_the_bounds(capture):
+    matt = replace(capture, truth=replace(capture.truth, weights=np.zeros((1500, 3))))
+    samples = samples_of(of_pairs(matt, np.arange(0, 99, 9)), noise=0.01)
+    fit = fit_reflectance(samples, options=SQUARES)
+    prior, bounded = ReflectancePrior(), 0
+    mean = fit.level * np.array([prior.diffuse_mean] * 3 + list(prior.weights_mean))
+    precision = 1 / (fit.level * np.array([prior.diffuse_std] * 3 + list(prior.weights_std))) ** 2
+    for v in np.flatnonzero(fit.pair_count > 3)[::50]:
+        rows, right = design(samples, v)
+        rows, right = rows[:-6], right[:-6]
+        normal = rows.T @ rows + np.diag(precision)
+        center = np.linalg.solve(normal, rows.T @ right + precision * mean)
+        std = np.sqrt(np.diag(np.linalg.inv(normal))) * max(fit.misfit[v], 1.0)
+        np.testing.assert_allclose(fit.std[v], std, rtol=1e-6)
+        np.testing.assert_allclose(
+            fit.low[v], np.clip(center - 1.96 * std, 0, fit.parameters[v]), atol=1e-3 * std.max()
+        )
+        np.testing.assert_allclose(
+            fit.high[v], np.maximum(center + 1.96 * std, fit.parameters[v]), atol=1e-3 * std.max()
+        )
+        bounded += (center < -0.1 * std).sum()
+    assert bounded > 5
+
+
+def test_pictures_left_out_are_relit(capture):
+    held_out = np.arange(99) % 10 == 3
+    used, unseen = (of_pairs(capture, np.flatnonzero(part)) for part in (~held_out, held_out))
+    fit = fit_reflectance(samples_of(used, noise=0.01))
+    clean, faced = radiance(unseen)
+    lobes = point_light_lobes(capture.vertices, capture.normals, unseen.cameras, unseen.lights)
+    assert relative_rmse(point_light_radiance(fit.reflectance, lobes)[faced], clean[faced]) < 0.02
+
+
+def test_without_noise_what_is_identified_is_exact(capture):
+    fit = fit_reflectance(samples_of(capture, said_noise=1e-9))
+    sure, truth = fit.identified, capture.parameters
+    assert sure.mean() > 0.95
+    assert relative_rmse(fit.parameters[sure], truth[sure]) < 1e-6
+    assert diffuse_error(fit, capture) < 1e-9
+
+
+def test_a_shadow_nobody_knows_of_hardly_matters(capture, fit):
+    shadowed = samples_of(capture, noise=0.01, shadowed=0.03)
+    clean = diffuse_error(fit, capture)
+    assert diffuse_error(fit_reflectance(shadowed), capture) < 1.3 * clean
+    assert diffuse_error(fit_reflectance(shadowed, options=SQUARES), capture) > 3 * clean
+
+
+def test_charbonnier_stands_between(capture):
+    shadowed = of_pairs(capture, np.arange(0, 99, 3))
+    samples = samples_of(shadowed, noise=0.01, shadowed=0.03)
+    errors = [
+        diffuse_error(fit_reflectance(samples, options=ReflectanceFitOptions(loss=loss)), capture)
+        for loss in ("cauchy", "charbonnier", "squares")
+    ]
+    assert errors == sorted(errors)
+
+
+def test_pictures_twice_as_bright_give_twice_the_reflectance(noisy, fit):
+    brighter = replace(noisy, observed=2 * noisy.observed, sigma=2 * noisy.sigma)
+    twice = fit_reflectance(brighter)
+    np.testing.assert_allclose(twice.parameters, 2 * fit.parameters, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(twice.std, 2 * fit.std, rtol=1e-6)
+    assert (twice.identified == fit.identified).all()
+
+
+def test_order_of_pictures_and_company_of_vertices_do_not_matter(noisy, fit):
+    options = ReflectanceFitOptions(prior=ReflectancePrior(level=fit.level))
+    rng = np.random.default_rng(0)
+    order, few = rng.permutation(99), rng.choice(1500, 200, replace=False)
+    samples = noisy.of_pairs(order)
+    part = VertexSamples(
+        samples.observed[:, few],
+        samples.sigma[:, few],
+        samples.valid[:, few],
+        samples.lobes[:, few],
+        samples.light,
+    )
+    found = fit_reflectance(part, options=options)
+    np.testing.assert_allclose(found.parameters, fit.parameters[few], rtol=1e-6, atol=1e-9)
+
+
+def test_the_same_samples_give_the_same_bits(noisy, fit):
+    assert np.array_equal(fit_reflectance(noisy).parameters, fit.parameters)
+
+
+def test_the_trace_falls_and_a_budget_ends_it(capture):
+    samples = samples_of(of_pairs(capture, np.arange(0, 99, 5)), noise=0.01, shadowed=0.1)
+    rows = []
+    whole = fit_reflectance(samples, on_progress=rows.append)
+    errors = [row.error for row in whole.trace]
+    assert len(rows) == len(errors) == whole.iterations + 1 > 4
+    assert (np.diff(errors) <= 1e-12).all()
+    assert whole.residual == errors[-1]
+    short = fit_reflectance(samples, budget=Budget(evaluations=3))
+    assert len(short.trace) == 3
+    assert not short.converged
+    assert_sound(short)
+
+
+def test_unseen_vertices_are_not_known(noisy):
+    valid = noisy.valid.copy()
+    valid[:, :100] = False
+    valid[:, 100:200, 2] = False
+    fit = fit_reflectance(replace(noisy, valid=valid))
+    assert_sound(fit)
+    assert not fit.reflectance.known[:200].any()
+    assert fit.reflectance.known[200:].all()
+    assert (fit.pair_count[:100] == 0).all()
+    assert (fit.activation[:100] == 0).all()
+    assert (fit.pair_count[100:200] > 0).all()
+
+
+def test_no_pictures_are_refused():
+    nothing = VertexSamples(
+        np.zeros((0, 4, 3)),
+        np.zeros((0, 4, 3)),
+        np.zeros((0, 4, 3), bool),
+        np.zeros((0, 4, 4)),
+        np.zeros(0, int),
+    )
+    with pytest.raises(ReflectanceError, match="there are no pictures"):
+        fit_reflectance(nothing)
+
+
+def test_pictures_that_see_nothing_are_refused(noisy):
+    with pytest.raises(ReflectanceError, match="none of 1500 vertices is seen"):
+        fit_reflectance(replace(noisy, valid=np.zeros_like(noisy.valid)))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_few_pictures(capture, count):
+    fit = fit_reflectance(samples_of(of_pairs(capture, np.array([49, 46, 52, 16, 82])[:count]), noise=0.01))
+    assert_sound(fit)
+    known = fit.reflectance.known
+    assert known.any()
+    assert fit.pair_count.max() <= count
+    assert diffuse_error(fit, capture) < {1: 0.8, 2: 0.5, 5: 0.2}[count]
+    if count == 1:
+        assert np.isinf(fit.condition[known]).all()
+        assert np.isnan(fit.misfit).all()
+        assert fit.identified[known, 3:].sum(1).max() <= 1
+    inside = (fit.low <= capture.parameters) & (capture.parameters <= fit.high)
+    assert inside[known].mean() > 0.9
+
+
+def test_least_pairs_leaves_out_the_little_seen(noisy):
+    fit = fit_reflectance(noisy, options=ReflectanceFitOptions(least_pairs=60))
+    assert (fit.reflectance.known == (noisy.pair_count >= 60)).all()
+    assert 0 < fit.reflectance.known.sum() < 1500
+
+
+def test_all_flashes_at_their_cameras(capture):
+    """n.h = n.l: the first lobe cannot be told from the albedo, and that is said."""
+    same = np.flatnonzero(np.linalg.norm(capture.cameras - capture.lights, axis=1) < 1e-6)
+    assert len(same) == 9
+    fit = fit_reflectance(samples_of(of_pairs(capture, same), noise=0.01))
+    assert_sound(fit)
+    known = fit.reflectance.known
+    assert np.isinf(fit.condition[known]).all()
+    assert not fit.identified[:, 3].any()
+    assert (fit.identifiability[known, 3] > 0.5).all()
+    assert diffuse_error(fit, capture) < 0.15
+
+
+def test_no_highlight_was_hit(capture, noisy):
+    """A lobe that no picture shows keeps the prior's weight and width, and never explodes."""
+    lobes = noisy.lobes.copy()
+    lobes[..., 3] = 0.0
+    fit = fit_reflectance(replace(noisy, lobes=lobes))
+    assert_sound(fit)
+    prior = ReflectancePrior()
+    np.testing.assert_allclose(fit.identifiability[:, 5], 1)
+    np.testing.assert_allclose(fit.parameters[:, 5], fit.level * prior.weights_mean[2])
+    assert (fit.activation[:, 2] == 0).all()
+    assert np.isinf(fit.condition).all()
+
+
+def test_activation_says_how_near_a_highlight_came(fit, noisy, capture):
+    seen = noisy.valid.any(-1)
+    for k, exponent in enumerate((1, 8, 64)):
+        found = fit.activation[:, k] ** (1 / exponent)
+        assert (found <= 1 + 1e-12).all()
+        np.testing.assert_allclose(found, fit.activation[:, 0], rtol=1e-9)
+    assert seen.any()
+    hit = fit.activation[:, 2] > 0.5
+    assert fit.identified[hit, 5].all()
+    assert fit.std[hit, 5].mean() < 0.5 * fit.std[~hit, 5].mean()
+
+
+def test_the_condition_number_is_that_of_the_columns_as_they_are(noisy, fit):
+    for v in (0, 700):
+        rows = np.zeros((99, 3, 6))
+        for k in range(3):
+            rows[:, k, k], rows[:, k, 3:] = noisy.lobes[:, v, 0], noisy.lobes[:, v, 1:]
+        expected = np.linalg.cond(rows[noisy.valid[:, v]])
+        squares = fit_reflectance(noisy, options=SQUARES)
+        assert squares.condition[v] == pytest.approx(expected, rel=1e-6)
+
+
+def test_grazing_light_is_not_trusted_beyond_its_worth(capture):
+    """Vertices lit at less than three degrees to their tangent: wide intervals, no absurd albedos."""
+    beside = np.array([[900.0, 0, -300], [850, 200, -250], [-900, 0, -300], [-850, 200, -250]])
+    grazing = replace(capture, cameras=capture.cameras[[0, 11, 77, 88]], lights=beside, light=np.arange(4))
+    samples = samples_of(grazing, noise=0.01)
+    n_l = np.pi * samples.lobes[..., :1]
+    samples = replace(samples, valid=samples.valid & (n_l < 0.05))
+    fit = fit_reflectance(samples)
+    assert_sound(fit)
+    known = fit.reflectance.known
+    assert known.sum() > 20
+    assert (fit.std[known, :3] > 0.05).mean() > 0.9
+    assert (fit.parameters[known] < 20 * fit.level).all()
+
+
+def test_a_black_channel(capture):
+    dark = head_capture(1500, black=1.0)
+    fit = fit_reflectance(samples_of(dark, noise=0.01))
+    assert_sound(fit)
+    black = dark.truth.diffuse_linear == 0
+    assert fit.bounded_albedos > 300
+    assert (fit.low[:, :3][black] == 0).mean() > 0.95
+    assert fit.reflectance.diffuse_linear[black].mean() < 0.01
+    assert diffuse_error(fit, dark) < 0.03
+
+
+def test_no_highlights_at_all(capture):
+    matt = replace(capture, truth=replace(capture.truth, weights=np.zeros((1500, 3))))
+    fit = fit_reflectance(samples_of(matt, noise=0.01))
+    assert_sound(fit)
+    assert (fit.reflectance.weights == 0).mean() > 0.2
+    sure = fit.identified[:, 3:]
+    assert (fit.low[:, 3:][sure] == 0).mean() > 0.95
+    assert diffuse_error(fit, matt) < 0.03
+
+
+def test_all_black_faces_are_black(capture):
+    night = replace(
+        capture, truth=replace(capture.truth, diffuse_linear=np.zeros((1500, 3)), weights=np.zeros((1500, 3)))
+    )
+    samples = replace(samples_of(capture, noise=0.01), observed=np.zeros((99, 1500, 3)))
+    fit = fit_reflectance(samples)
+    assert_sound(fit)
+    assert fit.level == 1
+    assert np.abs(fit.parameters - night.parameters).max() < 0.5
+    assert np.median(fit.reflectance.diffuse_linear) < 1e-3
+
+
+def test_saturated_channels_leave_the_others(capture, noisy):
+    """Channels clipped where they are bright: the rest still gives the albedo."""
+    clean, _ = radiance(capture)
+    clipped = clean > np.percentile(clean[noisy.valid], 90)
+    fit = fit_reflectance(replace(noisy, valid=noisy.valid & ~clipped))
+    assert_sound(fit)
+    assert diffuse_error(fit, capture) < 0.03
+
+
+def test_unknown_noise_shows_in_the_misfit(capture):
+    honest = fit_reflectance(samples_of(capture, noise=0.01))
+    boastful = fit_reflectance(samples_of(capture, noise=0.01, said_noise=0.0025))
+    assert np.nanmedian(boastful.misfit) == pytest.approx(4, rel=0.2)
+    assert np.median(boastful.std[:, 0]) == pytest.approx(np.median(honest.std[:, 0]), rel=0.2)
+
+
+@pytest.mark.parametrize(("angle", "ceiling"), [(1.0, 0.035), (3.0, 0.08)])
+def test_normals_that_are_off(capture, angle, ceiling):
+    fit = fit_reflectance(samples_of(capture, noise=0.01, normals_off_deg=angle))
+    assert_sound(fit)
+    assert diffuse_error(fit, capture) < ceiling
+
+
+def test_the_wrong_gamma(capture):
+    """Pictures decoded as linear: the fit stays sound, and the misfit tells."""
+    samples = samples_of(capture, noise=0.002)
+    bent = np.copysign(np.abs(samples.observed) ** (1 / 1.2), samples.observed)
+    right, wrong = fit_reflectance(samples), fit_reflectance(replace(samples, observed=bent))
+    assert_sound(wrong)
+    assert np.nanmedian(wrong.misfit) > 2 * np.nanmedian(right.misfit)
+
+
+@pytest.mark.parametrize(
+    ("options", "wrong"),
+    [
+        (ReflectanceFitOptions, {"loss": "tukey"}),
+        (ReflectanceFitOptions, {"width": 0}),
+        (ReflectanceFitOptions, {"iterations": 0}),
+        (ReflectanceFitOptions, {"tolerance": np.nan}),
+        (ReflectancePrior, {"diffuse_std": 0}),
+        (ReflectancePrior, {"weights_std": (0.1, 0.0, 0.1)}),
+        (ReflectancePrior, {"weights_mean": (0.1, 0.1)}),
+        (ReflectancePrior, {"weights_mean": (-0.1, 0.1, 0.1)}),
+        (ReflectancePrior, {"level": -1.0}),
+    ],
+)
+def test_options_outside_their_range_are_refused(options, wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong)).split("_")[-1]):
+        options(**wrong)

@@ -1,0 +1,150 @@
+"""All vertices at once agree with scipy's nnls, one by one and row by row."""
+
+import numpy as np
+import pytest
+from bench_reflectance import MEAN, PRIOR, design, normal_equations
+from reflectance_captures import head_capture, of_pairs, samples_of
+from scipy.optimize import nnls
+
+from scan2albedo.reflectance import VertexSamples
+from scan2albedo.reflectance.vertex_kernels import (
+    CAUCHY,
+    CHARBONNIER,
+    NONE,
+    reweigh,
+    solve_bounded,
+    solve_free,
+)
+
+
+def random_samples(seed, count=60, pairs=12, dark=0.0):
+    """Samples of any sign and weight: bounds hold in many sets, channels are missing here and there."""
+    rng = np.random.default_rng(seed)
+    shape = (pairs, count, 3)
+    lobes = np.abs(rng.standard_normal((pairs, count, 4))) * [0.3, 0.1, 0.4, 2.0]
+    observed = lobes[..., :1] * rng.normal(0.3 - dark, 0.3, (count, 3)) + 0.3 * rng.standard_normal(shape)
+    valid = rng.random(shape) < 0.9
+    return VertexSamples(observed, rng.uniform(0.05, 0.3, shape), valid, lobes, np.zeros(pairs, int))
+
+
+def nnls_of(samples, vertex):
+    return nnls(*design(samples, vertex))[0]
+
+
+@pytest.mark.parametrize("dark", [0.0, 0.3, 0.8])
+def test_bounded_estimates_are_those_of_nnls(dark):
+    samples = random_samples(0, dark=dark)
+    estimate = np.empty((60, 6))
+    black = solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+    expected = np.stack([nnls_of(samples, v) for v in range(60)])
+    np.testing.assert_allclose(estimate, expected, atol=1e-9)
+    assert ((estimate == 0) == (expected == 0)).all()
+    assert black >= (expected[:, :3] == 0).any(1).sum()
+
+
+def test_every_set_of_bounds_is_met():
+    """The test above means something only if many of the 64 sets occur."""
+    sets = set()
+    for dark in (0.0, 0.3, 0.8):
+        samples = random_samples(1, count=400, dark=dark)
+        estimate = np.empty((400, 6))
+        solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+        sets |= {tuple(row) for row in estimate == 0}
+    assert len(sets) > 40
+
+
+def test_few_pictures_leave_it_to_the_prior():
+    for pairs in (1, 2, 5):
+        samples = random_samples(2, count=20, pairs=pairs)
+        estimate = np.empty((20, 6))
+        solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+        expected = np.stack([nnls_of(samples, v) for v in range(20)])
+        np.testing.assert_allclose(estimate, expected, atol=1e-9)
+
+
+def test_heads_with_black_channels_agree_too():
+    capture = of_pairs(head_capture(200, black=0.5), np.arange(0, 99, 4))
+    samples = samples_of(capture, noise=0.03)
+    estimate = np.empty((200, 6))
+    black = solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+    assert black > 20
+    expected = np.stack([nnls_of(samples, v) for v in range(200)])
+    np.testing.assert_allclose(estimate, expected, atol=1e-9)
+
+
+def test_the_posterior_without_bounds_is_that_of_the_dense_system():
+    samples = random_samples(3)
+    center, deviation = np.empty((60, 6)), np.empty((60, 6))
+    solve_free(normal_equations(samples), MEAN, PRIOR, center, deviation)
+    for v in range(60):
+        rows, right = design(samples, v)
+        np.testing.assert_allclose(center[v], np.linalg.lstsq(rows, right)[0], atol=1e-9)
+        covariance = np.linalg.inv(rows.T @ rows)
+        np.testing.assert_allclose(deviation[v], np.sqrt(np.diag(covariance)), rtol=1e-8)
+
+
+@pytest.mark.parametrize("column", [1, 2, 3])
+@pytest.mark.parametrize("sigma", [1e-8, 1e-10, 1e-12])
+def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigma):
+    """A flash at the camera: two columns are one, and what the prior says of them drowns in rounding."""
+    lobes = np.abs(np.random.default_rng(4).standard_normal((6, 10, 4)))
+    lobes[..., column] = 3 / 8 * lobes[..., 0]
+    samples = VertexSamples(
+        0.5 * lobes[..., :1] * np.ones(3),
+        np.full((6, 10, 3), sigma),
+        np.ones((6, 10, 3), bool),
+        lobes,
+        np.zeros(6, int),
+    )
+    normal, estimate = normal_equations(samples), np.empty((10, 6))
+    center, deviation = np.empty((10, 6)), np.empty((10, 6))
+    solve_bounded(normal, MEAN, PRIOR, estimate)
+    solve_free(normal, MEAN, PRIOR, center, deviation)
+    assert np.isfinite(estimate).all()
+    assert np.isfinite(deviation).all()
+    assert (deviation[:, 2 + column] < 1.01 / np.sqrt(PRIOR[2 + column])).all()
+    assert (estimate[:, 2 + column] < 2).all()
+    radiance = estimate[:, :3] + 3 / 8 * estimate[:, 2 + column, None]
+    np.testing.assert_allclose(radiance, 0.5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", [NONE, CHARBONNIER, CAUCHY])
+def test_weights_are_the_slope_of_the_loss(kind):
+    """Half the weight is the derivative of a pair's loss by the mean square of its residuals."""
+    sizes = np.array([0.1, 1.0, 3.0, 20.0])
+    losses, weights = [], []
+    for change in (0.0, 1e-4):
+        observed = np.sqrt((sizes**2 + change)[:, None, None] * np.ones((4, 1, 3)))
+        scale, loss, weight = np.ones(1), np.empty(1), np.empty((4, 1))
+        reweigh(
+            observed,
+            np.ones((4, 1, 3)),
+            np.zeros((4, 1, 4)),
+            np.zeros((1, 6)),
+            np.zeros(6),
+            np.zeros(6),
+            np.arange(1),
+            kind,
+            2.4,
+            scale,
+            weight,
+            loss,
+            np.empty((1, 2)),
+        )
+        losses.append(loss[0])
+        weights.append(weight[:, 0].copy())
+        assert scale[0] == 1
+    slope = (losses[1] - losses[0]) / 1e-4
+    assert slope == pytest.approx(3 * 0.5 * weights[0].sum(), rel=1e-3)
+    assert (np.diff(weights[0]) <= 0).all()
+    assert (weights[0][-1] == 1) == (kind == NONE)
+
+
+def test_sums_that_overflow_give_no_number():
+    """Neither the estimate of the vertex before nor 0 stands for what cannot be computed."""
+    normal = normal_equations(random_samples(5, count=3))
+    normal[1, 0, 4:] = np.inf
+    estimate = np.empty((3, 6))
+    solve_bounded(normal, MEAN, PRIOR, estimate)
+    assert np.isfinite(estimate[[0, 2]]).all()
+    assert np.isnan(estimate[1]).any()

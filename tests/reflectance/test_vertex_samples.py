@@ -1,0 +1,251 @@
+"""Vertices are looked up where cameras see and flashes light them: against a scene in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reflectance_pictures import (
+    BALL,
+    BALL_RADIUS,
+    EXPOSURE,
+    RADIUS,
+    WEIGHTS,
+    albedo_at,
+    build_scene,
+    first_hit,
+    radiance_at,
+    unit,
+)
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import (
+    CaptureRig,
+    OlatOptions,
+    SamplingOptions,
+    VertexSamples,
+    extract_olat,
+    fit_reflectance,
+    sample_vertices,
+)
+
+NOISELESS = OlatOptions(noise=1e-5, saturation=np.inf)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene()
+
+
+@pytest.fixture(scope="module")
+def olat(scene):
+    return extract_olat(scene.flash, scene.room, options=NOISELESS)
+
+
+@pytest.fixture(scope="module")
+def samples(scene, olat):
+    return sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals)
+
+
+def truly_seen_and_lit(scene):
+    """(J, V) of the large ball's vertices: no ball between them and camera, nor flash."""
+    points, rig = scene.vertices[scene.head], scene.rig
+    clear = []
+    for camera, light in zip(rig.camera_positions, rig.light_positions, strict=True):
+        ways = [unit(place - points) for place in (camera, light)]
+        facing = [(scene.normals[scene.head] * way).sum(1) for way in ways]
+        free = [~np.isfinite(first_hit(points, way, BALL, BALL_RADIUS)) for way in ways]
+        clear.append((facing[0] > 0.1) & (facing[1] > 0) & free[0] & free[1])
+    return np.stack(clear)
+
+
+def test_nothing_hidden_or_in_shadow_is_sampled(scene, samples):
+    true = truly_seen_and_lit(scene)
+    found = samples.valid.all(-1)[:, scene.head]
+    assert not (found & ~true).any()
+    assert found.sum() > 0.8 * true.sum()
+
+
+def test_observations_are_the_radiance_there(scene, samples):
+    points, normals, found = scene.vertices[scene.head], scene.normals[scene.head], samples.valid.all(-1)
+    for j in range(len(scene.rig)):
+        expected = radiance_at(points, normals, scene.rig.camera_positions[j], scene.rig.light_positions[j])
+        here = found[j, scene.head]
+        error = np.abs(samples.observed[j, scene.head][here] - expected[here])
+        assert np.median(error) < 2e-4
+        assert error.max() < 0.02
+
+
+def test_the_margin_keeps_edges_out(scene, olat):
+    """Without it pixels of the ball before the face, or of what lies behind, mix into vertices beside it."""
+    worst = {}
+    for margin in (0.0, 1.5):
+        options = SamplingOptions(margin_px=margin)
+        found = sample_vertices(
+            olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals, options=options
+        )
+        errors = [
+            np.abs(found.observed[j] - radiance_at(scene.vertices, scene.normals, camera, light))[
+                found.valid[j].all(-1) & scene.head
+            ].max()
+            for j, (camera, light) in enumerate(
+                zip(scene.rig.camera_positions, scene.rig.light_positions, strict=True)
+            )
+        ]
+        worst[margin] = max(errors)
+    assert worst[1.5] < 0.5 * worst[0.0]
+
+
+def test_the_large_ball_is_fitted_from_its_pictures(scene, samples):
+    fit = fit_reflectance(samples)
+    seen = scene.head & fit.reflectance.known & (samples.pair_count >= 6)
+    assert seen.sum() > 800
+    truth = EXPOSURE * albedo_at(scene.vertices[seen])
+    error = fit.reflectance.diffuse_linear[seen] / truth - 1
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    sure = fit.identified[seen, 3:]
+    weights = fit.reflectance.weights[seen] / (EXPOSURE * WEIGHTS) - 1
+    assert np.median(np.abs(weights[sure])) < 0.03
+
+
+def test_sampling_is_the_same_far_from_the_origin(scene, olat, samples):
+    shift = np.array([3000.0, -2000, 5000])
+    cameras = scene.rig.cameras.copy()
+    cameras[:, :, 3] -= cameras[:, :, :3] @ shift
+    rig = CaptureRig(cameras, scene.rig.light_positions + shift, scene.rig.light)
+    moved = sample_vertices(olat, rig, scene.vertices + shift, scene.faces, normals=scene.normals)
+    assert (moved.valid == samples.valid).mean() > 0.9999
+    both = moved.valid & samples.valid
+    np.testing.assert_allclose(moved.observed[both], samples.observed[both], atol=1e-6)
+
+
+def test_a_bad_pixel_takes_its_neighbours_channel_only(scene, olat, samples):
+    rows, columns = 80, 90
+    valid = olat.valid.copy()
+    valid[:, rows, columns, 1] = False
+    found = sample_vertices(
+        replace(olat, valid=valid), scene.rig, scene.vertices, scene.faces, normals=scene.normals
+    )
+    lost = samples.valid & ~found.valid
+    assert 0 < lost.sum() < 300
+    assert not lost[..., [0, 2]].any()
+    assert (found.observed[lost] == 0).all()
+
+
+def test_sigma_follows_the_weights_of_pixels(scene, olat, samples):
+    seen = samples.valid
+    sigma = olat.sigma[olat.valid].astype(float)
+    assert (samples.sigma[seen] <= sigma.max() * (1 + 1e-6)).all()
+    assert (samples.sigma[seen] >= 0.5 * sigma.min()).all()
+
+
+def test_grazing_views_and_lights_are_left_out(scene, olat, samples):
+    strict = SamplingOptions(view_cosine=0.5, light_cosine=0.3)
+    found = sample_vertices(
+        olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals, options=strict
+    )
+    assert not (found.valid & ~samples.valid).any()
+    for j, (camera, light) in enumerate(
+        zip(scene.rig.camera_positions, scene.rig.light_positions, strict=True)
+    ):
+        here = found.valid[j].any(-1)
+        for place, cosine in ((camera, 0.5), (light, 0.3)):
+            assert ((scene.normals * unit(place - scene.vertices)).sum(1)[here] > cosine).all()
+
+
+def test_vertices_outside_the_picture_are_not_seen(scene, olat):
+    cameras = scene.rig.cameras.copy()
+    cameras[:, 0] += 1e4 * cameras[:, 2]  # the same view, aimed far to the side
+    rig = CaptureRig(cameras, scene.rig.light_positions, scene.rig.light)
+    found = sample_vertices(olat, rig, scene.vertices, scene.faces, normals=scene.normals)
+    assert not found.valid.any()
+    with pytest.raises(ReflectanceError, match=r"none of .* vertices is seen"):
+        fit_reflectance(found)
+
+
+def test_normals_of_the_mesh_are_used_when_none_are_given(scene, olat, samples):
+    found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces)
+    both = found.valid.all(-1) & samples.valid.all(-1)
+    assert both.sum() > 0.9 * samples.valid.all(-1).sum()
+    np.testing.assert_allclose(found.lobes[both], samples.lobes[both], atol=0.2)
+
+
+def test_a_vertex_without_a_normal_is_not_seen(scene, olat):
+    normals = scene.normals.copy()
+    normals[500] = 0
+    found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=normals)
+    assert not found.valid[:, 500].any()
+
+
+def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, olat):
+    rig = CaptureRig(scene.rig.cameras, np.zeros((20, 3)), scene.rig.light)
+    found = sample_vertices(olat, rig, scene.vertices, scene.faces, normals=scene.normals)
+    assert not found.valid[:, scene.head].any()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"normals": np.zeros((3, 3))}, ValueError, "normals is"),
+        ({"normals": 2.0}, ReflectanceError, "has length 2"),
+        ({"vertices": np.nan}, ReflectanceError, "not all finite"),
+        ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
+        ({"faces": np.full((1, 3), 10**6)}, ReflectanceError, "no triangles"),
+        ({"faces": np.zeros((4,), int)}, ValueError, "expected \\(V, 3\\) and \\(F, 3\\)"),
+    ],
+)
+def test_meshes_that_do_not_fit_are_refused(scene, olat, change, error, message):
+    given = {"vertices": scene.vertices, "faces": scene.faces, "normals": scene.normals}
+    given |= {name: v * given[name] if isinstance(v, float) else v for name, v in change.items()}
+    with pytest.raises(error, match=message):
+        sample_vertices(olat, scene.rig, given["vertices"], given["faces"], normals=given["normals"])
+
+
+def test_another_number_of_cameras_is_refused(scene, olat):
+    rig = CaptureRig(scene.rig.cameras[:3], scene.rig.light_positions[:3], scene.rig.light[:3])
+    with pytest.raises(ReflectanceError, match="20 pictures but 3 cameras"):
+        sample_vertices(olat, rig, scene.vertices, scene.faces)
+
+
+def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
+    one = replace(
+        olat,
+        linear=olat.linear[:, :1, :1],
+        sigma=olat.sigma[:, :1, :1],
+        valid=olat.valid[:, :1, :1],
+        saturated=olat.saturated[:, :1, :1],
+    )
+    assert not sample_vertices(one, scene.rig, RADIUS * scene.normals, scene.faces).valid.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("observed", np.full((2, 3, 3), np.nan), "vertex 0 is said to be valid in picture 0"),
+        ("sigma", np.zeros((2, 3, 3)), "sigma is not above 0"),
+        ("lobes", np.full((2, 3, 4), np.inf), "lobes are not finite"),
+        ("sigma", np.ones((2, 3)), "sigma is \\(2, 3\\)"),
+        ("observed", np.ones((2, 3)), "expected \\(J, V, 3\\)"),
+        ("valid", np.ones((2, 3, 3)), "expected bool"),
+        ("light", np.array([0, -1]), "integers >= 0"),
+    ],
+)
+def test_samples_that_do_not_fit_are_refused(name, value, message):
+    good = {
+        "observed": np.ones((2, 3, 3)),
+        "sigma": np.ones((2, 3, 3)),
+        "valid": np.ones((2, 3, 3), bool),
+        "lobes": np.ones((2, 3, 4)),
+        "light": np.arange(2),
+    }
+    VertexSamples(**good)
+    with pytest.raises(ReflectanceError, match=message):
+        VertexSamples(**good | {name: value})
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"view_cosine": 1}, {"light_cosine": -0.1}, {"margin_px": -1}, {"reference_distance_mm": 0}],
+)
+def test_options_outside_their_range_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        SamplingOptions(**wrong)
