@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
-Channel = Literal["value", "luminance"]
+Channel = Literal["value", "luminance", "red-to-green"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,10 +22,13 @@ class TemplateOptions:
         Scales of the pyramid; the coarsest, a factor of 2^(scales - 1) smaller than the image, is kept.
     orientations : int
         Orientations of the pyramid, 2 to 16.
-    channel : {"value", "luminance"}
-        What is kept of three channels: their maximum, V of HSV, on which the albedo is estimated, or the
-        luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour. V of skin is its red, which pigment and
-        blood hardly darken; luminance tells persons apart better (`tools/bench_recognition.py --faces`).
+    channel : {"value", "luminance", "red-to-green"}
+        What is kept of three channels: their maximum, V of HSV, on which the albedo is estimated; the
+        luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour; or R over G, which shading under lamps of
+        one colour leaves alone, in textures as well as in albedos. V of skin is its red, which pigment and
+        blood hardly darken; luminance tells persons apart better (`tools/bench_recognition.py --faces`), and
+        R over G better still on synthetic people (`tools/experiment_recognition.py`), with a camera that
+        keeps colour as well as brightness.
     hole_radius : float
         Holes of the mask up to this radius, in sides of the image, are filled from around and count: a hole
         that a scanner left would else take every window that touches it. 0 leaves the mask as it is.
@@ -50,8 +53,8 @@ class TemplateOptions:
             raise ValueError(f"scales is {self.scales}, expected >= 1")
         if not 2 <= self.orientations <= 16:
             raise ValueError(f"orientations is {self.orientations}, expected 2 to 16")
-        if self.channel not in ("value", "luminance"):
-            raise ValueError(f"channel is {self.channel!r}, expected 'value' or 'luminance'")
+        if self.channel not in get_args(Channel):
+            raise ValueError(f"channel is {self.channel!r}, expected one of {', '.join(get_args(Channel))}")
         if not 0 <= self.hole_radius < 0.5:
             raise ValueError(f"hole_radius is {self.hole_radius}, expected within [0, 0.5)")
         if self.size is not None and self.size < 1:

@@ -11,6 +11,8 @@ from scan2albedo.recognition.options import Channel
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_DARKEST = 1 / 255
+"""Of the brightest value: below it a ratio of channels is noise."""
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -48,8 +50,13 @@ def checked_image(
 
 
 def one_channel(color_linear: FloatArray, channel: Channel) -> FloatArray:
-    """Return V or luminance (H, W), see `TemplateOptions.channel`, of linear colour (H, W, 3)."""
-    return np.asarray(color_linear.max(axis=2) if channel == "value" else color_linear @ _LUMINANCE)
+    """Return one channel (H, W), see `TemplateOptions.channel`, of linear colour (H, W, 3)."""
+    if channel == "value":
+        return np.asarray(color_linear.max(axis=2))
+    if channel == "luminance":
+        return np.asarray(color_linear @ _LUMINANCE)
+    lit = np.maximum(color_linear[..., :2], _DARKEST * max(float(color_linear.max()), 1e-12))
+    return np.asarray(lit[..., 0] / lit[..., 1])
 
 
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:

@@ -35,6 +35,18 @@ def test_channels(albedo):
         np.testing.assert_allclose(of_color.coefficients, of_gray.coefficients, atol=1e-7)
 
 
+def test_red_to_green_does_not_see_white_light(albedo):
+    color = np.stack([albedo(0), 0.5 * albedo(1), 0.2 * albedo(2)], axis=2)
+    light = np.linspace(0.2, 1.0, 128)[:, None]
+    options = TemplateOptions(channel="red-to-green")
+    dim, bright = (albedo_templates([x], ["ann"], options=options) for x in (color * light, color))
+    assert similarity_matrix(dim, bright)[0, 0] > 0.999
+    plain = [albedo_templates([x], ["ann"]) for x in (color * light, color)]
+    assert similarity_matrix(*plain)[0, 0] < 0.99
+    black = albedo_templates([np.zeros_like(color) + [0, 0, 1.0]], ["bob"], options=options)
+    assert np.isfinite(black.coefficients).all()
+
+
 def test_a_coefficient_is_valid_when_its_surroundings_are():
     mask = np.ones((16, 16), bool)
     mask[6, 9] = False

@@ -17,9 +17,7 @@ FloatArray = NDArray[np.float64]
 RAW, RAW_SRGB = "raw texture", "raw texture, sRGB"
 RETINEX, EQUALIZED = "multi-scale retinex", "histogram equalisation"
 CHROMATICITY = "raw red to green"
-"""Free of shading where all lamps have one colour, as they have here."""
-
-_DARKEST = 1 / 255
+"""Free of shading where all lamps have one colour, as they have unless the options say otherwise."""
 
 
 def method_names(options: RecognitionExperimentOptions) -> tuple[str, ...]:
@@ -43,7 +41,7 @@ def method_image(method: str, session: Session, options: RecognitionExperimentOp
     if method == RAW_SRGB:
         return linear_to_srgb(texture)
     if method == CHROMATICITY:
-        return np.maximum(texture[..., 0], _DARKEST) / np.maximum(texture[..., 1], _DARKEST)
+        return one_channel(texture, "red-to-green")
     bright = one_channel(texture, options.templates.channel)
     if method == EQUALIZED:
         return histogram_equalized(bright, session.seen)
