@@ -1,6 +1,18 @@
 """Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
 
 from scan2albedo.reflectance.environment_shading import EnvironmentShading, shade_environment
+from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
+from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
-__all__ = ["EXPONENTS", "EnvironmentShading", "VertexReflectance", "shade_environment"]
+__all__ = [
+    "EXPONENTS",
+    "EnvironmentShading",
+    "ModelReflectance",
+    "MorphableReflectanceModel",
+    "Projection",
+    "VertexReflectance",
+    "lobe_weights_of_phong",
+    "reflectance_from_albedo",
+    "shade_environment",
+]
