@@ -21,14 +21,15 @@ def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatA
 
     Parameters
     ----------
-    environment_linear : (H, W, 3) array_like of float
-        Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
+    environment_linear : (..., H, W, 3) array_like of float
+        Radiance of one map or several; rows from +y down to -y, columns by azimuth from -pi to pi, from +z
+        toward +x.
     order : int
         Highest degree.
 
     Returns
     -------
-    ((order + 1)^2, 3) float64, in the order of `harmonics`; light of 1 everywhere gives sqrt(4 pi), 0, ...
+    (..., (order + 1)^2, 3) float64, in the order of `harmonics`; light of 1 gives sqrt(4 pi), 0, 0, ...
 
     Raises
     ------
@@ -41,13 +42,14 @@ def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatA
     [3.544908, 0.0, 0.0, 0.0]
     """
     image = np.asarray(environment_linear, np.float64)
-    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise ValueError(f"environment_linear must have shape (H, W, 3), got {image.shape}")
+    if image.ndim < 3 or image.shape[-1] != 3 or image.size == 0:
+        raise ValueError(f"environment_linear must have shape (..., H, W, 3), got {image.shape}")
     if not np.isfinite(image).all():
         raise ValueError("environment_linear must be finite")
-    coefficients = np.zeros(((order + 1) ** 2, 3))
-    for row in range(len(image)):
-        coefficients += row_projection(row, image.shape[:2], order).T @ image[row]
+    height, width = image.shape[-3:-1]
+    coefficients = np.zeros((*image.shape[:-3], (order + 1) ** 2, 3))
+    for row in range(height):
+        coefficients += row_projection(row, (height, width), order).T @ image[..., row, :, :]
     return coefficients
 
 
