@@ -1,6 +1,7 @@
 """Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
 
 from scan2albedo.reflectance.environment_shading import EnvironmentShading, shade_environment
+from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
 from scan2albedo.reflectance.generated_environments import generated_environment
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
@@ -12,6 +13,8 @@ from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflecta
 __all__ = [
     "EXPONENTS",
     "EnvironmentShading",
+    "FineTuneOptions",
+    "FineTuning",
     "ImageFit",
     "ImageFitOptions",
     "ImageObservation",
@@ -20,6 +23,7 @@ __all__ = [
     "MorphableReflectanceModel",
     "Projection",
     "VertexReflectance",
+    "finetune",
     "fit_image",
     "generated_environment",
     "lobe_weights_of_phong",
