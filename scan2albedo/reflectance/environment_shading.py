@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics
 from scan2albedo.reflectance.lobe_coefficients import (
     ORDER,
     Lobe,
     lambert_coefficients,
     lobe_coefficients,
+    tilted_lobe,
     view_lobe_coefficients,
 )
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
@@ -47,7 +49,7 @@ class LightResponse:
     diffuse: FloatArray
     """(V, 81) A_l / pi Y_lm(n)."""
     specular: FloatArray
-    """(V, 3, 81) B_l^s Y_lm(r), a row for each of `EXPONENTS`."""
+    """(V, 3, 81) B_l^s Y_lm(r), or at what stands for r, a row for each of `EXPONENTS`."""
 
     def shade(self, reflectance: VertexReflectance, light: FloatArray) -> EnvironmentShading:
         """Return the radiance under light (81, 3)."""
@@ -56,17 +58,15 @@ class LightResponse:
         return EnvironmentShading(diffuse, specular)
 
 
-def light_response(
-    normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe = "tabulated"
-) -> LightResponse:
+def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe = "tilted") -> LightResponse:
     """Return how vertices answer to light, from their normals and the directions to the camera.
 
     Parameters
     ----------
     normals, toward_camera : (V, 3) array_like of float
         Unit vectors n and v.
-    lobe : {"tabulated", "clipped", "full"}
-        Which lobe stands around r = 2 (n.v) n - v; see `lobe_coefficients`.
+    lobe : {"tilted", "tabulated", "clipped", "full"}
+        Which lobe stands where: see `Lobe`.
 
     Raises
     ------
@@ -82,9 +82,7 @@ def light_response(
     n, v = _unit(normals, "normals"), _unit(toward_camera, "toward_camera")
     if n.shape != v.shape:
         raise ValueError(f"normals are {n.shape} and toward_camera {v.shape}, expected (V, 3) both")
-    cosine = np.einsum("vi,vi->v", n, v)
-    at_mirror = harmonics(2 * cosine[:, None] * n - v, ORDER)
-    specular = np.stack([_lobe(lobe, s, cosine)[:, _DEGREES] * at_mirror for s in EXPONENTS], axis=1)
+    specular = np.stack([_specular(lobe, s, n, v) for s in EXPONENTS], axis=1)
     return LightResponse(harmonics(n, ORDER) * lambert_coefficients(ORDER)[_DEGREES], specular)
 
 
@@ -94,7 +92,7 @@ def shade_environment(
     toward_camera: ArrayLike,
     light: ArrayLike,
     *,
-    lobe: Lobe = "tabulated",
+    lobe: Lobe = "tilted",
 ) -> EnvironmentShading:
     """Shade vertices under distant light given by spherical harmonics of order 8, without cast shadows.
 
@@ -109,8 +107,9 @@ def shade_environment(
         Unit vectors n and v.
     light : (81, 3) array_like of float
         Coefficients L_lm of the radiance, as from `project_environment`.
-    lobe : {"tabulated", "clipped", "full"}
-        `full` is the formula as published, B_l alone; `tabulated` is nearer to the truth at grazing views.
+    lobe : {"tilted", "tabulated", "clipped", "full"}
+        `full` is the formula as published, the one above; `tilted` is nearest to the truth at oblique views,
+        for it puts the lobe's mean direction in the place of r.
 
     Raises
     ------
@@ -150,13 +149,23 @@ def checked_light(light: ArrayLike) -> FloatArray:
     return coefficients
 
 
-def _lobe(lobe: Lobe, exponent: float, cosine: FloatArray) -> FloatArray:
-    if lobe == "tabulated":
-        return view_lobe_coefficients(cosine, exponent)
-    if lobe not in ("clipped", "full"):
-        raise ValueError(f"lobe must be 'tabulated', 'clipped' or 'full', got {lobe!r}")
-    fixed = lobe_coefficients(exponent, ORDER, clipped=lobe == "clipped")
-    return np.where(cosine[:, None] > 0, fixed, 0.0)
+def _specular(lobe: Lobe, exponent: float, n: FloatArray, v: FloatArray) -> FloatArray:
+    """Return (V, 81) B_l Y_lm at the directions that the lobe stands around."""
+    cosine = np.einsum("vi,vi->v", n, v)
+    mirror = 2 * cosine[:, None] * n - v
+    if lobe == "tilted":
+        along = mirror - cosine[:, None] * n
+        sine = np.linalg.norm(along, axis=1)
+        response, tilt = tilted_lobe(np.arctan2(sine, cosine), exponent)
+        mirror = np.cos(tilt)[:, None] * n + np.sin(tilt)[:, None] * normalized(along)
+    elif lobe == "tabulated":
+        response = view_lobe_coefficients(cosine, exponent)
+    elif lobe in ("clipped", "full"):
+        fixed = lobe_coefficients(exponent, ORDER, clipped=lobe == "clipped")
+        response = np.where(cosine[:, None] > 0, fixed, 0.0)
+    else:
+        raise ValueError(f"lobe must be 'tilted', 'tabulated', 'clipped' or 'full', got {lobe!r}")
+    return response[:, _DEGREES] * harmonics(mirror, ORDER)
 
 
 def _unit(vectors: ArrayLike, name: str) -> FloatArray:

@@ -8,6 +8,7 @@ from scipy.special import eval_legendre
 from scan2albedo.reflectance.lobe_coefficients import (
     lambert_coefficients,
     lobe_coefficients,
+    tilted_lobe,
     view_lobe_coefficients,
 )
 
@@ -93,3 +94,31 @@ def test_exponents_that_are_none_are_refused(exponent):
 def test_nan_is_refused():
     with pytest.raises(ValueError, match="NaN"):
         view_lobe_coefficients([0.5, np.nan], 8)
+
+
+@pytest.mark.parametrize("exponent", [1, 8, 64])
+def test_tilted_lobes_have_no_light_to_their_side(exponent):
+    coefficients, tilt = tilted_lobe(np.radians([0, 20, 60]), exponent)
+    np.testing.assert_allclose(coefficients[0], lobe_coefficients(exponent, clipped=True), atol=1e-12)
+    assert tilt[0] == 0
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    t, turn = ((nodes + 1) / 2)[:, None], (np.arange(600) + 0.5) * 2 * np.pi / 600
+    light = np.stack(
+        np.broadcast_arrays(np.sqrt(1 - t**2) * np.cos(turn), np.sqrt(1 - t**2) * np.sin(turn), t), -1
+    )
+    half = light + [np.sin(np.radians(60)), 0, np.cos(np.radians(60))]
+    lobe = (exponent + 2) / (8 * np.pi) * (half[..., 2] / np.linalg.norm(half, axis=-1)) ** exponent
+    mass = lobe * (weights / 2)[:, None] * 2 * np.pi / 600
+    mean = np.einsum("tp,tpi->i", mass, light)
+    assert tilt[2] == pytest.approx(np.arctan2(-mean[0], mean[2]), abs=1e-5)
+    assert coefficients[2, 0] == pytest.approx(mass.sum(), abs=1e-5)
+    assert coefficients[2, 1] == pytest.approx(np.linalg.norm(mean), abs=1e-5)
+    assert 0 < tilt[1] < np.radians(20)
+
+
+def test_tilted_lobes_of_what_is_not_seen_are_empty():
+    assert (tilted_lobe([np.pi / 2, 2.5], 8)[0] == 0).all()
+    with pytest.raises(ValueError, match="NaN"):
+        tilted_lobe(np.nan, 8)
+    with pytest.raises(ValueError, match="exponent"):
+        tilted_lobe(0.1, -1)
