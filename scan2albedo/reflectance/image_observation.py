@@ -29,7 +29,7 @@ class ImageObservation:
     Raises
     ------
     ReflectanceError
-        When a seen vertex has no finite colour, nothing is seen, or the image is black there.
+        When a seen vertex has no finite colour or no unit vectors, nothing is seen, or it is black there.
     ValueError
         When shapes disagree.
     """
@@ -54,6 +54,15 @@ class ImageObservation:
                     f"({bad.sum()} vertices); take such vertices out of `seen`"
                 )
             object.__setattr__(self, name, array)
+        for name in ("normals", "toward_camera"):
+            length = np.linalg.norm(np.asarray(getattr(self, name)), axis=1)
+            bad = seen & ~(np.abs(length - 1) < 1e-4)
+            if bad.any():
+                first = int(np.flatnonzero(bad)[0])
+                raise ReflectanceError(
+                    f"{name} of vertex {first} has length {length[first]:.6g}, expected 1 ({bad.sum()} "
+                    "vertices); normalise, and take vertices without a surface around them out of `seen`"
+                )
         object.__setattr__(self, "seen", seen)
         if not seen.any():
             raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")

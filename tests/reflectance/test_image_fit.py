@@ -183,6 +183,8 @@ def test_what_is_no_image_of_the_face_is_refused(model):
     color[np.flatnonzero(SEEN)[4], 1] = np.nan
     with pytest.raises(ReflectanceError, match="NaN"):
         dataclasses.replace(observation, observed_linear=color)
+    with pytest.raises(ReflectanceError, match="length 2"):
+        dataclasses.replace(observation, normals=2 * NORMALS)
     with pytest.raises(ReflectanceError, match="no vertex"):
         dataclasses.replace(observation, seen=np.zeros_like(SEEN))
     with pytest.raises(ReflectanceError, match="black"):
