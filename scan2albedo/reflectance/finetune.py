@@ -108,10 +108,11 @@ def finetune(
 
     Notes
     -----
-    Images tell the albedo only up to what light may do, and held-out images do not see through that either: a
-    model whose mean was 15 % off came from an albedo error of 0.169 to 0.127 in four rounds, but without anchor
-    and smoothing to 0.312, while the held-out objective fell in both (tools/bench_reflectance_model.py). What
-    differs from face to face but is not in the directions, marks for instance, tuning does not add.
+    Images tell the albedo only up to what light may do, and held-out images do not see through that either. A
+    model whose mean was 15 % off came from an albedo error of 0.169 to 0.127 in four rounds, but without
+    anchor and smoothing to 0.312, while the held-out objective fell in both, as
+    tools/bench_reflectance_model.py tells. What differs from face to face but is not in the directions, marks
+    for instance, tuning does not add.
 
     References
     ----------
