@@ -23,6 +23,7 @@ from scan2albedo.io.identification_json import IdentificationRecord
 from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
+from scan2albedo.reflectance.model_files import ReflectanceModelHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
@@ -41,6 +42,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "registered_eyeglasses": RegisteredFrameRecord,
     "eyeglasses_lenses": LensesRecord,
     "template_set": TemplatesHeader,
+    "reflectance_model": ReflectanceModelHeader,
 }
 
 

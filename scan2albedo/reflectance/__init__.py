@@ -1,11 +1,19 @@
 """Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
 
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
+from scan2albedo.reflectance.environment_shading import EnvironmentShading, shade_environment
+from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
+from scan2albedo.reflectance.generated_environments import generated_environment
+from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
+from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.lighting_model import LightingModel
+from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
+from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
 from scan2albedo.reflectance.vertex_fit import fit_reflectance
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 from scan2albedo.reflectance.vertex_samples import SamplingOptions, VertexSamples, sample_vertices
@@ -15,8 +23,18 @@ __all__ = [
     "PARAMETERS",
     "CaptureDiagnostic",
     "CaptureRig",
+    "EnvironmentShading",
+    "FineTuneOptions",
+    "FineTuning",
+    "ImageFit",
+    "ImageFitOptions",
+    "ImageObservation",
+    "LightingModel",
+    "ModelReflectance",
+    "MorphableReflectanceModel",
     "OlatImages",
     "OlatOptions",
+    "Projection",
     "ReflectanceFit",
     "ReflectanceFitOptions",
     "ReflectancePrior",
@@ -25,10 +43,16 @@ __all__ = [
     "VertexReflectance",
     "VertexSamples",
     "extract_olat",
+    "finetune",
+    "fit_image",
     "fit_reflectance",
+    "generated_environment",
+    "lobe_weights_of_phong",
     "point_light_lobes",
     "point_light_radiance",
+    "reflectance_from_albedo",
     "relighting_error",
     "rig_of_head_poses",
     "sample_vertices",
+    "shade_environment",
 ]

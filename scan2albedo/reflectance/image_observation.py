@@ -1,0 +1,77 @@
+"""What one image tells of a face whose geometry and pose are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import ReflectanceError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ImageObservation:
+    """Radiance of V vertices in one image, with their normals and the directions to the camera.
+
+    Parameters
+    ----------
+    observed_linear : (V, 3) array_like of float
+        Linear colour at each vertex, of any exposure; unused where not seen.
+    normals, toward_camera : (V, 3) array_like of float
+        Unit vectors in one frame, the one that light is wanted in; unused where not seen.
+    seen : (V,) array_like of bool
+        Vertices that count: not occluded, skin, not saturated.
+
+    Raises
+    ------
+    ReflectanceError
+        When a seen vertex has no finite colour or no unit vectors, nothing is seen, or it is black there.
+    ValueError
+        When shapes disagree.
+    """
+
+    observed_linear: ArrayLike
+    normals: ArrayLike
+    toward_camera: ArrayLike
+    seen: ArrayLike
+
+    def __post_init__(self) -> None:
+        seen = np.asarray(self.seen)
+        if seen.dtype != np.bool_ or seen.ndim != 1:
+            raise ValueError(f"seen must be bool (V,), got {seen.dtype} {seen.shape}")
+        for name in ("observed_linear", "normals", "toward_camera"):
+            array = np.asarray(getattr(self, name), np.float64)
+            if array.shape != (len(seen), 3):
+                raise ValueError(f"{name} must have shape ({len(seen)}, 3), got {array.shape}")
+            bad = seen & ~np.isfinite(array).all(1)
+            if bad.any():
+                raise ReflectanceError(
+                    f"{name} of vertex {int(np.flatnonzero(bad)[0])} holds NaN or infinite values "
+                    f"({bad.sum()} vertices); take such vertices out of `seen`"
+                )
+            object.__setattr__(self, name, array)
+        for name in ("normals", "toward_camera"):
+            length = np.linalg.norm(np.asarray(getattr(self, name)), axis=1)
+            bad = seen & ~(np.abs(length - 1) < 1e-4)
+            if bad.any():
+                first = int(np.flatnonzero(bad)[0])
+                raise ReflectanceError(
+                    f"{name} of vertex {first} has length {length[first]:.6g}, expected 1 ({bad.sum()} "
+                    "vertices); normalise, and take vertices without a surface around them out of `seen`"
+                )
+        object.__setattr__(self, "seen", seen)
+        if not seen.any():
+            raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")
+        if not self.brightness > 0:
+            raise ReflectanceError(
+                f"the image is black where the face is (mean {self.brightness}); check exposure and pose"
+            )
+
+    @property
+    def brightness(self) -> float:
+        """Mean colour of what is seen."""
+        return float(np.asarray(self.observed_linear)[np.asarray(self.seen)].mean())

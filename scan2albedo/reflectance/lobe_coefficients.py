@@ -1,0 +1,205 @@
+"""How much of each harmonic of distant light the diffuse lobe and the Blinn-Phong lobes let through."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss, legvander
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+FloatArray = NDArray[np.float64]
+Lobe = Literal["tilted", "tabulated", "clipped", "full"]
+"""`tilted`: the true lobe of each view, averaged around its mean direction. `tabulated`: the same around r.
+`clipped` and `full`: the lobe of v = n turned to r, with the horizon, and without as published."""
+
+ORDER = 8
+_VIEWS = 33
+_QUADRATURE = (96, 192)
+
+
+def lambert_coefficients(order: int = ORDER) -> FloatArray:
+    """Return (order + 1,) responses A_l / pi of a Lambertian surface.
+
+        A_l / pi = 2 integral over 0 ... 1 of t P_l(t) dt.
+
+    References
+    ----------
+    .. [1] R. Ramamoorthi, P. Hanrahan, "On the relationship between radiance and irradiance", JOSA A 2001.
+
+    Examples
+    --------
+    >>> lambert_coefficients(4).round(6).tolist()
+    [1.0, 0.666667, 0.25, 0.0, -0.041667]
+    """
+    response = np.zeros(order + 1)
+    response[:2] = [1.0, 2 / 3][: order + 1]
+    value = 1 / 4
+    for degree in range(2, order + 1, 2):
+        response[degree] = value
+        value *= -(degree - 1) / (degree + 4)
+    return response
+
+
+def lobe_coefficients(exponent: float, order: int = ORDER, *, clipped: bool = False) -> FloatArray:
+    """Return (order + 1,) coefficients B_l of a Blinn-Phong lobe looked at along the normal.
+
+    With v = n the half vector halves the angle, and with a = s / 2
+
+        B_l = (s + 2) / 4 integral of ((1 + t) / 2)^a P_l(t) dt,
+
+    over the full sphere B_0 = 1 and B_{l+1} = B_l (a - l) / (a + l + 2).
+
+    Parameters
+    ----------
+    exponent : float
+        s, more than 0.
+    order : int
+        Highest degree.
+    clipped : bool
+        Leave out light from below the horizon (t < 0), which matters for broad lobes.
+
+    Raises
+    ------
+    ValueError
+        When the exponent is not more than 0.
+
+    Examples
+    --------
+    >>> lobe_coefficients(8, order=4).round(4).tolist()
+    [1.0, 0.6667, 0.2857, 0.0714, 0.0079]
+    >>> lobe_coefficients(1, order=3, clipped=True).round(3).tolist()
+    [0.646, 0.341, 0.027, -0.068]
+    """
+    _check_exponent(exponent)
+    half = exponent / 2
+    if clipped:
+        nodes, weights = leggauss(64 + int(half) // 2)
+        t = (nodes + 1) / 2
+        return np.asarray((weights / 2 * (exponent + 2) / 4 * ((1 + t) / 2) ** half) @ legvander(t, order))
+    degree = np.arange(order)
+    return np.concatenate([[1.0], np.cumprod((half - degree) / (half + degree + 2))])
+
+
+def view_lobe_coefficients(cosine: ArrayLike, exponent: float) -> FloatArray:
+    """Return (..., 9) coefficients B_l(n.v) of the true lobe, averaged around the reflected direction r.
+
+        B_l(n.v) = (s + 2) / (8 pi) integral over n.l > 0 of max(0, n.h)^s P_l(r.l) dl.
+
+    At grazing views the half vector widens and weakens the lobe: turned to r unchanged, it would be twice too
+    bright at 60 degrees.
+
+    Parameters
+    ----------
+    cosine : (...) array_like of float
+        n.v; 0 and less (a surface that is not seen) give 0.
+    exponent : float
+        s, more than 0.
+
+    Raises
+    ------
+    ValueError
+        When the exponent is not more than 0 or a cosine not finite.
+
+    Notes
+    -----
+    Quadrature at 33 views, once an exponent, and a cubic spline between: within 5e-5 of the integral for
+    n.v > 0.1 and exponents up to 64. What depends on the turn around r is left out.
+
+    Examples
+    --------
+    >>> view_lobe_coefficients(np.cos(np.radians([0, 30, 60, 80])), 64)[:, 0].round(3).tolist()
+    [1.0, 0.866, 0.496, 0.17]
+    """
+    _check_exponent(exponent)
+    mu = np.asarray(cosine, np.float64)
+    if not np.isfinite(mu).all():
+        raise ValueError("cosine holds NaN or infinite values")
+    values = _spline(float(exponent))(np.clip(mu, 0.0, 1.0))
+    return np.where(mu[..., None] > 0, values, 0.0)
+
+
+def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients (..., 9) of the true lobe, averaged around its mean direction, and that direction.
+
+    Lobes lean from r towards the normal, broad ones most: light from below the horizon is missing, and n.h
+    falls more slowly that way.
+
+    Parameters
+    ----------
+    angle_rad : (...) array_like of float
+        Between n and v; pi / 2 and more (a surface that is not seen) give coefficients 0.
+    exponent : float
+        s, more than 0.
+
+    Returns
+    -------
+    coefficients : (..., 9) float64
+    tilt_rad : (...) float64
+        From n to the mean direction, in the plane of n and v away from v; r has the tilt `angle_rad`.
+
+    Raises
+    ------
+    ValueError
+        When the exponent is not more than 0 or an angle not finite.
+
+    Notes
+    -----
+    In generated light the highlights of s = 1, 8 and 64 seen at 60 degrees are 3, 3 and 12 % off; averaged
+    around r they are 28, 36 and 24 % off, with the full lobe 79, 72 and 86 %, as
+    tools/bench_reflectance_model.py tells.
+
+    Examples
+    --------
+    >>> _, tilt = tilted_lobe(np.radians([0, 60]), 8)
+    >>> np.degrees(tilt).round(1).tolist()
+    [0.0, 41.8]
+    """
+    _check_exponent(exponent)
+    angle = np.asarray(angle_rad, np.float64)
+    if not np.isfinite(angle).all():
+        raise ValueError("angle_rad holds NaN or infinite values")
+    values = _tilted_spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2))
+    return np.where(angle[..., None] < np.pi / 2, values[..., :-1], 0.0), values[..., -1]
+
+
+def _integral(angle: float, exponent: float, tilt: float | None) -> tuple[FloatArray, float]:
+    """Return coefficients of the true lobe around a direction, and its tilt; None: its mean direction."""
+    heights, turns = _QUADRATURE
+    nodes, weights = leggauss(heights)
+    t, across = (nodes + 1) / 2, np.sqrt(1 - ((nodes + 1) / 2) ** 2)
+    # The lobe is even in the turn, so half a circle of midpoints stands for all of it.
+    forward = -across[:, None] * np.cos((np.arange(turns) + 0.5) * np.pi / turns)
+    upward = np.broadcast_to(t[:, None], forward.shape)
+    light_view = np.cos(angle) * upward - np.sin(angle) * forward
+    normal_half = (upward + np.cos(angle)) / np.sqrt(2 + 2 * light_view)
+    kernel = (exponent + 2) / (8 * np.pi) * normal_half**exponent
+    kernel *= (weights / 2)[:, None] * 2 * np.pi / turns
+    if tilt is None:
+        tilt = float(np.arctan2(np.sum(kernel * forward), np.sum(kernel * upward)))
+    toward = np.clip(np.cos(tilt) * upward + np.sin(tilt) * forward, -1, 1)
+    return np.einsum("tp,tpl->l", kernel, legvander(toward, ORDER)), tilt
+
+
+@cache
+def _spline(exponent: float) -> CubicSpline:
+    """Coefficients around r by n.v."""
+    views = np.linspace(0, 1, _VIEWS)
+    angles = np.arccos(views)
+    return CubicSpline(views, np.stack([_integral(float(a), exponent, float(a))[0] for a in angles]))
+
+
+@cache
+def _tilted_spline(exponent: float) -> CubicSpline:
+    """Coefficients around the mean direction, and its tilt, by the angle between n and v."""
+    angles = np.linspace(0, np.pi / 2, _VIEWS)
+    found = [_integral(float(a), exponent, None) for a in angles]
+    found[0] = found[0][0], 0.0
+    return CubicSpline(angles, np.stack([np.append(values, tilt) for values, tilt in found]))
+
+
+def _check_exponent(exponent: float) -> None:
+    if not exponent > 0:
+        raise ValueError(f"exponent must be more than 0, got {exponent}")

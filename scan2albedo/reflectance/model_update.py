@@ -1,0 +1,184 @@
+"""The change of a model's albedo and lobe sums that images ask for, vertex by vertex."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from scan2albedo.geometry.mesh import adjacency
+from scan2albedo.reflectance.environment_shading import light_response
+from scan2albedo.reflectance.image_fit import ImageFit
+from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.lobe_coefficients import Lobe
+from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
+
+FloatArray = NDArray[np.float64]
+
+_BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class ModelChange:
+    """What is added to a model; zeros where it knows nothing."""
+
+    diffuse_mean: FloatArray
+    """(V, 3)."""
+    diffuse_basis: FloatArray
+    """(N, V, 3)."""
+    sum_mean: FloatArray
+    """(V,)."""
+    sum_basis: FloatArray
+    """(N, V)."""
+
+    def toward(self, other: ModelChange, step: float) -> ModelChange:
+        """Return the change a step of the way to another."""
+        return ModelChange(
+            *((1 - step) * mine + step * its for mine, its in zip(_arrays(self), _arrays(other), strict=True))
+        )
+
+    def applied(self, model: MorphableReflectanceModel) -> MorphableReflectanceModel:
+        """Return the model with the change added."""
+        basis = model.diffuse_basis + self.diffuse_basis
+        variance = np.sum(basis**2, axis=(1, 2))
+        return replace(
+            model,
+            diffuse_mean=model.diffuse_mean + self.diffuse_mean,
+            diffuse_basis=basis,
+            sum_mean=model.sum_mean + self.sum_mean,
+            sum_basis=model.sum_basis + self.sum_basis,
+            deviation=np.sqrt(variance),
+            total_variance=model.total_variance + float(variance.sum() - np.sum(model.deviation**2)),
+        )
+
+    def smoothed(self, faces: NDArray[np.int64], steps: int) -> ModelChange:
+        """Return the change with each vertex moved half way to its neighbours' mean, `steps` times."""
+        count = len(self.sum_mean)
+        links = adjacency(count, faces)
+        degree = np.asarray(links.sum(1)).ravel()
+        # Vertices without neighbours keep what they have.
+        walk = sparse.diags(1 / np.maximum(degree, 1)) @ links + sparse.diags((degree == 0).astype(float))
+        arrays = [self.diffuse_mean, self.diffuse_basis, self.sum_mean[..., None], self.sum_basis[..., None]]
+        smooth = [_smooth(array, walk, steps) for array in arrays]
+        return ModelChange(smooth[0], smooth[1], smooth[2][..., 0], smooth[3][..., 0])
+
+
+def no_change(model: MorphableReflectanceModel) -> ModelChange:
+    """Return a change of nothing."""
+    return ModelChange(
+        *(
+            np.zeros_like(array)
+            for array in (model.diffuse_mean, model.diffuse_basis, model.sum_mean, model.sum_basis)
+        )
+    )
+
+
+def best_change(
+    model: MorphableReflectanceModel,
+    observations: Sequence[ImageObservation],
+    fits: Sequence[ImageFit],
+    *,
+    mean_change: float,
+    basis_change: float,
+    lobe: Lobe,
+) -> ModelChange:
+    """Return the change of the model that explains the images best, each vertex for itself.
+
+    With b_i and L_i of image i held, its colours are linear in the change of the means c0, s0 and of the
+    directions C, S. Of all changes it takes the most probable one: those of the means normal with standard
+    deviation m, a share of the mean albedo (of the mean s), those of the directions n times that, the noise
+    by each image's fit. With x_i = (1, n b_i), light d_ij on the diffuse part and h_ij on lobes w', rows
+    (i, j) of a vertex have the covariance
+
+        (x_i . x_i') (m_c^2 [j = j'] d_ij d_i'j' + m_s^2 h_ij h_i'j') + noise,
+
+    a system of 3 M equations for M images, whatever the number of coefficients.
+
+    Parameters
+    ----------
+    model : MorphableReflectanceModel
+        What the change is added to, and anchored at.
+    observations, fits : M each
+        The fits may be those of another model with the same directions.
+    mean_change, basis_change : float
+        m and n.
+    lobe : Lobe
+        As in the fits.
+
+    Notes
+    -----
+    Cost: V (3 M)^3 / 3; memory 12 V M numbers and 9 M^2 a vertex in blocks.
+    """
+    scores = np.stack([fit.face.coefficients for fit in fits])
+    features = np.concatenate([np.ones((len(fits), 1)), basis_change * scores], axis=1)
+    rows = [_image_rows(model, o, fit, lobe) for o, fit in zip(observations, fits, strict=True)]
+    diffuse, specular, off, noise = (np.stack([row[k] for row in rows], axis=1) for k in range(4))
+    of_diffuse = mean_change * float(model.diffuse_mean[model.known].mean())
+    of_sum = mean_change * float(model.sum_mean[model.known].mean())
+    by_diffuse, by_sum = of_diffuse**2 * diffuse, of_sum**2 * specular
+    dual = _dual(features @ features.T, (of_diffuse * diffuse, of_sum * specular), off, noise)
+    change = np.einsum("in,vij->nvj", features, by_diffuse * dual)
+    of_lobes = np.einsum("in,vij->nv", features, by_sum * dual)
+    return ModelChange(change[0], basis_change * change[1:], of_lobes[0], basis_change * of_lobes[1:])
+
+
+def _image_rows(
+    model: MorphableReflectanceModel, observation: ImageObservation, fit: ImageFit, lobe: Lobe
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return (V, 3) light on the diffuse part, on lobes of sum 1, differences, and variances of noise.
+
+    Rows that are not used are zero with variance 1, so that they say nothing.
+    """
+    used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+    normals, view = np.asarray(observation.normals), np.asarray(observation.toward_camera)
+    response = light_response(normals[used], view[used], lobe=lobe)
+    b = fit.face.coefficients
+    share = model.share_mean[used] + np.tensordot(b, model.share_basis[:, used], 1)
+    diffuse = response.diffuse @ fit.light
+    specular = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
+    albedo = model.diffuse_mean[used] + np.tensordot(b, model.diffuse_basis[:, used], 1)
+    total = model.sum_mean[used] + np.tensordot(b, model.sum_basis[:, used], 1)
+    colors = np.asarray(observation.observed_linear)[used]
+    off = colors - albedo * diffuse - total[:, None] * specular
+    spread = max(1.4826 * float(np.median(np.abs(off))), 1e-6 * float(np.abs(colors).mean()))
+    # Large differences count by their size rather than its square, as in the fit.
+    noise = spread * np.maximum(np.abs(off), spread)
+    filled = [np.zeros_like(model.diffuse_mean) for _ in range(3)] + [np.ones_like(model.diffuse_mean)]
+    for whole, part in zip(filled, (diffuse, specular, off, noise), strict=True):
+        whole[used] = part
+    return filled[0], filled[1], filled[2], filled[3]
+
+
+def _dual(
+    kernel: FloatArray, lights: tuple[FloatArray, FloatArray], off: FloatArray, noise: FloatArray
+) -> FloatArray:
+    """Solve each vertex's 3 M equations; the arrays are (V, M, 3), the kernel (M, M)."""
+    count, images, channels = off.shape
+    size = images * channels
+    same_channel = np.kron(kernel, np.eye(channels))
+    any_channel = np.kron(kernel, np.ones((channels, channels)))
+    solution = np.empty((count, size))
+    for start in range(0, count, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        diffuse, specular = (light[block].reshape(-1, size) for light in lights)
+        system = same_channel * (diffuse[:, :, None] * diffuse[:, None])
+        system += any_channel * (specular[:, :, None] * specular[:, None])
+        system[:, np.arange(size), np.arange(size)] += noise[block].reshape(-1, size)
+        solution[block] = np.linalg.solve(system, off[block].reshape(-1, size, 1))[..., 0]
+    return solution.reshape(off.shape)
+
+
+def _smooth(array: FloatArray, walk: sparse.spmatrix, steps: int) -> FloatArray:
+    """Smooth (..., V, C) over vertices."""
+    columns = np.moveaxis(array, -2, 0)
+    flat = np.ascontiguousarray(columns).reshape(len(columns), -1)
+    for _ in range(steps):
+        flat = 0.5 * (flat + walk @ flat)
+    return np.ascontiguousarray(np.moveaxis(flat.reshape(columns.shape), 0, -2))
+
+
+def _arrays(change: ModelChange) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    return change.diffuse_mean, change.diffuse_basis, change.sum_mean, change.sum_basis

@@ -1,0 +1,93 @@
+"""Mean and principal directions of samples with gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_RANK_TOLERANCE = 1e-12
+"""Eigenvalues below this share of the largest are rounding."""
+_ROUNDING = 1e-28
+"""And those below this share of the squared values themselves."""
+
+
+@dataclass(frozen=True)
+class SampleStack:
+    """K samples of V vertices as arrays; zero where they are not known."""
+
+    diffuse: FloatArray
+    """(K, V, 3)."""
+    total: FloatArray
+    """(K, V) s, the sum of the weights."""
+    share: FloatArray
+    """(K, V, 3) w' = w / s."""
+    known: BoolArray
+    """(K, V)."""
+    shared: BoolArray
+    """(K, V): known with s > 0, for w' is not defined without a lobe."""
+
+
+def stack_samples(samples: Sequence[VertexReflectance]) -> SampleStack:
+    """Return samples of one topology as arrays.
+
+    Raises
+    ------
+    ReflectanceError
+        When there is no sample, or they differ in their number of vertices.
+    """
+    if not samples:
+        raise ReflectanceError("there is no sample to learn from; give one or more")
+    sizes = [len(sample.known) for sample in samples]
+    if len(set(sizes)) > 1:
+        odd = next(k for k, size in enumerate(sizes) if size != sizes[0])
+        raise ReflectanceError(
+            f"sample {odd} has {sizes[odd]} vertices and sample 0 has {sizes[0]}; bring all to one topology"
+        )
+    known = np.stack([sample.known for sample in samples])
+    diffuse = np.where(known[..., None], np.stack([s.diffuse_linear for s in samples]), 0.0)
+    weights = np.where(known[..., None], np.stack([s.weights for s in samples]), 0.0)
+    total = weights.sum(2)
+    share = np.divide(weights, total[..., None], out=np.zeros_like(weights), where=total[..., None] > 0)
+    return SampleStack(diffuse, total, share, known, known & (total > 0))
+
+
+def mean_and_deviations(
+    values: FloatArray, known: BoolArray, otherwise: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean (V, ...) over the samples that know a vertex, and deviations (K, V, ...), 0 at gaps.
+
+    The mean is `otherwise` where no sample knows the vertex.
+    """
+    mask = known.reshape(known.shape + (1,) * (values.ndim - 2))
+    count = mask.sum(0)
+    mean = np.where(count > 0, (values * mask).sum(0) / np.maximum(count, 1), otherwise)
+    return mean, np.where(mask, values - mean, 0.0)
+
+
+def sample_eigenvectors(
+    deviations: FloatArray, most: int | None, *, size: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return eigenvectors U (K, N) of the Gram matrix X X^T, deviations sqrt(eig / (K - 1)), total variance.
+
+    Rounding is left out, of X and of values whose squares sum to `size`: N is at most the rank, K - 1, and
+    `most`. The largest entry of each eigenvector is positive.
+    """
+    count = len(deviations)
+    rows = deviations.reshape(count, -1)
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    rank = int((values > max(_RANK_TOLERANCE * values[0], _ROUNDING * count * size)).sum())
+    kept = min(rank, count - 1, count if most is None else most)
+    largest = np.abs(vectors).argmax(0)
+    sign = np.where(vectors[largest, np.arange(count)] < 0, -1.0, 1.0)
+    spread = max(count - 1, 1)
+    return (vectors * sign)[:, :kept], np.sqrt(values[:kept] / spread), float(values.sum() / spread)

@@ -1,0 +1,57 @@
+"""Coefficients of environment maps: closed forms, distant lights, and what is no map."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.environment_harmonics import (
+    map_directions,
+    project_distant_lights,
+    project_environment,
+)
+from scan2albedo.lighting.harmonics import harmonics
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (16, 32), (130, 40)])
+def test_constant_light_has_one_coefficient(shape):
+    coefficients = project_environment(np.full((*shape, 3), 2.0))
+    np.testing.assert_allclose(coefficients[0], 2 * np.sqrt(4 * np.pi), rtol=1e-7)
+    assert np.abs(coefficients[1:]).max() < 1e-6
+
+
+def test_light_from_above_is_a_series_in_y_alone():
+    upper = np.zeros((2, 4, 3))
+    upper[0] = 1.0
+    coefficients = project_environment(upper)[:, 0]
+    assert coefficients[1] == pytest.approx(np.pi * np.sqrt(3 / (4 * np.pi)), rel=1e-7)
+    assert coefficients[2] == pytest.approx(0, abs=1e-7)
+    assert coefficients[3] == pytest.approx(0, abs=1e-7)
+
+
+def test_a_smooth_map_gives_back_its_coefficients():
+    truth = np.random.default_rng(0).normal(size=(81, 3))
+    height, width = 128, 256
+    polar = (np.arange(height)[:, None] + 0.5) * np.pi / height
+    azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi
+    image = harmonics(map_directions(polar, azimuth)) @ truth
+    error = np.abs(project_environment(image) - truth).max() / np.abs(truth).max()
+    assert error < 3e-3  # constant texels blur degree 8 by (8 pi / 128)^2 / 24
+
+
+def test_a_bright_texel_is_a_distant_light():
+    image = np.zeros((90, 180, 3))
+    image[20, 130] = [3.0, 2.0, 1.0]
+    polar, azimuth = 20.5 * np.pi / 90, (130.5 / 180 - 0.5) * 2 * np.pi
+    texel = (np.cos(20 * np.pi / 90) - np.cos(21 * np.pi / 90)) * 2 * np.pi / 180
+    light = DistantLights([map_directions(polar, azimuth)], image[20, 130][None] * texel)
+    near = project_distant_lights(light)
+    np.testing.assert_allclose(project_environment(image), near, atol=5e-3 * np.abs(near).max())
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [(np.ones((4, 8)), "shape"), (np.ones((0, 8, 3)), "shape"), (np.full((2, 4, 3), np.nan), "finite")],
+)
+def test_what_is_no_map_is_refused(image, message):
+    with pytest.raises(ValueError, match=message):
+        project_environment(image)

@@ -1,0 +1,81 @@
+"""Real harmonics against scipy, their own orthonormality, and finite differences; the poles above all."""
+
+import numpy as np
+import pytest
+from scipy.special import sph_harm_y
+
+from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
+from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis
+
+POLES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+
+
+def unit_vectors(count: int, seed: int = 0) -> np.ndarray:
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    near_poles = POLES[[0, 1, 0, 1]] + 1e-9 * vectors[:4]
+    near_camera_axis = np.array([0.0, 0.0, 1.0]) + 0.05 * vectors[4:40]
+    every = np.concatenate([vectors, near_poles, near_camera_axis, POLES, np.eye(3), -np.eye(3)])
+    return every / np.linalg.norm(every, axis=1, keepdims=True)
+
+
+def scipy_harmonics(unit: np.ndarray, order: int) -> np.ndarray:
+    polar = np.arctan2(np.hypot(unit[:, 0], unit[:, 1]), unit[:, 2])
+    azimuth = np.arctan2(unit[:, 1], unit[:, 0])
+    columns = []
+    for degree in range(order + 1):
+        for m in range(-degree, degree + 1):
+            value = (-1) ** m * sph_harm_y(degree, abs(m), polar, azimuth)
+            part = value.imag if m < 0 else value.real
+            columns.append(part * (np.sqrt(2) if m else 1.0))
+    return np.stack(columns, 1)
+
+
+def test_harmonics_agree_with_scipy_everywhere():
+    unit = unit_vectors(500)
+    np.testing.assert_allclose(harmonics(unit), scipy_harmonics(unit, 8), rtol=0, atol=1e-13)
+
+
+def test_at_the_poles_only_m_0_is_left():
+    values = harmonics(POLES)
+    degrees = harmonic_degrees(8)
+    centre = np.zeros(81, bool)
+    centre[np.arange(9) * np.arange(1, 10)] = True
+    assert (values[:, ~centre] == 0).all()
+    expected = np.sqrt((2 * np.arange(9) + 1) / (4 * np.pi))
+    np.testing.assert_allclose(values[0, centre], expected, rtol=1e-14)
+    np.testing.assert_allclose(values[1, centre], expected * (-1.0) ** degrees[centre], rtol=1e-14)
+
+
+def test_the_first_nine_are_those_of_order_2():
+    unit = unit_vectors(300)
+    np.testing.assert_allclose(harmonics(unit)[:, :9], spherical_harmonics_basis(unit), rtol=0, atol=1e-15)
+
+
+def test_harmonics_are_orthonormal():
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    azimuth = np.arange(24) * 2 * np.pi / 24
+    ring = np.sqrt(1 - nodes**2)[:, None]
+    z = np.broadcast_to(nodes[:, None], (12, 24))
+    values = harmonics(np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1))
+    gram = np.einsum("a,abi,abj->ij", weights * 2 * np.pi / 24, values, values)
+    np.testing.assert_allclose(gram, np.eye(81), atol=1e-13)
+
+
+def test_gradients_agree_with_finite_differences_along_the_sphere():
+    unit = unit_vectors(60, seed=1)
+    tangent = np.cross(unit, np.random.default_rng(2).normal(size=unit.shape))
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    step = 1e-5
+    ahead, behind = (harmonics(np.cos(step) * unit + s * np.sin(step) * tangent) for s in (1, -1))
+    slope = np.einsum("vkd,vd->vk", harmonics_gradient(unit), tangent)
+    np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), atol=2e-8)
+    np.testing.assert_allclose(np.einsum("vkd,vd->vk", harmonics_gradient(unit), unit), 0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("direction", "order", "message"),
+    [([0.0, 1.0], 2, "shape"), ([np.nan, 0, 1], 2, "NaN"), ([0.0, 0, 1], -1, "order")],
+)
+def test_what_does_not_fit_is_refused(direction, order, message):
+    with pytest.raises(ValueError, match=message):
+        harmonics(direction, order)

@@ -1,0 +1,134 @@
+"""Shading by harmonics against the sum over thousands of distant lights, formula by formula."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.reflectance import EXPONENTS, VertexReflectance, shade_environment
+
+LIGHTS = 20000
+
+
+def smooth_light(seed: int, highest: int = 4) -> np.ndarray:
+    """Positive light whose harmonics fade, as those of environments do."""
+    light = np.zeros((81, 3))
+    count = (highest + 1) ** 2
+    light[:count] = 0.15 * np.random.default_rng(seed).normal(size=(count, 3))
+    light[0] = 4.0
+    return light
+
+
+def brute_force(reflectance, normals, view, light, horizon=True):
+    """Sum the point-light formula over directions spread evenly over the sphere."""
+    toward = distant_directions(LIGHTS)
+    radiance = harmonics(toward) @ light * (4 * np.pi / LIGHTS)
+    assert radiance.min() > 0
+    diffuse, specular = np.zeros_like(normals), np.zeros_like(normals)
+    for vertex, (n, v) in enumerate(zip(normals, view, strict=True)):
+        half = toward + v
+        n_h = np.maximum(half @ n, 0) / np.maximum(np.linalg.norm(half, axis=1), 1e-12)
+        n_l = toward @ n
+        diffuse[vertex] = reflectance.diffuse_linear[vertex] / np.pi * (np.maximum(n_l, 0) @ radiance)
+        lobe = sum(
+            w * (s + 2) / (8 * np.pi) * n_h**s
+            for w, s in zip(reflectance.weights[vertex], EXPONENTS, strict=True)
+        )
+        specular[vertex] = (lobe * (n_l > 0) if horizon else lobe) @ radiance
+    return diffuse, specular
+
+
+def scene(angles_deg, seed=0):
+    rng = np.random.default_rng(seed)
+    count = len(angles_deg)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    side = np.cross(normals, rng.normal(size=(count, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    angle = np.radians(angles_deg)[:, None]
+    view = np.cos(angle) * normals + np.sin(angle) * side
+    reflectance = VertexReflectance(
+        rng.uniform(0.1, 0.8, (count, 3)), rng.uniform(0.05, 0.4, (count, 3)), np.ones(count, bool)
+    )
+    return reflectance, normals, view
+
+
+def test_along_the_normal_every_lobe_is_exact():
+    reflectance, normals, _ = scene([0] * 6)
+    normals[:2] = [[0, 0, 1], [0, 0, -1]]
+    light = smooth_light(1)
+    for lobe, horizon in (("full", False), ("clipped", True), ("tabulated", True), ("tilted", True)):
+        shading = shade_environment(reflectance, normals, normals, light, lobe=lobe)
+        diffuse, specular = brute_force(reflectance, normals, normals, light, horizon)
+        np.testing.assert_allclose(shading.diffuse_linear, diffuse, rtol=1e-3)
+        np.testing.assert_allclose(shading.specular_linear, specular, rtol=1e-3)
+
+
+def test_diffuse_light_does_not_ask_where_the_camera_is():
+    reflectance, normals, view = scene([0, 20, 50, 70, 85])
+    light = smooth_light(2)
+    expected, _ = brute_force(reflectance, normals, view, light)
+    shading = shade_environment(reflectance, normals, view, light)
+    np.testing.assert_allclose(shading.diffuse_linear, expected, rtol=1e-3)
+
+
+def test_oblique_views_need_the_true_lobe():
+    reflectance, normals, view = scene([45, 60, 60, 70, 75, 80])
+    light = smooth_light(3, highest=2)
+    _, expected = brute_force(reflectance, normals, view, light)
+    error = {
+        lobe: np.abs(
+            shade_environment(reflectance, normals, view, light, lobe=lobe).specular_linear / expected - 1
+        ).mean()
+        for lobe in ("tilted", "tabulated", "full")
+    }
+    assert error["tilted"] < 0.03
+    assert error["tilted"] < 0.5 * error["tabulated"]
+    assert error["tabulated"] < 0.05
+    assert error["full"] > 0.5
+
+
+def test_parts_add_up_and_are_linear_in_the_light():
+    reflectance, normals, view = scene([10, 40, 70])
+    light = smooth_light(4)
+    once = shade_environment(reflectance, normals, view, light)
+    twice = shade_environment(reflectance, normals, view, 2 * light)
+    np.testing.assert_allclose(twice.radiance_linear, 2 * once.radiance_linear, rtol=1e-12)
+    np.testing.assert_array_equal(once.radiance_linear, once.diffuse_linear + once.specular_linear)
+
+
+def test_black_channels_and_no_lobes_send_nothing():
+    _, normals, view = scene([30, 60])
+    diffuse = np.array([[0.0, 0.3, 0.4], [0.2, 0.0, 0.1]])
+    dull = VertexReflectance(diffuse, np.zeros((2, 3)), np.ones(2, bool))
+    shading = shade_environment(dull, normals, view, smooth_light(5))
+    assert (shading.specular_linear == 0).all()
+    assert (shading.radiance_linear[diffuse == 0] == 0).all()
+
+
+def test_backs_have_no_highlight_and_the_unknown_no_number():
+    reflectance, normals, view = scene([30, 30, 120])
+    known = np.array([True, False, True])
+    gaps = VertexReflectance(reflectance.diffuse_linear, reflectance.weights, known)
+    for lobe in ("tilted", "tabulated", "clipped", "full"):
+        shading = shade_environment(gaps, normals, view, smooth_light(6), lobe=lobe)
+        assert (shading.specular_linear[2] == 0).all()
+        np.testing.assert_array_equal(np.isnan(shading.radiance_linear).any(1), ~known)
+
+
+def test_what_cannot_be_shaded_is_refused():
+    reflectance, normals, view = scene([10, 20])
+    light = smooth_light(0)
+    with pytest.raises(ReflectanceError, match=r"vertex 1 .*no unit vector"):
+        shade_environment(reflectance, np.array([normals[0], [0, 0, 0]]), view, light)
+    with pytest.raises(ReflectanceError, match=r"vertex 0 .*no unit vector"):
+        shade_environment(reflectance, normals, np.array([[np.nan, 0, 1], view[1]]), light)
+    with pytest.raises(ReflectanceError, match="NaN"):
+        shade_environment(reflectance, normals, view, np.full((81, 3), np.nan))
+    with pytest.raises(ValueError, match=r"\(81, 3\)"):
+        shade_environment(reflectance, normals, view, light[:9])
+    with pytest.raises(ValueError, match="lobe must be"):
+        shade_environment(reflectance, normals, view, light, lobe="phong")
+    with pytest.raises(ValueError, match="normals"):
+        shade_environment(reflectance, normals[:1], view[:1], light)

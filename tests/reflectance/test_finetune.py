@@ -1,0 +1,201 @@
+"""Fine-tuning: the closed form against plain ridge regression, truth approached, harm refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.optimization import Budget
+from scan2albedo.reflectance import (
+    FineTuneOptions,
+    ImageObservation,
+    LightingModel,
+    MorphableReflectanceModel,
+    VertexReflectance,
+    finetune,
+    fit_image,
+    generated_environment,
+    shade_environment,
+)
+from scan2albedo.reflectance.environment_shading import light_response
+from scan2albedo.reflectance.model_update import best_change, no_change
+
+POINTS = distant_directions(500)
+POINTS = POINTS[POINTS[:, 2] > 0]
+WAVES = np.random.default_rng(5).normal(size=(2, 3, 3)) * 6
+BUMPS = [np.sin(POINTS @ WAVES[0]).sum(1), np.sin(POINTS @ WAVES[1]).sum(1), np.zeros(len(POINTS))]
+NORMALS = POINTS + 0.25 * np.stack(BUMPS, 1)
+NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
+VIEW = np.array([0, 0, 3.0]) - POINTS
+VIEW /= np.linalg.norm(VIEW, axis=1, keepdims=True)
+SEEN = np.einsum("vi,vi->v", NORMALS, VIEW) > 0.1
+FACES = ConvexHull(np.vstack([POINTS, [0, 0, -0.01]])).simplices
+FACES = FACES[~(len(POINTS) == FACES).any(1)]
+
+
+def spot(direction, width, depth):
+    toward = np.asarray(direction) / np.linalg.norm(direction)
+    return depth * np.exp((POINTS @ toward - 1) / width**2)
+
+
+BEARD = 1 - spot([0, -0.6, 0.8], 0.3, 0.25) + spot([0.5, 0.3, 0.8], 0.2, 0.15)
+
+
+def people(count, seed, pattern=1.0):
+    """Smooth reflectances, eight ways to differ, times a pattern that all share."""
+    shapes = np.random.default_rng(7).normal(size=(5, 8, 81)) @ harmonics(POINTS).T * 0.4
+    rng, faces = np.random.default_rng(seed), []
+    for _ in range(count):
+        fields = np.einsum("r,frv->fv", rng.normal(size=8) / np.sqrt(np.arange(1, 9)), shapes)
+        diffuse = np.array([0.55, 0.38, 0.30]) * np.exp(0.1 * fields[0, :, None] + 0.03 * fields[1:4].T)
+        total = 0.25 * np.exp(0.1 * fields[4])
+        weights = total[:, None] * np.array([0.2, 0.4, 0.4])
+        diffuse = diffuse * np.broadcast_to(pattern, len(POINTS))[:, None]
+        faces.append(VertexReflectance(diffuse, weights, np.ones(len(POINTS), bool)))
+    return faces
+
+
+def pictures(faces, seed):
+    shots = []
+    for k, face in enumerate(faces):
+        light = project_environment(generated_environment(1000 * seed + k))
+        color = shade_environment(face, NORMALS, VIEW, light).radiance_linear
+        color = color * (1 + 0.01 * np.random.default_rng(k).normal(size=color.shape))
+        shots.append(ImageObservation(color, NORMALS, VIEW, SEEN))
+    return shots
+
+
+@pytest.fixture(scope="module")
+def lighting():
+    return LightingModel.default()
+
+
+@pytest.fixture(scope="module")
+def model():
+    """Learned from ten faces without the pattern."""
+    return MorphableReflectanceModel.from_samples(people(20, 0), components=8)
+
+
+def albedo_error(model, lighting, faces, shots):
+    errors = []
+    for face, shot in zip(faces, shots, strict=True):
+        found = fit_image(shot, model, lighting).face.reflectance.diffuse_linear[SEEN]
+        truth = face.diffuse_linear[SEEN]
+        scale = np.sum(found * truth) / np.sum(found**2)
+        errors.append(np.linalg.norm(scale * found - truth) / np.linalg.norm(truth))
+    return np.mean(errors)
+
+
+def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting):
+    shots = pictures(people(14, 1, BEARD), 1)
+    held_out = pictures(people(5, 2, BEARD), 2)
+    tuned = finetune(model, shots, held_out, FACES, lighting=lighting, options=FineTuneOptions(rounds=3))
+    assert tuned.accepted_steps
+    assert tuned.held_out_after < 0.9 * tuned.held_out_before
+    assert [row.error for row in tuned.trace] == sorted((r.error for r in tuned.trace), reverse=True)
+    assert next(iter(tuned.trace)).error == tuned.held_out_before
+    faces = people(5, 3, BEARD)
+    unseen = pictures(faces, 3)
+    before, after = (albedo_error(m, lighting, faces, unseen) for m in (model, tuned.model))
+    assert after < 0.95 * before
+    np.testing.assert_array_equal(tuned.model.share_basis, model.share_basis)
+    norms = np.sqrt(np.sum(tuned.model.diffuse_basis**2, axis=(1, 2)))
+    np.testing.assert_allclose(tuned.model.deviation, norms, rtol=1e-12)
+
+
+def test_a_change_that_harms_is_not_taken(model, lighting):
+    right = pictures(people(4, 2), 2)
+    wrong = pictures(people(4, 1, 0.4 + 1.2 * (np.arange(len(POINTS)) % 2)), 1)
+    options = FineTuneOptions(rounds=2, mean_change=5.0, smoothing_steps=0)
+    tuned = finetune(model, wrong, right, FACES, lighting=lighting, options=options)
+    assert tuned.accepted_steps == ()
+    assert tuned.converged
+    assert tuned.model is model
+    assert tuned.held_out_after == tuned.held_out_before
+
+
+def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
+    shots = pictures(people(3, 1, BEARD), 1)
+    fits = [fit_image(shot, model, lighting) for shot in shots]
+    m, n = 0.1, 0.3
+    change = best_change(model, shots, fits, mean_change=m, basis_change=n, lobe="tilted")
+    for vertex in np.flatnonzero(SEEN)[[3, 50]]:
+        response = light_response(NORMALS[[vertex]], VIEW[[vertex]])
+        rows, off, noise = [], [], []
+        deviations = np.concatenate([[1.0], np.full(8, n)])
+        for shot, fit in zip(shots, fits, strict=True):
+            b = fit.face.coefficients
+            prediction = np.full((len(POINTS), 3), np.nan)
+            light = response.diffuse @ fit.light, response.specular @ fit.light
+            used = light_response(NORMALS[SEEN], VIEW[SEEN])
+            albedo = model.diffuse_mean + np.tensordot(b, model.diffuse_basis, 1)
+            total = model.sum_mean + np.tensordot(b, model.sum_basis, 1)
+            share = model.share_mean + np.tensordot(b, model.share_basis, 1)
+            lobes = np.einsum("vk,vkj->vj", share[SEEN], used.specular @ fit.light)
+            prediction[SEEN] = albedo[SEEN] * (used.diffuse @ fit.light) + total[SEEN, None] * lobes
+            residual = shot.observed_linear - prediction
+            spread = 1.4826 * np.median(np.abs(residual[SEEN]))
+            x = np.concatenate([[1.0], b])
+            for j in range(3):
+                row = np.zeros((4, 9))
+                row[j] = light[0][0, j] * x
+                row[3] = (share[vertex] @ light[1][0])[j] * x
+                rows.append(row.ravel())
+                off.append(residual[vertex, j])
+                noise.append(spread * max(abs(residual[vertex, j]), spread))
+        scale = m * np.array([model.diffuse_mean.mean()] * 3 + [model.sum_mean.mean()])
+        prior = np.outer(scale, deviations).ravel()
+        a, weight = np.array(rows), 1 / np.array(noise)
+        expected = np.linalg.solve(a.T @ (weight[:, None] * a) + np.diag(prior**-2), a.T @ (weight * off))
+        expected = expected.reshape(4, 9)
+        np.testing.assert_allclose(change.diffuse_mean[vertex], expected[:3, 0], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(change.diffuse_basis[:, vertex].T, expected[:3, 1:], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(change.sum_mean[vertex], expected[3, 0], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(change.sum_basis[:, vertex], expected[3, 1:], rtol=1e-6, atol=1e-12)
+    assert (change.diffuse_mean[~SEEN] == 0).all()
+
+
+def test_smoothing_keeps_what_is_even_and_what_stands_alone(model):
+    ones = dataclasses.replace(no_change(model), sum_mean=np.ones(len(POINTS)))
+    np.testing.assert_allclose(ones.smoothed(FACES, 20).sum_mean, 1, rtol=1e-12)
+    peak = dataclasses.replace(no_change(model), sum_mean=np.eye(len(POINTS))[40])
+    smooth = peak.smoothed(FACES, 5)
+    assert smooth.sum_mean.max() < 0.5
+    assert smooth.diffuse_basis.shape == model.diffuse_basis.shape
+    lonely = peak.smoothed(FACES[(FACES != 40).all(1)], 5)
+    assert lonely.sum_mean[40] == 1
+
+
+def test_a_budget_that_ends_keeps_what_was_accepted(model, lighting):
+    shots, held_out = pictures(people(4, 1, BEARD), 1), pictures(people(2, 2, BEARD), 2)
+    tuned = finetune(model, shots, held_out, FACES, lighting=lighting, budget=Budget(evaluations=2))
+    assert not tuned.converged
+    assert tuned.model is model
+    assert len(tuned.trace) == 1
+
+
+def test_models_without_directions_have_their_mean_tuned(lighting):
+    alone = MorphableReflectanceModel.from_samples(people(1, 0))
+    shots, held_out = pictures(people(6, 1, BEARD), 1), pictures(people(3, 2, BEARD), 2)
+    tuned = finetune(alone, shots, held_out, FACES, lighting=lighting, options=FineTuneOptions(rounds=1))
+    assert tuned.held_out_after < tuned.held_out_before
+    assert tuned.model.components == 0
+
+
+def test_what_cannot_be_tuned_with_is_refused(model):
+    shots = pictures(people(1, 1), 1)
+    with pytest.raises(ReflectanceError, match="0 held out"):
+        finetune(model, shots, [], FACES)
+    with pytest.raises(ReflectanceError, match="0 images"):
+        finetune(model, [], shots, FACES)
+    with pytest.raises(ValueError, match="point outside"):
+        finetune(model, shots, shots, [[0, 1, len(POINTS)]])
+    with pytest.raises(ValueError, match="mean_change"):
+        FineTuneOptions(mean_change=0)
+    with pytest.raises(ValueError, match="rounds"):
+        FineTuneOptions(rounds=-1)

@@ -1,0 +1,88 @@
+"""Light of generated places: reproducible, its scale in one place, and near to places not seen."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.reflectance import LightingModel, generated_environment
+
+
+@pytest.fixture(scope="module")
+def model():
+    return LightingModel.default()
+
+
+def test_places_are_bright_reproducible_and_of_many_kinds():
+    maps = np.stack([generated_environment(seed) for seed in range(40)])
+    np.testing.assert_array_equal(maps[3], generated_environment(3))
+    assert np.isfinite(maps).all()
+    assert maps.min() > 0
+    mean = maps.mean((1, 2))
+    assert mean.max() / mean.min() > 10
+    warm = mean[:, 0] / mean[:, 2]
+    assert warm.max() > 2
+    assert warm.min() < 1
+
+
+def test_light_comes_from_above_and_from_any_side(model):
+    assert model.mean[1].min() > 0.3
+    assert np.abs(model.mean[[2, 3]]).max() < 0.3
+
+
+def test_the_same_seed_gives_the_same_model():
+    one, two = (LightingModel.generate(count=30, seed=4) for _ in range(2))
+    np.testing.assert_array_equal(one.basis, two.basis)
+    assert one.components == 29
+    assert not np.allclose(one.mean, LightingModel.generate(count=30, seed=5).mean)
+
+
+def test_the_mean_radiance_is_the_scale_and_nothing_else(model):
+    assert model.components == 80
+    assert (model.basis[:, 0] == 0).all()
+    light = model.light(np.linspace(-2, 2, 80), scale_rgb=[0.5, 1.0, 3.0])
+    np.testing.assert_allclose(light[0] / np.sqrt(4 * np.pi), [0.5, 1.0, 3.0], rtol=1e-12)
+
+
+def test_places_not_seen_are_near_the_model(model):
+    errors = []
+    maps = np.stack([generated_environment(seed) for seed in range(1000, 1030)])
+    for light in project_environment(maps):
+        gamma, scale = model.project(light)
+        errors.append(np.linalg.norm(model.light(gamma, scale_rgb=scale) - light) / np.linalg.norm(light))
+    assert np.mean(errors) < 0.1
+    assert model.explained.sum() > 0.99
+
+
+def test_light_of_the_model_is_found_again(model):
+    truth = np.random.default_rng(0).normal(size=80)
+    gamma, scale = model.project(model.light(truth, scale_rgb=[1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(gamma, truth, atol=1e-9)
+    np.testing.assert_allclose(scale, [1, 2, 3], rtol=1e-12)
+
+
+def test_few_maps_of_your_own_make_a_small_model():
+    maps = np.stack([generated_environment(seed) for seed in (1, 2)])
+    assert LightingModel.from_environments(maps).components == 1
+    one = LightingModel.from_environments(maps[:1])
+    assert one.components == 0
+    np.testing.assert_allclose(one.light([]) * maps[0].mean(), one.mean * maps[0].mean())
+
+
+def test_what_is_no_light_is_refused(model):
+    dark = np.zeros((2, 81, 3))
+    dark[0, 0] = 1.0
+    with pytest.raises(ReflectanceError, match="light 1"):
+        LightingModel.from_coefficients(dark)
+    with pytest.raises(ReflectanceError, match="NaN"):
+        LightingModel.from_coefficients(np.full((2, 81, 3), np.nan))
+    with pytest.raises(ReflectanceError, match="2 or more"):
+        LightingModel.generate(count=1)
+    with pytest.raises(ReflectanceError, match="NaN"):
+        model.light(np.full(80, np.nan))
+    with pytest.raises(ReflectanceError, match="light 0"):
+        model.project(np.zeros((81, 3)))
+    with pytest.raises(ValueError, match="shape"):
+        model.light(np.zeros(79))
+    with pytest.raises(ValueError, match="shape"):
+        LightingModel.from_environments(np.ones((4, 8, 3)))

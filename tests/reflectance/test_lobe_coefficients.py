@@ -1,0 +1,124 @@
+"""Coefficients of the lobes against published numbers, closed forms and finer quadrature."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import eval_legendre
+
+from scan2albedo.reflectance.lobe_coefficients import (
+    lambert_coefficients,
+    lobe_coefficients,
+    tilted_lobe,
+    view_lobe_coefficients,
+)
+
+FULL = {
+    1: [1, 0.2, -0.02857, 0.00952, -0.00433, 0.00233, -0.0014, 0.0009, -0.00062],
+    8: [1, 2 / 3, 2 / 7, 1 / 14, 1 / 126, 0, 0, 0, 0],
+    64: [1, 0.94118, 0.83361, 0.69468, 0.54448, 0.40119, 0.27775, 0.18054, 0.11008],
+}
+
+
+def test_lambert_is_the_clamped_cosine():
+    expected = [1, 2 / 3, 1 / 4, 0, -1 / 24, 0, 1 / 64, 0, -1 / 128]
+    np.testing.assert_allclose(lambert_coefficients(), expected, rtol=1e-14, atol=1e-16)
+    assert lambert_coefficients(0).tolist() == [1.0]
+
+
+@pytest.mark.parametrize("exponent", [1, 8, 64])
+def test_full_lobes_have_the_published_coefficients(exponent):
+    np.testing.assert_allclose(lobe_coefficients(exponent), FULL[exponent], atol=6e-6)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1, 8, 64])
+@pytest.mark.parametrize("clipped", [False, True])
+def test_coefficients_are_integrals_of_the_lobe(exponent, clipped):
+    def integral(degree):
+        def lobe(t):
+            return (exponent + 2) / 4 * ((1 + t) / 2) ** (exponent / 2) * eval_legendre(degree, t)
+
+        return quad(lobe, 0 if clipped else -1, 1, epsabs=1e-12, epsrel=1e-12)[0]
+
+    expected = [integral(degree) for degree in range(9)]
+    np.testing.assert_allclose(lobe_coefficients(exponent, clipped=clipped), expected, atol=1e-10)
+
+
+def test_the_horizon_matters_for_the_broad_lobe():
+    np.testing.assert_allclose(
+        lobe_coefficients(1, clipped=True)[:4], [0.646, 0.341, 0.027, -0.068], atol=6e-4
+    )
+    np.testing.assert_allclose(lobe_coefficients(64, clipped=True), FULL[64], atol=6e-6)
+
+
+def test_the_true_lobe_fades_at_grazing_views():
+    cosine = np.cos(np.radians([0, 30, 60, 80]))
+    dc = view_lobe_coefficients(cosine, 64)[:, 0]
+    np.testing.assert_allclose(dc, [1, 0.866, 0.496, 0.170], atol=6e-4)
+
+
+@pytest.mark.parametrize("exponent", [1, 8, 64])
+def test_along_the_normal_the_true_lobe_is_the_clipped_one(exponent):
+    np.testing.assert_allclose(
+        view_lobe_coefficients(1.0, exponent), lobe_coefficients(exponent, clipped=True), atol=1e-12
+    )
+
+
+def test_the_table_is_the_integral_between_its_views():
+    nodes, weights = np.polynomial.legendre.leggauss(300)
+    t, turn = ((nodes + 1) / 2)[:, None], (np.arange(900) + 0.5) * 2 * np.pi / 900
+    light = np.stack(
+        np.broadcast_arrays(np.sqrt(1 - t**2) * np.cos(turn), np.sqrt(1 - t**2) * np.sin(turn), t), -1
+    )
+    for cosine in (0.13, 0.42, 0.777):
+        view = np.array([np.sqrt(1 - cosine**2), 0, cosine])
+        half = light + view
+        lobe = (66 / (8 * np.pi)) * (half[..., 2] / np.linalg.norm(half, axis=-1)) ** 64
+        mirror = light @ (view * [-1, -1, 1])
+        weight = (weights / 2)[:, None] * 2 * np.pi / 900
+        expected = [(weight * lobe * eval_legendre(degree, mirror)).sum() for degree in range(9)]
+        np.testing.assert_allclose(view_lobe_coefficients(cosine, 64), expected, atol=5e-5)
+
+
+def test_what_is_not_seen_sends_nothing():
+    assert (view_lobe_coefficients([0.0, -0.5], 8) == 0).all()
+
+
+@pytest.mark.parametrize("exponent", [0.0, -1.0, np.nan])
+def test_exponents_that_are_none_are_refused(exponent):
+    with pytest.raises(ValueError, match="exponent"):
+        lobe_coefficients(exponent)
+    with pytest.raises(ValueError, match="exponent"):
+        view_lobe_coefficients(0.5, exponent)
+
+
+def test_nan_is_refused():
+    with pytest.raises(ValueError, match="NaN"):
+        view_lobe_coefficients([0.5, np.nan], 8)
+
+
+@pytest.mark.parametrize("exponent", [1, 8, 64])
+def test_tilted_lobes_have_no_light_to_their_side(exponent):
+    coefficients, tilt = tilted_lobe(np.radians([0, 20, 60]), exponent)
+    np.testing.assert_allclose(coefficients[0], lobe_coefficients(exponent, clipped=True), atol=1e-12)
+    assert tilt[0] == 0
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    t, turn = ((nodes + 1) / 2)[:, None], (np.arange(600) + 0.5) * 2 * np.pi / 600
+    light = np.stack(
+        np.broadcast_arrays(np.sqrt(1 - t**2) * np.cos(turn), np.sqrt(1 - t**2) * np.sin(turn), t), -1
+    )
+    half = light + [np.sin(np.radians(60)), 0, np.cos(np.radians(60))]
+    lobe = (exponent + 2) / (8 * np.pi) * (half[..., 2] / np.linalg.norm(half, axis=-1)) ** exponent
+    mass = lobe * (weights / 2)[:, None] * 2 * np.pi / 600
+    mean = np.einsum("tp,tpi->i", mass, light)
+    assert tilt[2] == pytest.approx(np.arctan2(-mean[0], mean[2]), abs=1e-5)
+    assert coefficients[2, 0] == pytest.approx(mass.sum(), abs=1e-5)
+    assert coefficients[2, 1] == pytest.approx(np.linalg.norm(mean), abs=1e-5)
+    assert 0 < tilt[1] < np.radians(20)
+
+
+def test_tilted_lobes_of_what_is_not_seen_are_empty():
+    assert (tilted_lobe([np.pi / 2, 2.5], 8)[0] == 0).all()
+    with pytest.raises(ValueError, match="NaN"):
+        tilted_lobe(np.nan, 8)
+    with pytest.raises(ValueError, match="exponent"):
+        tilted_lobe(0.1, -1)

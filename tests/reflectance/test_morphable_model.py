@@ -1,0 +1,235 @@
+"""The model against a plain SVD, with gaps, without lobes, of few samples, and on disk."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
+
+
+def faces(count, vertices=60, rank=None, seed=0, known=None):
+    """Samples of a linear model with a rank; full rank when None."""
+    rng = np.random.default_rng(seed)
+    rank = count if rank is None else rank
+    scores = rng.normal(size=(count, rank))
+    diffuse = 0.4 + np.tensordot(scores, 0.02 * rng.normal(size=(rank, vertices, 3)), 1)
+    total = 0.3 + scores @ (0.02 * rng.normal(size=(rank, vertices)))
+    direction = rng.normal(size=(rank, vertices, 3))
+    share = 1 / 3 + np.tensordot(scores, 0.01 * (direction - direction.mean(2, keepdims=True)), 1)
+    known = np.ones((count, vertices), bool) if known is None else known
+    return [
+        VertexReflectance(c, s[:, None] * w, k)
+        for c, s, w, k in zip(diffuse, total, share, known, strict=True)
+    ]
+
+
+def test_directions_are_those_of_a_singular_value_decomposition():
+    samples = faces(7)
+    model = MorphableReflectanceModel.from_samples(samples)
+    x = np.stack([s.diffuse_linear.ravel() for s in samples])
+    _, values, rows = np.linalg.svd(x - x.mean(0), full_matrices=False)
+    assert model.components == 6
+    np.testing.assert_allclose(model.deviation, values[:6] / np.sqrt(6), rtol=1e-10)
+    np.testing.assert_allclose(model.diffuse_mean.ravel(), x.mean(0), rtol=1e-12)
+    unit = model.diffuse_basis.reshape(6, -1) / model.deviation[:, None]
+    np.testing.assert_allclose(np.abs(np.einsum("ip,ip->i", unit, rows[:6])), 1, rtol=1e-10)
+    np.testing.assert_allclose(model.explained.sum(), 1, rtol=1e-12)
+
+
+def test_coefficients_of_the_samples_have_unit_variance():
+    samples = faces(9)
+    model = MorphableReflectanceModel.from_samples(samples)
+    scores = np.stack([model.project(s).nearest.coefficients for s in samples])
+    np.testing.assert_allclose(np.cov(scores.T), np.eye(8), atol=1e-10)
+    np.testing.assert_allclose(scores.mean(0), 0, atol=1e-10)
+
+
+def test_samples_come_back_with_their_weights():
+    samples = faces(6)
+    model = MorphableReflectanceModel.from_samples(samples)
+    for sample in samples:
+        found = model.project(sample)
+        assert found.diffuse_rmse < 1e-12
+        assert found.weights_rmse < 1e-12
+        assert found.nearest.clipped_share == 0
+
+
+def test_shares_sum_to_one_wherever_the_model_is_evaluated():
+    model = MorphableReflectanceModel.from_samples(faces(5))
+    np.testing.assert_allclose(model.share_mean.sum(1), 1, rtol=1e-12)
+    np.testing.assert_allclose(model.share_basis.sum(2), 0, atol=1e-14)
+
+
+def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
+    model = MorphableReflectanceModel.from_samples(faces(12, rank=3))
+    assert model.components == 3
+    unseen = faces(12, rank=3)[5]
+    assert model.project(unseen).diffuse_rmse < 1e-10
+
+
+def test_fewer_components_are_the_first_ones():
+    samples = faces(8)
+    full, cut = (MorphableReflectanceModel.from_samples(samples, components=n) for n in (None, 3))
+    np.testing.assert_allclose(cut.diffuse_basis, full.diffuse_basis[:3], rtol=0, atol=1e-14)
+    assert cut.explained.sum() < full.explained.sum()
+
+
+def test_one_sample_is_a_mean_and_two_have_one_direction():
+    samples = faces(2)
+    one = MorphableReflectanceModel.from_samples(samples[:1])
+    assert one.components == 0
+    np.testing.assert_allclose(one.sample(3).reflectance.weights, samples[0].weights, rtol=1e-12)
+    assert one.project(samples[1]).diffuse_rmse > 0
+    two = MorphableReflectanceModel.from_samples(samples)
+    assert two.components == 1
+    assert max(two.project(s).diffuse_rmse for s in samples) < 1e-12
+
+
+def test_identical_samples_have_no_direction():
+    model = MorphableReflectanceModel.from_samples(faces(1) * 5)
+    assert model.components == 0
+    assert model.total_variance == pytest.approx(0, abs=1e-25)
+
+
+def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
+    known = np.ones((6, 60), bool)
+    known[:2, 10] = False  # known to four of six
+    known[:4, 11] = False  # known to two of six
+    samples = faces(6, known=known)
+    model = MorphableReflectanceModel.from_samples(samples)
+    assert np.flatnonzero(~model.known).tolist() == [11]
+    assert model.support[[9, 10, 11]].tolist() == [6, 4, 2]
+    mean = np.mean([s.diffuse_linear[10] for s in samples[2:]], axis=0)
+    np.testing.assert_allclose(model.diffuse_mean[10], mean, rtol=1e-12)
+    made = model.project(samples[4]).nearest.reflectance
+    assert np.isnan(made.diffuse_linear[11]).all()
+    np.testing.assert_allclose(made.diffuse_linear[10], samples[4].diffuse_linear[10], rtol=1e-9)
+    np.testing.assert_allclose(
+        model.project(samples[0]).nearest.reflectance.diffuse_linear[10], mean, rtol=1e-9
+    )
+
+
+def test_a_reflectance_with_gaps_is_projected_from_what_it_knows():
+    samples = faces(10, rank=3)
+    model = MorphableReflectanceModel.from_samples(samples)
+    known = np.arange(60) < 20
+    part = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, known)
+    found = model.project(part).nearest.reflectance
+    np.testing.assert_allclose(found.diffuse_linear, samples[3].diffuse_linear, rtol=1e-6)
+    single = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, np.arange(60) == 0)
+    assert np.abs(model.project(single, prior=1e-6).nearest.coefficients).max() < 10
+
+
+def test_faces_without_lobes_and_black_channels_stay_so():
+    rng = np.random.default_rng(4)
+    diffuse = rng.uniform(0.2, 0.6, (5, 30, 3))
+    diffuse[:, :, 2] = 0
+    dull = [VertexReflectance(c, np.zeros((30, 3)), np.ones(30, bool)) for c in diffuse]
+    model = MorphableReflectanceModel.from_samples(dull)
+    made = model.sample(1)
+    assert (made.reflectance.weights == 0).all()
+    assert (made.reflectance.diffuse_linear[:, 2] == 0).all()
+    assert made.clipped_weights == 0
+    all_black = VertexReflectance(np.zeros((30, 3)), np.zeros((30, 3)), np.ones(30, bool))
+    assert MorphableReflectanceModel.from_samples([all_black] * 3).components == 0
+
+
+def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
+    samples = faces(4)
+    weights = samples[0].weights.copy()
+    weights[7] = 0
+    samples[0] = dataclasses.replace(samples[0], weights=weights)
+    model = MorphableReflectanceModel.from_samples(samples)
+    share = np.mean([s.weights[7] / s.weights[7].sum() for s in samples[1:]], axis=0)
+    np.testing.assert_allclose(model.share_mean[7], share, rtol=1e-12)
+    assert model.sum_mean[7] == pytest.approx(np.mean([s.weights[7].sum() for s in samples]))
+    np.testing.assert_allclose(model.project(samples[0]).nearest.reflectance.weights[7], 0, atol=1e-12)
+
+
+def test_samples_are_reproducible_and_tell_what_was_clipped():
+    model = MorphableReflectanceModel.from_samples(faces(6))
+    np.testing.assert_array_equal(model.sample(5).coefficients, model.sample(5).coefficients)
+    assert model.sample(5).clipped_share == 0
+    far = model.sample(5, scale=40.0)
+    raw = model.diffuse_mean + np.tensordot(far.coefficients, model.diffuse_basis, 1)
+    assert far.clipped_diffuse == (raw < -1e-9).sum() > 0
+    assert far.clipped_weights > 0
+    assert (far.reflectance.diffuse_linear >= 0).all()
+    assert (far.reflectance.weights >= 0).all()
+
+
+def test_a_model_comes_back_from_its_file(tmp_path):
+    known = np.random.default_rng(0).random((5, 60)) > 0.2
+    model = MorphableReflectanceModel.from_samples(faces(5, known=known), components=3)
+    model.save(tmp_path / "a.npz")
+    back = MorphableReflectanceModel.load(tmp_path / "a.npz")
+    for field in dataclasses.fields(model):
+        np.testing.assert_array_equal(getattr(back, field.name), getattr(model, field.name))
+    model.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def rewritten(path, **changes):
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files} | changes
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"header": np.array('{"format": "something"}')}, "format"),
+        ({"header": None}, "cannot be read"),
+        ({"diffuse_mean": np.full((60, 3), np.nan)}, "NaN"),
+        ({"sum_mean": np.zeros(59)}, "expected \\(60,\\)"),
+        ({"known": np.ones(60)}, "known holds float64"),
+        ({"deviation": np.ones(7)}, "components"),
+    ],
+)
+def test_files_that_are_no_model_are_refused(tmp_path, changes, message):
+    path = tmp_path / "model.npz"
+    MorphableReflectanceModel.from_samples(faces(4)).save(path)
+    rewritten(path, **changes)
+    with pytest.raises(ReflectanceError, match=message):
+        MorphableReflectanceModel.load(path)
+
+
+def test_damaged_and_missing_files_are_named(tmp_path):
+    path = tmp_path / "model.npz"
+    MorphableReflectanceModel.from_samples(faces(4)).save(path)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(ReflectanceError, match=r"model\.npz cannot be read"):
+        MorphableReflectanceModel.load(path)
+    with pytest.raises(ReflectanceError, match=r"none\.npz cannot be read"):
+        MorphableReflectanceModel.load(tmp_path / "none.npz")
+    with pytest.raises(ValueError, match="npz"):
+        MorphableReflectanceModel.from_samples(faces(2)).save(tmp_path / "model.json")
+
+
+def test_what_cannot_be_learned_from_is_refused():
+    with pytest.raises(ReflectanceError, match="no sample"):
+        MorphableReflectanceModel.from_samples([])
+    with pytest.raises(ReflectanceError, match="sample 1 has 50"):
+        MorphableReflectanceModel.from_samples([*faces(1), *faces(1, vertices=50)])
+    with pytest.raises(ReflectanceError, match="no vertex"):
+        MorphableReflectanceModel.from_samples(faces(3, known=np.zeros((3, 60), bool)))
+    with pytest.raises(ValueError, match="components"):
+        MorphableReflectanceModel.from_samples(faces(3), components=-1)
+    with pytest.raises(ValueError, match="least_support"):
+        MorphableReflectanceModel.from_samples(faces(3), least_support=0)
+
+
+def test_what_does_not_fit_the_model_is_refused():
+    model = MorphableReflectanceModel.from_samples(faces(3))
+    with pytest.raises(ReflectanceError, match="NaN"):
+        model.reconstruct([np.nan, 0.0])
+    with pytest.raises(ValueError, match="shape"):
+        model.reconstruct([0.0])
+    with pytest.raises(ReflectanceError, match="50 vertices"):
+        model.project(faces(1, vertices=50)[0])
+    with pytest.raises(ReflectanceError, match="no vertex"):
+        model.project(faces(1, known=np.zeros((1, 60), bool))[0])
+    with pytest.raises(ValueError, match="prior"):
+        model.project(faces(1)[0], prior=-1)

@@ -1,0 +1,258 @@
+"""Morphable reflectance: lobes at oblique views, fits to images, fine-tuning, speed.
+
+    python tools/bench_reflectance_model.py [lobes] [fit] [finetune] [speed] [--picture fit.png]
+
+Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
+is generated, no shadows. Albedo errors are relative RMSE after the best single scale, over seen vertices of
+faces that the model was not learned from. Times are CPU seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+import scan2albedo as s2a
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.io.images import write_png
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.reflectance import (
+    EXPONENTS,
+    FineTuneOptions,
+    ImageFit,
+    ImageFitOptions,
+    ImageObservation,
+    LightingModel,
+    MorphableReflectanceModel,
+    VertexReflectance,
+    finetune,
+    fit_image,
+    generated_environment,
+    shade_environment,
+)
+from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
+
+CAMERA_MM = np.array([0.0, 0.0, 900.0])
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The default model's limit surface and how the camera sees it."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    normals: np.ndarray
+    view: np.ndarray
+    seen: np.ndarray
+
+
+@cache
+def surface(levels: int = 1) -> Surface:
+    model = s2a.AnnotatedFaceModel.default()
+    vertices, faces = model.surface(levels)
+    uv = model.subdivision(levels).matrix @ model.uv
+    normals, view = vertex_normals(vertices, faces), normalized(CAMERA_MM - vertices)
+    normals[~normals.any(1)] = [0, 0, 1]
+    return Surface(vertices, faces, uv, normals, view, np.einsum("vi,vi->v", normals, view) > 0.15)
+
+
+def person(seed: int, levels: int = 1) -> VertexReflectance:
+    """Painted skin with lobes that vary smoothly over the face and from person to person."""
+    s, rng = surface(levels), np.random.default_rng([seed, 1])
+    features = PaintedFeatures(
+        brow_thickness=float(rng.uniform(0.65, 1.35)), lip_fullness=float(rng.uniform(-0.004, 0.004))
+    )
+    paint = np.random.default_rng([seed, 2])
+    tone = float(rng.uniform(0.15, 0.6))
+    albedo = paint_face(s.uv, s2a.AnnotatedFaceModel.default(), paint, tone=tone, features=features)
+    waves = harmonics(normalized(s.vertices - [0, 0, s.vertices[:, 2].min() - 40.0]), 4)
+    fields = np.random.default_rng(9).normal(size=(6, 4, 25)) @ waves.T
+    gloss, *lobes = 0.25 * np.einsum("r,frv->fv", rng.normal(size=4), fields[:4])
+    share = np.exp(0.5 * np.stack(lobes, 1)) * [0.15, 0.45, 0.4]
+    total = 0.22 * np.exp(gloss)
+    weights = total[:, None] * share / share.sum(1, keepdims=True)
+    return VertexReflectance(np.clip(albedo, 0, None), weights, np.ones(len(albedo), bool))
+
+
+@cache
+def learned(count: int, components: int, levels: int = 1) -> MorphableReflectanceModel:
+    people = [person(1000 + k, levels) for k in range(count)]
+    return MorphableReflectanceModel.from_samples(people, components=components)
+
+
+def shot(face: VertexReflectance, seed: int, noise: float = 0.01, shadow: float = 0.0, levels: int = 1):
+    s, rng = surface(levels), np.random.default_rng([seed, 3])
+    light = project_environment(generated_environment(50_000 + seed))
+    color = shade_environment(face, s.normals, s.view, light).radiance_linear
+    color = color * (1 + noise * rng.normal(size=color.shape))
+    if shadow:
+        side = s.vertices @ rng.normal(size=3)
+        color[side > np.quantile(side[s.seen], 1 - shadow)] *= 0.5
+    return ImageObservation(color, s.normals, s.view, s.seen)
+
+
+def albedo_error(found: np.ndarray, face: VertexReflectance, levels: int = 1) -> float:
+    a, truth = found[surface(levels).seen], face.diffuse_linear[surface(levels).seen]
+    return float(np.linalg.norm(np.sum(a * truth) / np.sum(a * a) * a - truth) / np.linalg.norm(truth))
+
+
+def print_lobes() -> None:
+    """Print the error of the highlights against sums over distant lights."""
+    toward = distant_directions(20_000)
+    angles = (0, 30, 45, 60, 70, 80)
+    print(f"{'specular error %':22}" + "".join(f"{a:>8} deg" for a in angles))
+    for s_index, exponent in enumerate(EXPONENTS):
+        errors = {lobe: np.zeros(len(angles)) for lobe in ("tilted", "tabulated", "clipped", "full")}
+        for k, angle in enumerate(np.radians(angles)):
+            off, norm = dict.fromkeys(errors, 0.0), 0.0
+            for seed in range(6):
+                light = project_environment(generated_environment(seed))
+                n, v = np.array([0, 0, 1.0]), np.array([np.sin(angle), 0, np.cos(angle)])
+                half = normalized(toward + v)
+                lobe = (exponent + 2) / (8 * np.pi) * np.maximum(half @ n, 0) ** exponent * (toward @ n > 0)
+                truth = lobe @ (harmonics(toward) @ light) * 4 * np.pi / len(toward)
+                only = VertexReflectance(np.zeros((1, 3)), np.eye(3)[[s_index]], np.ones(1, bool))
+                norm += np.sum(truth**2)
+                for name in errors:
+                    made = shade_environment(only, n[None], v[None], light, lobe=name).specular_linear[0]
+                    off[name] += np.sum((made - truth) ** 2)
+            for name in errors:
+                errors[name][k] = np.sqrt(off[name] / norm)
+        for name, row in errors.items():
+            print(f"s = {exponent:<4g}{name:14}" + "".join(f"{100 * e:12.1f}" for e in row))
+
+
+def print_fits(picture: str | None) -> None:
+    """Print albedo errors of fits by weight of the prior, noise and unmodelled shadow."""
+    model = learned(60, 40)
+    faces = [person(k) for k in range(8)]
+    of_mean = np.mean([albedo_error(model.diffuse_mean, face) for face in faces])
+    best = np.mean([albedo_error(model.project(f).nearest.reflectance.diffuse_linear, f) for f in faces])
+    print(f"mean face {of_mean:.4f}, nearest of the model {best:.4f}")
+    print(
+        f"{'prior':>8}{'softness':>10}"
+        + "".join(f"{c:>22}" for c in ("1 % noise", "5 %", "1 %, shadow on 15 %"))
+    )
+    for prior, softness in ((1e-3, 0.01), (3e-4, 0.01), (1e-4, 0.01), (3e-5, 0.01), (1e-4, 1.0)):
+        row = ""
+        for noise, shadow in ((0.01, 0.0), (0.05, 0.0), (0.01, 0.15)):
+            options = ImageFitOptions(prior_weight=prior, softness=softness)
+            start = time.process_time()
+            fits = [
+                fit_image(shot(face, k, noise, shadow), model, options=options)
+                for k, face in enumerate(faces)
+            ]
+            used = (time.process_time() - start) / len(faces)
+            pairs = zip(fits, faces, strict=True)
+            error = np.mean([albedo_error(f.face.reflectance.diffuse_linear, face) for f, face in pairs])
+            row += f"{error:14.4f} {used:5.2f} s"
+        print(f"{prior:8g}{softness:10g}{row}")
+    if picture:
+        draw(picture, faces[3], shot(faces[3], 3), fit_image(shot(faces[3], 3), model))
+
+
+def draw(path: str, face: VertexReflectance, image: ImageObservation, fit: ImageFit) -> None:
+    """Draw image and fit, albedo and its estimate, weights and theirs."""
+    s = surface()
+    extent = np.ptp(s.vertices[:, :2], axis=0).max()
+    pixels = (s.vertices[:, :2] - s.vertices[:, :2].mean(0)) * [1, -1] * 300 / extent + 160
+    raster = rasterize(pixels, s.vertices[:, 2], s.faces, (320, 320))
+    found = fit.face.reflectance
+    scale = np.sum(found.diffuse_linear * face.diffuse_linear) / np.sum(found.diffuse_linear**2)
+    exposure = 0.6 / np.quantile(image.observed_linear[s.seen], 0.98)
+    top = [exposure * image.observed_linear, face.diffuse_linear, face.weights]
+    bottom = [exposure * fit.radiance_linear, scale * found.diffuse_linear, found.weights]
+    rows = [
+        np.concatenate([interpolate(raster, s.faces, np.nan_to_num(v)) for v in row], axis=1)
+        for row in (top, bottom)
+    ]
+    write_png(path, np.concatenate(rows))
+
+
+def biased_model() -> MorphableReflectanceModel:
+    """Learn from twelve faces whose albedo was captured with an error that all share."""
+    s = surface()
+    waves = harmonics(normalized(s.vertices - [0, 0, s.vertices[:, 2].min() - 40.0]), 8)
+    field = waves @ np.random.default_rng(17).normal(size=waves.shape[1])
+    error = np.exp(0.15 * field / field.std())[:, None]
+    faces = [person(1000 + k) for k in range(12)]
+    return MorphableReflectanceModel.from_samples(
+        [replace(face, diffuse_linear=face.diffuse_linear * error) for face in faces]
+    )
+
+
+def print_finetuning() -> None:
+    """Print what fine-tuning does to a model with an error in its mean, and without its guards."""
+    model = biased_model()
+    faces = [person(200 + k) for k in range(8)]
+    shots = [shot(person(k), k) for k in range(16)]
+    held_out = [shot(person(100 + k), 100 + k) for k in range(6)]
+
+    def error(m: MorphableReflectanceModel) -> float:
+        fits = [fit_image(shot(face, 200 + k), m) for k, face in enumerate(faces)]
+        pairs = zip(fits, faces, strict=True)
+        return float(np.mean([albedo_error(f.face.reflectance.diffuse_linear, face) for f, face in pairs]))
+
+    print(f"albedo before {error(model):.4f}, of a model without the error {error(learned(12, 11)):.4f}")
+    plain = FineTuneOptions(rounds=4)
+    for name, options in {
+        "as it is": plain,
+        "neither anchored nor smoothed": replace(
+            plain, mean_change=10.0, basis_change=1.0, smoothing_steps=0
+        ),
+        "not smoothed": replace(plain, smoothing_steps=0),
+    }.items():
+        start = time.process_time()
+        tuned = finetune(model, shots, held_out, surface().faces, options=options)
+        used = time.process_time() - start
+        print(
+            f"{name:32}objective {tuned.held_out_before:.4f} -> {tuned.held_out_after:.4f} in "
+            f"{len(tuned.accepted_steps)} rounds, albedo {error(tuned.model):.4f}, {used:.0f} s",
+            flush=True,
+        )
+
+
+def print_speed() -> None:
+    """Print CPU seconds on 3,663 and 14,533 vertices."""
+    LightingModel.default()
+    for levels in (1, 2):
+        people = [person(k, levels) for k in range(40)]
+        start = time.process_time()
+        model = MorphableReflectanceModel.from_samples(people)
+        learn = time.process_time() - start
+        image = shot(person(99, levels), 1, levels=levels)
+        start = time.process_time()
+        fit = fit_image(image, model)
+        used = time.process_time() - start
+        count = f"{len(model.known)} vertices"
+        print(f"{count}: learn 40 faces {learn:.2f} s, fit {used:.2f} s, {fit.iterations} steps")
+
+
+PARTS = {"lobes": print_lobes, "finetune": print_finetuning, "speed": print_speed}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", choices=[*PARTS, "fit"], help="all when omitted")
+    parser.add_argument("--picture", help="PNG of one fit: image, albedo, weights; truth above, fit below")
+    arguments = parser.parse_args()
+    for part in arguments.parts or ("lobes", "fit", "finetune", "speed"):
+        print(f"\n{part}")
+        if part == "fit":
+            print_fits(arguments.picture)
+        else:
+            PARTS[part]()
+
+
+if __name__ == "__main__":
+    main()
