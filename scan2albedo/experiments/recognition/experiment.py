@@ -49,7 +49,7 @@ def run_recognition_experiment(
     budget : Budget or float, optional
         Seconds, or scans to process. When it ends, the persons that are complete by then are reported.
     jobs : int
-        Processes to work in. The figures do not depend on it.
+        Processes to work in.
     on_progress : callable, optional
         Called with every `TraceRow`: rank-1 errors by the first albedo among the persons done so far.
 
@@ -65,7 +65,7 @@ def run_recognition_experiment(
     References
     ----------
     Toderici, Passalis, Theoharis, Kakadiaris, "An automated method for human face modeling and relighting
-    with application to face recognition", section 5.2 and figure 10.
+    with application to face recognition", section 5 and figure 10.
     """
     if jobs < 1:
         raise ValueError(f"jobs is {jobs}, expected at least 1")
