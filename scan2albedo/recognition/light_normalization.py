@@ -38,7 +38,7 @@ def multi_scale_retinex(
     --------
     >>> import numpy as np
     >>> flat = np.full((64, 64), 0.5)
-    >>> multi_scale_retinex(flat, flat > 0).round(9).max()
+    >>> round(float(multi_scale_retinex(flat, flat > 0).max()), 9)
     1.0
     """
     lit = np.maximum(image, DARKEST)
