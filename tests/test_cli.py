@@ -45,6 +45,7 @@ def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
     assert "ball: unit: mm" in done.stderr
 
 
+@pytest.mark.slow
 def test_some_failed_is_1_and_all_failed_is_2(ball, tmp_path):
     some = run(
         "process", ball, tmp_path / "none.obj", "-o", tmp_path, "--model", "none", "--size", 32, "--json"
@@ -155,6 +156,7 @@ def test_interrupting_leaves_nothing_behind(ball, tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_doctor_finds_a_healthy_machine():
     examined = run("doctor", "--json")
     assert examined.returncode == 0, examined.stdout

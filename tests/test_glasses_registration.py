@@ -367,6 +367,7 @@ def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeyp
     assert {path: path.read_bytes() for path in out.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_path):
     # The overview comes when most other files are made.
     code = (

@@ -286,6 +286,7 @@ def test_an_interrupted_write_keeps_the_older_result(result, tmp_path, monkeypat
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
 
 
+@pytest.mark.slow
 def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
     from scan2albedo import result_files
 
@@ -297,6 +298,7 @@ def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_an_interrupted_renaming_leaves_no_folder_that_looks_whole(result, tmp_path, monkeypatch):
     from scan2albedo import result_files
 
@@ -325,6 +327,7 @@ def test_demo_at_full_size():
     assert report.light_deg < 4
 
 
+@pytest.mark.slow
 def test_a_template_of_ones_own_comes_back_in_its_own_topology(case, tmp_path):
     """A control mesh turned and in metres as template: as many vertices, in the same order."""
     own = s2a.AnnotatedFaceModel.default()

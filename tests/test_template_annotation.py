@@ -62,6 +62,7 @@ def test_landmarks_and_regions_are_carried_over(own, turned):
     assert turned.regions["nose"].stiffness == default.regions["nose"].stiffness
 
 
+@pytest.mark.slow
 def test_what_is_given_is_kept(own):
     vertices, faces, landmarks = own
     model = s2a.AnnotatedFaceModel.from_mesh(
@@ -83,6 +84,7 @@ def test_a_template_without_a_face_keeps_its_axes_and_says_so():
     assert "nothing annotated" in model.notes[-1]
 
 
+@pytest.mark.slow
 def test_half_a_face_gets_regions_but_no_landmarks(own):
     vertices, faces, _ = own
     half = faces[(vertices[faces][:, :, 0] > -12).all(1)]
@@ -129,6 +131,7 @@ def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topolo
     assert np.nanmedian(fitted.residual_mm) < 0.4
 
 
+@pytest.mark.slow
 def test_what_closes_the_hole_of_a_mouth_becomes_film(shared_data):
     data = np.load(shared_data / "ict_faces.npz")
     vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(int)

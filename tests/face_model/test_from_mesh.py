@@ -249,6 +249,7 @@ def test_the_468_vertex_mask(shared_data):
     assert 140 < np.ptp(model.control_vertices[:, 1]) < 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["face area", "inner face"])
 def test_the_generic_face(shared_data, part):
     data = np.load(shared_data / "ict_faces.npz")

@@ -155,6 +155,7 @@ CEILINGS = {
 """Surface mean, surface median, dense correspondence mean [mm], about a fifth above what was measured."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

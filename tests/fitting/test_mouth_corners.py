@@ -79,6 +79,7 @@ def test_a_side_without_scan_stays(model):
     assert right_only.chosen(reached) == (15.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["generic_mouthSmile_L_mouthSmile_R", "person2_mouthSmile_L_mouthSmile_R"])
 def test_a_smile_is_followed_only_with_the_search(ict, shape):
     vertices = ict.shapes[shape]

@@ -102,6 +102,7 @@ def test_the_default_model_follows_open_mouths(ict, default_model, shape, ceilin
     assert fitted.metrics["flipped_faces"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("person", ["generic_neutral", "person1", "person2", "person3", "person4"])
 def test_shut_mouths_stay_shut(ict, default_model, person):
     vertices = ict.shapes[person]

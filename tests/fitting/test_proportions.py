@@ -49,6 +49,7 @@ def test_a_stretch_within_the_modes_is_found(model, scan):
     assert after < 0.4 * before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("person", ["person3", "person4"])
 def test_it_lowers_the_landmark_error_on_people_unlike_the_model(ict, model, person):
     shape = ict.shapes[person]

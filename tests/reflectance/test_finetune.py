@@ -91,6 +91,7 @@ def albedo_error(model, lighting, faces, shots):
     return np.mean(errors)
 
 
+@pytest.mark.slow
 def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting):
     shots = pictures(people(14, 1, BEARD), 1)
     held_out = pictures(people(5, 2, BEARD), 2)
@@ -108,6 +109,7 @@ def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting):
     np.testing.assert_allclose(tuned.model.deviation, norms, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_change_that_harms_is_not_taken(model, lighting):
     right = pictures(people(4, 2), 2)
     wrong = pictures(people(4, 1, 0.4 + 1.2 * (np.arange(len(POINTS)) % 2)), 1)
@@ -179,6 +181,7 @@ def test_a_budget_that_ends_keeps_what_was_accepted(model, lighting):
     assert len(tuned.trace) == 1
 
 
+@pytest.mark.slow
 def test_models_without_directions_have_their_mean_tuned(lighting):
     alone = MorphableReflectanceModel.from_samples(people(1, 0))
     shots, held_out = pictures(people(6, 1, BEARD), 1), pictures(people(3, 2, BEARD), 2)

@@ -239,6 +239,7 @@ def test_bad_input_is_named():
 COARSE = CanonicalizationOptions(spacing=3.0)
 
 
+@pytest.mark.slow
 def test_the_plan_says_what_ran_and_the_trace_how_it_went(weighted):
     meshes, points, weights = some_set(weighted)
     rows = []

@@ -232,6 +232,7 @@ def test_no_label_at_all_and_no_start_is_an_error():
         register(1, SMALL, keypoints_2d=np.full_like(worn.labels, np.nan))
 
 
+@pytest.mark.slow
 def test_no_label_at_all_but_a_start_goes_by_the_outlines():
     worn = person(3)
     start = worn.world_from_glasses.copy()
