@@ -43,6 +43,7 @@ def report(tmp_path_factory):
     return out, answer, reports[0]
 
 
+@pytest.mark.slow
 def test_the_command_tells_the_errors_and_leaves_inputs_and_results(report, person):
     out, answer, found = report
     assert answer.exit_code == 0, answer.output

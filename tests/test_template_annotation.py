@@ -116,6 +116,7 @@ def test_the_generic_face_in_metres_and_turned(shared_data, part):
     )
 
 
+@pytest.mark.slow
 def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topology(shared_data):
     vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
     model = s2a.AnnotatedFaceModel.from_mesh(vertices @ TURN.T, faces, name="mask")

@@ -163,6 +163,7 @@ def test_a_symmetric_surface_lit_symmetrically(scenes):
     assert albedo[..., 0] == pytest.approx(albedo[:, ::-1, 0], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("texture", ["skin", "wood"])
 def test_a_pair_of_lights_that_looks_like_one_is_said_to_be_ambiguous(texture):
     """A mirror-symmetric surface under a symmetric pair: roughness makes one light between look the same."""

@@ -34,6 +34,7 @@ def relative_rmse(ours, truth):
     return float(np.linalg.norm(ours - truth) / np.linalg.norm(truth))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_ten_new_lights_against_the_independent_renderer(person, scene, material, seed):
     made, face = scene(seed), person(seed)

@@ -180,6 +180,7 @@ def test_jobs_below_one_are_refused(small_options, tmp_path):
         run_recognition_experiment(tmp_path, options=small_options, jobs=0)
 
 
+@pytest.mark.slow
 def test_a_scan_goes_through_the_whole_pipeline(small_options):
     made = made_session(small_options, 0, 0)
     assert not made.failure

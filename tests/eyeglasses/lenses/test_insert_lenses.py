@@ -174,6 +174,7 @@ def test_a_picture_is_the_weighted_sum_of_one_for_each_light():
     np.testing.assert_allclose(together, light_by_environment(apart, weights), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_another_light_is_as_good_as_a_new_picture():
     materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, tinting="filter"))
     options = {"surfaces": [wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)], "shape": (120, 160)}

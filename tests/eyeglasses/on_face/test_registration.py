@@ -70,6 +70,7 @@ CASES = {
 QUICK = ("one pixel", "three gross outliers a view")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
@@ -87,6 +88,7 @@ def test_three_views_place_a_bent_frame(name, seed):
     assert np.median(errors / found.keypoint_deviation) < 2
 
 
+@pytest.mark.slow
 def test_labels_match_within_a_pixel_where_they_are_exact():
     options = WearerOptions(label_noise_px=0, mask_noise_px=0)
     found = register(1, options)
