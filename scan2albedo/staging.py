@@ -42,15 +42,14 @@ def publish(source: Path, target: Path, record: str | None = None) -> None:
 
 @contextmanager
 def gone_if_empty(out: Path | None) -> Iterator[None]:
-    """Remove the folder `out` again when the block made it and fails before anything is in it."""
+    """Remove the folder `out` again when the block made it and leaves nothing in it."""
     there = out is None or out.exists()
     try:
         yield
-    except BaseException:
+    finally:
         if out is not None and not there:
-            with suppress(OSError):
+            with suppress(OSError):  # it holds something
                 out.rmdir()
-        raise
 
 
 @contextmanager

@@ -49,8 +49,7 @@ def cw_ssim(
 
     Notes
     -----
-    A shift of 2 pixels costs 0.02 to 0.03 of images of 128 pixels whose amplitude falls with frequency, and
-    0.02 to 0.035 of estimated albedos under their masks.
+    A shift of 2 pixels costs 0.02 to 0.03 of images of 128 pixels whose amplitude falls with frequency.
 
     Only the coarsest scale counts, as in the templates. Each image is divided by its mean first, unless
     `options.unit_mean` is off.

@@ -64,11 +64,11 @@ def _probes(report: RecognitionReport) -> str:
 
 
 def _people(report: RecognitionReport, cache: Path) -> Figure | None:
-    shown = [TEXTURE, *report.options.brdfs]
-    columns = [f"{name}, scan {scan}" for scan in range(SCANS_SHOWN) for name in ("texture", shown[1])]
+    shown = (TEXTURE, report.options.brdfs[0])
+    columns = [f"{name}, scan {scan}" for scan in range(SCANS_SHOWN) for name in shown]
     rows = {}
     for person in report.persons[:PEOPLE_SHOWN]:
         scans = [cached_session(cache, report.options, person, scan) for scan in range(SCANS_SHOWN)]
         if all(scan is not None and not scan.failure for scan in scans):
-            rows[f"person {person}"] = [s.images[name] for s in scans if s for name in shown[:2]]
+            rows[f"person {person}"] = [s.images[name] for s in scans if s for name in shown]
     return people_figure(rows, columns) if rows else None
