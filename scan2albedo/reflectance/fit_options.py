@@ -32,8 +32,8 @@ class ReflectancePrior:
 
     diffuse_mean: float = 1.0
     diffuse_std: float = 5.0
-    weights_mean: tuple[float, float, float] = (0.3, 0.3, 0.3)
-    weights_std: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    weights_mean: tuple[float, float, float] = (0.1, 0.1, 0.1)
+    weights_std: tuple[float, float, float] = (0.3, 0.3, 0.3)
     level: float | None = None
 
     def __post_init__(self) -> None:

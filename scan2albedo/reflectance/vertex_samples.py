@@ -41,6 +41,9 @@ class SamplingOptions:
         Edges of the mesh between a vertex and the nearest one in cast shadow.
     offset_mm : float
         Rays start this far along the normal.
+    position_sigma_px : float
+        Standard deviation of where a vertex is in the picture, along each axis: where pixels differ, a
+        vertex's sigma is larger.
     reference_distance_mm : float or None
         Distance at which light has fallen off to 1, with its square; None is no falloff.
 
@@ -56,13 +59,14 @@ class SamplingOptions:
     depth_step_mm: float = 3.0
     shadow_rings: int = 1
     offset_mm: float = 0.2
+    position_sigma_px: float = 0.3
     reference_distance_mm: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("view_cosine", "light_cosine"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected in [0, 1)")
-        for name in ("margin_px", "depth_step_mm", "shadow_rings", "offset_mm"):
+        for name in ("margin_px", "depth_step_mm", "shadow_rings", "offset_mm", "position_sigma_px"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
         if self.reference_distance_mm is not None and not 0 < self.reference_distance_mm < math.inf:
@@ -157,8 +161,9 @@ def sample_vertices(
 ) -> VertexSamples:
     """Look up vertices in pictures, where the camera sees and the flash lights them.
 
-    Pixels are interpolated bilinearly, a channel only where all four are valid; sigma follows, pixels being
-    independent. Hidden vertices and cast shadows are found by rays against the mesh.
+    Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
+    pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
+    vertices and cast shadows are found by rays against the mesh.
 
     Parameters
     ----------
@@ -214,9 +219,9 @@ def sample_vertices(
             )
         pixels, _ = project(camera, xyz)
         usable = seen[key] & lit[light_key]
-        _bilinear(
-            olat.linear[j], olat.sigma[j], olat.valid[j], pixels, usable, observed[j], variance[j], valid[j]
-        )
+        picture = olat.linear[j], olat.sigma[j], olat.valid[j]
+        spread = options.position_sigma_px**2
+        _bilinear(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
     return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light)
 
 
@@ -246,8 +251,11 @@ def _checked_normals(xyz: FloatArray, faces: NDArray[np.int64], normals: ArrayLi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bilinear(picture, sigma, valid, pixels, usable, value, variance, found):  # type: ignore[no-untyped-def]
-    """Fill value, variance (V, 3) and found (V, 3) of the `usable` vertices at pixels (V, 2)."""
+def _bilinear(picture, sigma, valid, pixels, usable, spread, value, variance, found):  # type: ignore[no-untyped-def]
+    """Fill value, variance (V, 3) and found (V, 3) of the `usable` vertices at pixels (V, 2).
+
+    `spread` is the variance of a vertex's position, px^2.
+    """
     height, width = picture.shape[:2]
     for i in range(len(pixels)):
         x, y = pixels[i, 0], pixels[i, 1]
@@ -265,16 +273,22 @@ def _bilinear(picture, sigma, valid, pixels, usable, value, variance, found):  #
             ):
                 continue
             a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-            value[i, k] = (
-                a * picture[top, left, k]
-                + b * picture[top, right, k]
-                + c * picture[bottom, left, k]
-                + d * picture[bottom, right, k]
-            )
+            p, q = picture[top, left, k], picture[top, right, k]
+            r, s = picture[bottom, left, k], picture[bottom, right, k]
+            value[i, k] = a * p + b * q + c * r + d * s
+            across, down = (q - p + s - r) / 2, (r - p + s - q) / 2
+            # Each slope's own noise has this variance.
+            noise = (
+                sigma[top, left, k] ** 2
+                + sigma[top, right, k] ** 2
+                + sigma[bottom, left, k] ** 2
+                + sigma[bottom, right, k] ** 2
+            ) / 4
             variance[i, k] = (
                 (a * sigma[top, left, k]) ** 2
                 + (b * sigma[top, right, k]) ** 2
                 + (c * sigma[bottom, left, k]) ** 2
                 + (d * sigma[bottom, right, k]) ** 2
+                + spread * max(across * across + down * down - 2 * noise, 0.0)
             )
             found[i, k] = True

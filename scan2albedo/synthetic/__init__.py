@@ -1,5 +1,6 @@
 """Synthetic scenes with ground truth."""
 
+from scan2albedo.synthetic.flash_capture import FlashCapture, FlashCaptureOptions, flash_capture
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_bend import GlassesBend
 from scan2albedo.synthetic.glasses_shape import GlassesShape
@@ -19,6 +20,8 @@ from scan2albedo.synthetic.scenes import (
 from scan2albedo.synthetic.wearer import Wearer, WearerOptions, wearer
 
 __all__ = [
+    "FlashCapture",
+    "FlashCaptureOptions",
     "GlassesBend",
     "GlassesShape",
     "Material",
@@ -34,6 +37,7 @@ __all__ = [
     "WearerOptions",
     "eyeglasses",
     "face",
+    "flash_capture",
     "hemisphere",
     "light_at",
     "population_scan",

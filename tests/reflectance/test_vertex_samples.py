@@ -20,6 +20,7 @@ from reflectance_pictures import (
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
     CaptureRig,
+    OlatImages,
     OlatOptions,
     SamplingOptions,
     VertexSamples,
@@ -131,11 +132,35 @@ def test_a_bad_pixel_takes_its_neighbours_channel_only(scene, olat, samples):
     assert (found.observed[lost] == 0).all()
 
 
-def test_sigma_follows_the_weights_of_pixels(scene, olat, samples):
-    seen = samples.valid
+def test_sigma_follows_the_weights_of_pixels_where_the_position_is_known(scene, olat):
+    found = sample_vertices(
+        olat,
+        scene.rig,
+        scene.vertices,
+        scene.faces,
+        normals=scene.normals,
+        options=SamplingOptions(position_sigma_px=0.0),
+    )
     sigma = olat.sigma[olat.valid].astype(float)
-    assert (samples.sigma[seen] <= sigma.max() * (1 + 1e-6)).all()
-    assert (samples.sigma[seen] >= 0.5 * sigma.min()).all()
+    assert (found.sigma[found.valid] <= sigma.max() * (1 + 1e-6)).all()
+    assert (found.sigma[found.valid] >= 0.5 * sigma.min()).all()
+
+
+def test_sigma_grows_with_the_slope_of_the_picture():
+    # One picture whose light rises by 0.02 a pixel to the right, of a square seen from straight ahead.
+    size, slope = 41, 0.02
+    linear = np.broadcast_to(slope * np.arange(size)[None, :, None], (size, size, 3)).astype(np.float32)[None]
+    sigma, valid = np.full(linear.shape, 1e-6, np.float32), np.ones(linear.shape, bool)
+    olat = OlatImages(linear, sigma, valid, ~valid)
+    camera = np.array([[[400.0, 0, -20, 12000], [0, -400, -20, 12000], [0, 0, -1, 600]]])
+    rig = CaptureRig(camera, np.array([[0.0, 0, 600]]), np.zeros(1, np.int64))
+    square = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0], [3.0, 4, 0]])
+    faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
+    for spread in (0.0, 0.3, 1.0):
+        options = SamplingOptions(position_sigma_px=spread)
+        found = sample_vertices(olat, rig, square, faces, options=options)
+        assert found.valid[0, 4].all()
+        assert found.sigma[0, 4] == pytest.approx(np.full(3, np.hypot(spread * slope, 1e-6)), rel=0.3)
 
 
 def test_grazing_views_and_lights_are_left_out(scene, olat, samples):

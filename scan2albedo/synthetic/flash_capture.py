@@ -1,0 +1,293 @@
+"""Pictures of a person lit by one flash at a time and by the room alone, with everything known of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.synthetic.glossy_person import GlossyPerson, SeenSurface
+from scan2albedo.synthetic.identity import Expression
+from scan2albedo.synthetic.sitter import sit_down
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_TARGET_MM = np.array([0.0, 0.0, -5.0])
+_SIDE_DEG = 60.0
+_HIGH_FLASHES_DEG = ((-20.0, 25.0), (20.0, 25.0))
+"""Azimuth and elevation of the flashes that stand where no camera takes pictures."""
+_ROOM_LAMPS_DEG = ((-35.0, 50.0), (40.0, 35.0), (5.0, 70.0))
+_ROOM_DISTANCE_MM = 3000.0
+_ROOM_COLOR = np.array([1.0, 0.93, 0.82])
+_LEAST_GAIN = 0.1
+
+
+@dataclass(frozen=True)
+class FlashCaptureOptions:
+    """How the pictures are taken.
+
+    Parameters
+    ----------
+    views, flashes : int
+        Cameras on an arc of 120 degrees around the face, and flashes, which stand where the cameras do; two
+        more stand above when there are more flashes than views.
+    picture_size : int
+        Height and width of the pictures in pixels.
+    reach_mm : float
+        Half of what a picture spans at the head.
+    distance_mm : float
+        Of cameras and flashes from the head.
+    falloff : bool
+        Whether flashes fall off with the square of their distance, to 1 at `distance_mm`.
+    gain_deviation : float
+        Standard deviation of the flashes' strengths, their mean being 1.
+    room : float
+        Strength of the room's light, of which the flashes know nothing, relative to a flash.
+    gamma : float
+        Values are light^(1 / gamma).
+    noise : float
+        Standard deviation of the values, white = 1.
+    bits : int or None
+        8, 16, or None for values that are neither rounded nor clipped.
+    saturated_part : float
+        Of all the face's pixels in all pictures, brighter than white.
+    hair : bool
+        Whether there is hair, which hides and shades the brow and is not in the mesh.
+    levels : int
+        Of subdivision of the mesh: 1 is 3,663 vertices with the default model, 2 is 14,533.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    views: int = 9
+    flashes: int = 11
+    picture_size: int = 256
+    reach_mm: float = 130.0
+    distance_mm: float = 1000.0
+    falloff: bool = True
+    gain_deviation: float = 0.0
+    room: float = 0.15
+    gamma: float = 1.2
+    noise: float = 0.01
+    bits: int | None = 8
+    saturated_part: float = 0.002
+    hair: bool = True
+    levels: int = 2
+
+    def __post_init__(self) -> None:
+        for name in ("views", "flashes", "picture_size"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 1")
+        for name in ("reach_mm", "distance_mm", "gamma"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
+        for name in ("gain_deviation", "room", "noise"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
+        if not 0 <= self.saturated_part < 1:
+            raise ValueError(f"saturated_part is {self.saturated_part}, expected in [0, 1)")
+        if self.bits not in (8, 16, None):
+            raise ValueError(f"bits is {self.bits}, expected 8, 16 or None")
+        if self.levels not in (1, 2, 3):
+            raise ValueError(f"levels is {self.levels}, expected 1, 2 or 3")
+        if self.flashes > self.views + len(_HIGH_FLASHES_DEG):
+            raise ValueError(
+                f"there are {self.flashes} flashes and {self.views} views, expected "
+                f"{len(_HIGH_FLASHES_DEG)} flashes more than views at most"
+            )
+
+
+@dataclass(frozen=True)
+class FlashCapture:
+    """J = views x flashes pairs of pictures of a face, in the frame of the face, mm.
+
+    Parameters
+    ----------
+    flash : (J, S, S, 3) uint8, uint16 or float32
+        Values with a flash in the room's light; flashes run fastest.
+    room : (J, S, S, 3)
+        In the room's light alone, one picture a view, repeated.
+    view, light : (J,) int64
+        Numbers of the cameras that took, and of the flashes that lit them.
+    head_rotations, head_translations : (P, 3, 3), (P, 3) float64
+        Poses of the head before each camera, x_cam = R x + t; flash k stands where camera k does. Cameras
+        after the first `views` took no pictures.
+    intrinsics : (3, 3) float64
+    vertices, normals : (V, 3) float64
+        Of the face.
+    faces : (F, 3) int64
+    landmarks : (68, 3) float64
+    diffuse_linear, weights : (V, 3) float64
+        True albedo, and true weights of the Blinn-Phong lobes with exponents 1, 8 and 64.
+    exposure : float
+        Light of value 1 is what radiance 1 / exposure makes: fits find `exposure` times the reflectance.
+    light_gain : (L,) float64
+        Strength of each flash.
+    options : FlashCaptureOptions
+    """
+
+    flash: NDArray[np.generic]
+    room: NDArray[np.generic]
+    view: IntArray
+    light: IntArray
+    head_rotations: FloatArray
+    head_translations: FloatArray
+    intrinsics: FloatArray
+    vertices: FloatArray
+    normals: FloatArray
+    faces: IntArray
+    landmarks: FloatArray
+    diffuse_linear: FloatArray
+    weights: FloatArray
+    exposure: float
+    light_gain: FloatArray
+    options: FlashCaptureOptions
+
+    @property
+    def light_positions(self) -> FloatArray:
+        """(L, 3) where the flashes stand."""
+        return _centers(self.head_rotations, self.head_translations)[: self.options.flashes]
+
+    @property
+    def cameras(self) -> FloatArray:
+        """(J, 3, 4) projection matrices of the pictures."""
+        poses = np.concatenate([self.head_rotations, self.head_translations[..., None]], axis=2)
+        return np.asarray((self.intrinsics @ poses)[self.view])
+
+    def __len__(self) -> int:
+        return len(self.flash)
+
+
+def flash_capture(
+    seed: int = 0,
+    *,
+    expression: Expression = "neutral",
+    options: FlashCaptureOptions = FlashCaptureOptions(),
+    model: AnnotatedFaceModel | None = None,
+) -> FlashCapture:
+    """Photograph a random person with one flash at a time.
+
+    Skin reflects as `VertexReflectance` says; hair, clothes and the rest of the head are there, too, hide
+    and cast shadows. Radiance comes from code of its own, rays from Open3D.
+
+    Parameters
+    ----------
+    seed : int
+        Of the person and of the noise.
+    expression : str
+        As in `synthetic.face`.
+    options : FlashCaptureOptions
+    model : AnnotatedFaceModel, optional
+        The default model when omitted; it needs landmarks.
+
+    Examples
+    --------
+    >>> few = FlashCaptureOptions(views=1, flashes=2, picture_size=48, levels=1)
+    >>> flash_capture(options=few).flash.shape
+    (2, 48, 48, 3)
+    """
+    face_model = model or AnnotatedFaceModel.default()
+    sitter = sit_down(seed, expression=expression, model=face_model)
+    person = GlossyPerson.of(sitter, hair=options.hair)
+    rotations, translations, intrinsics = _head_poses(options)
+    centers = _centers(rotations, translations)
+    rng = np.random.default_rng([seed, 21])
+    gain = np.maximum(1 + options.gain_deviation * rng.standard_normal(options.flashes), _LEAST_GAIN)
+    gain /= gain.mean()
+    flashes, rooms, brightest = [], [], []
+    for c in range(options.views):
+        camera = intrinsics @ np.column_stack([rotations[c], translations[c]])
+        seen = person.seen(camera, centers[c], options.picture_size)
+        ambient = _room_light(person, seen, options.room)
+        rooms.append(seen.picture(ambient))
+        reach = options.distance_mm if options.falloff else None
+        for strength, position in zip(gain, centers[: options.flashes], strict=True):
+            radiance = ambient + strength * person.lit(seen, position, reference_distance_mm=reach)
+            flashes.append(seen.picture(radiance))
+            brightest.append(radiance[seen.on_face].max(1))
+    exposure = _exposure(np.concatenate(brightest), options.saturated_part)
+    subdivision = face_model.subdivision(options.levels)
+    count = subdivision.matrix.shape[0]
+    view = np.repeat(np.arange(options.views), options.flashes)
+    return FlashCapture(
+        flash=np.stack([_stored(exposure * picture, options, rng) for picture in flashes]),
+        room=np.stack([_stored(exposure * picture, options, rng) for picture in rooms])[view],
+        view=view,
+        light=np.tile(np.arange(options.flashes), options.views),
+        head_rotations=rotations,
+        head_translations=translations,
+        intrinsics=intrinsics,
+        # Vertices of coarser levels are the first ones of finer levels.
+        vertices=sitter.face.vertices[:count],
+        normals=sitter.normals[:count],
+        faces=subdivision.faces,
+        landmarks=sitter.face.landmarks,
+        diffuse_linear=person.diffuse_linear[:count],
+        weights=person.weights[:count],
+        exposure=exposure,
+        light_gain=gain,
+        options=options,
+    )
+
+
+def _head_poses(options: FlashCaptureOptions) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return rotations (P, 3, 3), translations (P, 3) and intrinsics (3, 3) of all places around the head."""
+    sides = np.linspace(-_SIDE_DEG, _SIDE_DEG, options.views) if options.views > 1 else [0.0]
+    places = [(float(azimuth), 0.0) for azimuth in sides]
+    places += _HIGH_FLASHES_DEG[: max(options.flashes - options.views, 0)]
+    size = options.picture_size
+    focal = size * options.distance_mm / (2 * options.reach_mm)
+    cameras = [
+        look_at(
+            _TARGET_MM + options.distance_mm * _toward(*place), _TARGET_MM, focal_px=focal, shape=(size, size)
+        )
+        for place in places
+    ]
+    middle = (size - 1) / 2
+    intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
+    poses = np.linalg.solve(intrinsics, np.stack(cameras))
+    return poses[:, :, :3], poses[:, :, 3], intrinsics
+
+
+def _toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = math.cos(elevation)
+    return np.array([math.sin(azimuth) * across, math.sin(elevation), math.cos(azimuth) * across])
+
+
+def _centers(rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    return -np.einsum("cji,cj->ci", rotations, translations)
+
+
+def _room_light(person: GlossyPerson, seen: SeenSurface, strength: float) -> FloatArray:
+    """Return the radiance (N, 3) under three lamps and light from everywhere, half each."""
+    lamps = [
+        person.lit(seen, _TARGET_MM + _ROOM_DISTANCE_MM * _toward(*lamp)) / len(_ROOM_LAMPS_DEG)
+        for lamp in _ROOM_LAMPS_DEG
+    ]
+    return strength * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
+
+
+def _exposure(brightest: FloatArray, saturated_part: float) -> float:
+    white = float(np.quantile(brightest, 1 - saturated_part)) if len(brightest) else 0.0
+    return 1 / white if white > 0 else 1.0
+
+
+def _stored(
+    linear: NDArray[np.float32], options: FlashCaptureOptions, rng: np.random.Generator
+) -> NDArray[np.generic]:
+    """Return the values of a picture."""
+    values = linear ** np.float32(1 / options.gamma)
+    values += np.float32(options.noise) * rng.standard_normal(values.shape, dtype=np.float32)
+    if options.bits is None:
+        return values
+    kind = np.uint8 if options.bits == 8 else np.uint16
+    return np.round(np.clip(values, 0, 1) * np.iinfo(kind).max).astype(kind)

@@ -1,0 +1,163 @@
+"""A synthetic person whose skin reflects as three Blinn-Phong lobes over Lambert, and how flashes light it.
+
+Radiance is written out here apart from `reflectance`, so that a fit is not judged by its own equation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
+from scan2albedo.synthetic.ray_scene import RayScene
+from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, Sitter
+from scan2albedo.synthetic.textures import smooth_noise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+EXPONENTS = (1, 8, 64)
+_WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
+"""Sums are about twice what skin reflects at normal incidence (0.028), as oily skin."""
+_SHINE_OF_PART = {FACE: 1.0, HAIR: 0.4, CLOTHES: 0.0}
+_SHINE_OF_HEAD = 0.8
+_OFFSET_MM = 0.15
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """Surface points (N) that a picture of S x S pixels shows."""
+
+    pixel: IntArray
+    """(N,) numbers of their pixels, row by row."""
+    size: int
+    position: FloatArray
+    """(N, 3) mm."""
+    normal: FloatArray
+    toward_camera: FloatArray
+    diffuse_linear: FloatArray
+    """(N, 3)."""
+    weights: FloatArray
+    """(N, 3)."""
+    on_face: BoolArray
+    """(N,)."""
+
+    def picture(self, radiance: FloatArray) -> NDArray[np.float32]:
+        """Return (S, S, 3), black where there is nothing."""
+        picture = np.zeros((self.size**2, 3), np.float32)
+        picture[self.pixel] = radiance
+        return picture.reshape(self.size, self.size, 3)
+
+
+@dataclass(frozen=True)
+class GlossyPerson:
+    """A person and the reflectance of the face's vertices.
+
+    Parameters
+    ----------
+    sitter : Sitter
+    diffuse_linear, weights : (V, 3) float64
+        At the vertices of ``sitter.face``, linear between them.
+    shown : (F,) int64
+        Faces of the sitter that are there.
+    scene : RayScene
+        Of these.
+    """
+
+    sitter: Sitter
+    diffuse_linear: FloatArray
+    weights: FloatArray
+    shown: IntArray
+    scene: RayScene
+
+    @classmethod
+    def of(cls, sitter: Sitter, *, hair: bool) -> GlossyPerson:
+        """Return the sitter with highlights drawn at random."""
+        shown = np.flatnonzero(hair | (sitter.part != HAIR))
+        face = sitter.face
+        uv = np.zeros((len(face.vertices), 2))
+        uv[face.faces.ravel()] = face.corner_uv.reshape(-1, 2)
+        return cls(
+            sitter,
+            sitter.face_albedo(uv),
+            _weights(sitter, uv),
+            shown,
+            RayScene(sitter.vertices, sitter.faces[shown]),
+        )
+
+    def seen(self, camera: FloatArray, center: FloatArray, size: int) -> SeenSurface:
+        """Return what a camera (3, 4) at `center` (3,) sees in a picture of `size` x `size` pixels."""
+        rays = pixel_directions(camera, pixel_grid((size, size)))
+        hits = self.scene.first_hit(np.broadcast_to(center, rays.shape), rays)
+        pixel = np.flatnonzero(hits.face >= 0)
+        face, barycentric = self.shown[hits.face[pixel]], hits.barycentric[pixel]
+        corners = self.sitter.faces[face]
+        on_face = self.sitter.part[face] == FACE
+        diffuse, weights = self._reflectance(face, barycentric, on_face)
+        return SeenSurface(
+            pixel,
+            size,
+            np.einsum("nk,nkc->nc", barycentric, self.sitter.vertices[corners]),
+            normalized(np.einsum("nk,nkc->nc", barycentric, self.sitter.normals[corners])),
+            -rays[pixel],
+            diffuse,
+            weights,
+            on_face,
+        )
+
+    def lit(
+        self, seen: SeenSurface, light: FloatArray, *, reference_distance_mm: float | None = None
+    ) -> FloatArray:
+        """Return the radiance (N, 3) under a light of unit strength at `light` (3,), with cast shadows.
+
+        V (c / pi max(0, n.l) + sum_k w_k (s_k + 2) / (8 pi) max(0, n.h)^s_k), falling off with the square of
+        the distance to 1 at `reference_distance_mm`, if that is given.
+        """
+        offset = light - seen.position
+        reach = np.linalg.norm(offset, axis=1)
+        toward = offset / reach[:, None]
+        n_l = np.einsum("nc,nc->n", seen.normal, toward)
+        facing = np.flatnonzero(n_l > 0)
+        start = seen.position[facing] + _OFFSET_MM * seen.normal[facing]
+        hidden = self.scene.occluded(start, toward[facing], reach[facing])
+        rows = facing[~hidden]
+        half = normalized(toward[rows] + seen.toward_camera[rows])
+        n_h = np.maximum(np.einsum("nc,nc->n", seen.normal[rows], half), 0.0)
+        gloss = np.zeros(len(rows))
+        for k, s in enumerate(EXPONENTS):
+            gloss += seen.weights[rows, k] * (s + 2) / (8 * np.pi) * n_h**s
+        strength = 1.0 if reference_distance_mm is None else (reference_distance_mm / reach[rows, None]) ** 2
+        radiance = np.zeros((len(reach), 3))
+        radiance[rows] = strength * (seen.diffuse_linear[rows] / np.pi * n_l[rows, None] + gloss[:, None])
+        return radiance
+
+    def _reflectance(
+        self, face: IntArray, barycentric: FloatArray, on_face: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return albedo and weights (N, 3) at points of the sitter's faces."""
+        diffuse, weights = np.empty((len(face), 3)), np.empty((len(face), 3))
+        corners = self.sitter.faces[face[on_face]]
+        for array, values in ((diffuse, self.diffuse_linear), (weights, self.weights)):
+            array[on_face] = np.einsum("nk,nkc->nc", barycentric[on_face], values[corners])
+        other = ~on_face
+        diffuse[other] = self.sitter.albedo_at(face[other], barycentric[other])
+        shine = [_SHINE_OF_PART.get(int(part), _SHINE_OF_HEAD) for part in self.sitter.part[face[other]]]
+        weights[other] = np.array(shine)[:, None] * self.weights.mean(0)
+        return diffuse, weights
+
+
+def _weights(sitter: Sitter, uv: FloatArray) -> FloatArray:
+    """Return (V, 3): the person's own means, patches of more and less shine, more on lips and nose."""
+    rng = np.random.default_rng([sitter.seed, 20])
+    mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
+    patches = np.exp(0.25 * np.stack([smooth_noise(uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
+    face = sitter.face
+    scale, faces = np.zeros(len(uv)), np.zeros(len(uv))
+    of_face = sitter.model.region_values("specular_scale")[face.region]
+    np.add.at(scale, face.faces.ravel(), np.repeat(of_face, 3))
+    np.add.at(faces, face.faces.ravel(), 1.0)
+    return mean * patches * (scale / np.maximum(faces, 1))[:, None]

@@ -1,0 +1,165 @@
+"""A synthetic flash capture holds what it says, and the reflectance fit finds it again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.pinhole import project
+from scan2albedo.reflectance import (
+    OlatOptions,
+    SamplingOptions,
+    extract_olat,
+    fit_reflectance,
+    point_light_lobes,
+    rig_of_head_poses,
+    sample_vertices,
+)
+from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
+
+FEW = FlashCaptureOptions(views=3, flashes=5, picture_size=192)
+CLEAN = replace(FEW, noise=0.0, bits=None, saturated_part=0.0, hair=False)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return flash_capture(3, options=CLEAN)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return flash_capture(3, options=FEW)
+
+
+def rig_of(capture):
+    return rig_of_head_poses(
+        capture.head_rotations,
+        capture.head_translations,
+        capture.intrinsics,
+        view=capture.view,
+        flash=capture.light,
+    )
+
+
+def samples_of(capture, noise=0.01):
+    olat = extract_olat(capture.flash, capture.room, options=OlatOptions(noise=noise, saturation=0.98))
+    options = SamplingOptions(
+        reference_distance_mm=capture.options.distance_mm if capture.options.falloff else None
+    )
+    return sample_vertices(
+        olat, rig_of(capture), capture.vertices, capture.faces, normals=capture.normals, options=options
+    )
+
+
+def relative_rmse(found, truth):
+    return float(np.sqrt(np.mean((found - truth) ** 2) / np.mean(truth**2)))
+
+
+def test_pictures_are_eight_bits_and_some_are_saturated(noisy):
+    assert noisy.flash.dtype == np.uint8
+    assert noisy.flash.shape == noisy.room.shape == (15, 192, 192, 3)
+    clipped = (noisy.flash == 255).any(-1).mean()
+    assert 1e-5 < clipped < 0.01
+    assert (noisy.flash.astype(int).sum() > noisy.room.astype(int).sum())
+    assert noisy.room.max() > 20
+
+
+def test_flashes_stand_where_cameras_do_and_two_above(clean):
+    rig = rig_of(clean)
+    assert np.allclose(rig.cameras, clean.cameras)
+    centers = rig.camera_positions[:: clean.options.flashes]
+    assert clean.light_positions[:3] == pytest.approx(centers)
+    assert (clean.light_positions[3:, 1] > 300).all()
+    offsets = clean.light_positions - np.array([0, 0, -5.0])
+    assert np.linalg.norm(offsets, axis=1) == pytest.approx(np.full(5, clean.options.distance_mm))
+
+
+def test_colours_at_vertices_are_what_the_lobes_say(clean):
+    """The renderer and the fit's lobes were written apart; on smooth skin they meet within sampling error."""
+    samples = samples_of(clean, noise=1e-3)
+    lobes = point_light_lobes(
+        clean.vertices,
+        clean.normals,
+        rig_of(clean).camera_positions,
+        rig_of(clean).light_positions,
+        reference_distance_mm=clean.options.distance_mm,
+    )
+    assert np.allclose(lobes, samples.lobes)
+    foretold = (
+        lobes[..., :1] * clean.diffuse_linear
+        + np.einsum("jvs,vs->jv", lobes[..., 1:], clean.weights)[..., None]
+    )
+    error = np.abs(samples.observed / clean.exposure - foretold)[samples.valid]
+    scale = float(np.sqrt(np.mean(foretold[samples.valid] ** 2)))
+    assert np.median(error) < 0.015 * scale
+    assert np.percentile(error, 90) < 0.09 * scale
+
+
+def test_landmarks_and_vertices_are_in_the_frame_of_the_cameras(clean):
+    for camera in clean.cameras[:: clean.options.flashes]:
+        pixels, depth = project(camera, clean.vertices)
+        assert (depth > 700).all()
+        assert ((pixels > 0) & (pixels < clean.options.picture_size)).all()
+    nearest = np.linalg.norm(clean.landmarks[:, None] - clean.vertices[None], axis=2).min(1)
+    assert nearest.max() < 3.0
+
+
+def test_a_fit_finds_the_reflectance_again(noisy):
+    fit = fit_reflectance(samples_of(noisy))
+    known = fit.reflectance.known & (fit.pair_count >= 6)
+    found = fit.reflectance.diffuse_linear[known] / noisy.exposure
+    assert known.mean() > 0.6
+    assert np.median(np.abs(found / noisy.diffuse_linear[known] - 1)) < 0.045
+    assert relative_rmse(found, noisy.diffuse_linear[known]) < 0.16
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.slow
+def test_gains_of_flashes_are_in_the_pictures():
+    options = replace(CLEAN, views=1, flashes=3, gain_deviation=0.3, room=0.0, picture_size=64)
+    varied, even = (
+        flash_capture(1, options=options),
+        flash_capture(1, options=replace(options, gain_deviation=0)),
+    )
+    assert varied.light_gain.mean() == pytest.approx(1)
+    assert np.ptp(varied.light_gain) > 0.1
+    for k, gain in enumerate(varied.light_gain):
+        light = [c.flash[k] ** c.options.gamma / c.exposure for c in (varied, even)]
+        assert np.allclose(light[0], gain * light[1], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_same_seed_same_bits_and_other_seed_other_person():
+    options = replace(FEW, views=1, flashes=1, picture_size=48, levels=1)
+    one, again, other = (flash_capture(seed, options=options) for seed in (5, 5, 6))
+    assert (one.flash == again.flash).all()
+    assert (one.diffuse_linear == again.diffuse_linear).all()
+    assert not np.allclose(one.vertices, other.vertices)
+
+
+@pytest.mark.slow
+def test_vertices_of_coarse_meshes_are_those_of_fine_ones():
+    options = replace(FEW, views=1, flashes=1, picture_size=32)
+    coarse, fine = (flash_capture(2, options=replace(options, levels=k)) for k in (1, 2))
+    count = len(coarse.vertices)
+    assert (coarse.vertices == fine.vertices[:count]).all()
+    assert (coarse.weights == fine.weights[:count]).all()
+    assert coarse.faces.max() == count - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"views": 0}, "views is 0"),
+        ({"flashes": 6, "views": 3}, "6 flashes and 3 views"),
+        ({"bits": 12}, "bits is 12"),
+        ({"saturated_part": 1.0}, "saturated_part"),
+        ({"gamma": 0.0}, "gamma"),
+        ({"noise": -1.0}, "noise"),
+        ({"levels": 4}, "levels"),
+        ({"distance_mm": float("nan")}, "distance_mm"),
+    ],
+)
+def test_options_out_of_range_are_refused(change, told):
+    with pytest.raises(ValueError, match=told):
+        replace(FEW, **change)
