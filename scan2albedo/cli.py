@@ -23,6 +23,7 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments_cli import app as experiments_app
 from scan2albedo.glasses_cli import app as glasses_app
 from scan2albedo.identification_cli import identify
+from scan2albedo.reflectance_cli import app as reflectance_app
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -33,6 +34,7 @@ app = typer.Typer(
 
 app.add_typer(glasses_app, name="glasses")
 app.add_typer(experiments_app, name="experiment")
+app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
 

@@ -21,9 +21,12 @@ from scan2albedo.io.application_json import ApplicationRecord
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
 from scan2albedo.io.identification_json import IdentificationRecord
 from scan2albedo.io.lens_json import LensesRecord
+from scan2albedo.io.reflectance_json import ReflectanceRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
+from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from scan2albedo.reflectance.model_files import ReflectanceModelHeader
+from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
@@ -43,6 +46,9 @@ RECORDS: dict[str, type[BaseModel]] = {
     "eyeglasses_lenses": LensesRecord,
     "template_set": TemplatesHeader,
     "reflectance_model": ReflectanceModelHeader,
+    "reflectance_result": ReflectanceRecord,
+    "mesh_reflectance": MeshReflectanceHeader,
+    "flash_capture": FlashCaptureFile,
 }
 
 

@@ -38,18 +38,44 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
         When the file is missing, unreadable, damaged or holds NaN; the message names it.
     """
     file = Path(path)
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
+    data = _file_bytes(file)
     if data[:4] == _EXR_MAGIC:
         return _checked_float(_exr_rgb(file), file)
     pixels = _decode_pixels(data, file)
     if pixels.dtype in (np.uint8, np.uint16):
         return decode_srgb_integers(cast("NDArray[np.uint8]", pixels))
     if pixels.dtype.kind != "f":
-        raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
+        raise _wrong_samples(pixels, file)
     return _checked_float(pixels, file)
+
+
+def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
+    """Read the samples of an image as they are stored, (H, W, 3) RGB, nothing decoded; floats may be NaN.
+
+    Raises
+    ------
+    ScanError
+        When the file is missing, unreadable or damaged; the message names it.
+    """
+    file = Path(path)
+    data = _file_bytes(file)
+    pixels = _exr_rgb(file) if data[:4] == _EXR_MAGIC else _decode_pixels(data, file)
+    if pixels.dtype in (np.uint8, np.uint16):
+        return cast("NDArray[np.uint8]", pixels)
+    if pixels.dtype.kind != "f":
+        raise _wrong_samples(pixels, file)
+    return np.ascontiguousarray(pixels, np.float32)
+
+
+def _file_bytes(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
+
+
+def _wrong_samples(pixels: NDArray[np.generic], file: Path) -> ScanError:
+    return ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
 
 
 def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:

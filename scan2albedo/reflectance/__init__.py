@@ -1,5 +1,6 @@
 """Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
 
+from scan2albedo.reflectance.capture_files import CaptureFiles, read_capture, write_capture
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
 from scan2albedo.reflectance.environment_shading import EnvironmentShading, shade_environment
 from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
@@ -12,6 +13,7 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
+from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
 from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
 from scan2albedo.reflectance.vertex_fit import fit_reflectance
@@ -22,6 +24,7 @@ __all__ = [
     "EXPONENTS",
     "PARAMETERS",
     "CaptureDiagnostic",
+    "CaptureFiles",
     "CaptureRig",
     "EnvironmentShading",
     "FineTuneOptions",
@@ -30,6 +33,7 @@ __all__ = [
     "ImageFitOptions",
     "ImageObservation",
     "LightingModel",
+    "MeshReflectance",
     "ModelReflectance",
     "MorphableReflectanceModel",
     "OlatImages",
@@ -50,9 +54,13 @@ __all__ = [
     "lobe_weights_of_phong",
     "point_light_lobes",
     "point_light_radiance",
+    "read_capture",
+    "read_reflectance",
     "reflectance_from_albedo",
     "relighting_error",
     "rig_of_head_poses",
     "sample_vertices",
     "shade_environment",
+    "write_capture",
+    "write_reflectance",
 ]

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
 
@@ -58,8 +54,6 @@ def write_model(path: str | Path, model: MorphableReflectanceModel) -> None:
     OutputError
         When the file cannot be written.
     """
-    if Path(path).suffix != ".npz":
-        raise ValueError(f"reflectance models are written as .npz, got {Path(path).name}")
     header = ReflectanceModelHeader(
         exponents=EXPONENTS,
         samples=model.samples,
@@ -68,8 +62,7 @@ def write_model(path: str | Path, model: MorphableReflectanceModel) -> None:
         total_variance=model.total_variance,
     )
     arrays = {name: getattr(model, name) for name in _ARRAYS}
-    with atomic_path(path) as temporary:
-        np.savez(temporary, header=np.array(header.model_dump_json()), **arrays)
+    write_checked_npz(path, header, arrays, what="reflectance model")
 
 
 def read_model(path: str | Path) -> MorphableReflectanceModel:
@@ -80,25 +73,19 @@ def read_model(path: str | Path) -> MorphableReflectanceModel:
     ReflectanceError
         When the file is missing, damaged or something else; names it.
     """
-    arrays = _read_arrays(path)
-    try:
-        header = ReflectanceModelHeader.model_validate_json(str(arrays.pop("header")))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the header"
-        raise ReflectanceError(
-            f"reflectance model {path}: {where}: {first['msg']} ({error.error_count()} problems); expected a "
-            "header as in data_schemas/reflectance_model.schema.json"
-        ) from error
+    header, arrays = read_checked_npz(
+        path,
+        ReflectanceModelHeader,
+        _ARRAYS,
+        what="reflectance model",
+        writer="MorphableReflectanceModel.save",
+        schema="reflectance_model.schema.json",
+        error=ReflectanceError,
+    )
     if header.exponents != EXPONENTS:
         raise ReflectanceError(
             f"reflectance model {path} has lobes of exponents {header.exponents}, expected {EXPONENTS}"
         )
-    for name, kinds in _ARRAYS.items():
-        if arrays[name].dtype.kind not in kinds:
-            raise ReflectanceError(
-                f"reflectance model {path}: {name} holds {arrays[name].dtype}; write it again"
-            )
     found = arrays["deviation"].shape, arrays["known"].shape
     if found != ((header.components,), (header.vertices,)):
         raise ReflectanceError(
@@ -111,14 +98,3 @@ def read_model(path: str | Path) -> MorphableReflectanceModel:
         )
     except ReflectanceError as error:
         raise ReflectanceError(f"{path}: {error}; write the file again") from error
-
-
-def _read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
-            return {name: file[name] for name in ("header", *_ARRAYS)}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
-        raise ReflectanceError(
-            f"reflectance model {path} cannot be read ({' '.join(str(error).split())}); give a file that "
-            "MorphableReflectanceModel.save wrote"
-        ) from error

@@ -115,6 +115,8 @@ class FlashCapture:
         Values with a flash in the room's light; flashes run fastest.
     room : (J, S, S, 3)
         In the room's light alone, one picture a view, repeated.
+    skin : (J, S, S) bool
+        Pixels that show the face, and not hair.
     view, light : (J,) int64
         Numbers of the cameras that took, and of the flashes that lit them.
     head_rotations, head_translations : (P, 3, 3), (P, 3) float64
@@ -136,6 +138,7 @@ class FlashCapture:
 
     flash: NDArray[np.generic]
     room: NDArray[np.generic]
+    skin: NDArray[np.bool_]
     view: IntArray
     light: IntArray
     head_rotations: FloatArray
@@ -202,12 +205,13 @@ def flash_capture(
     rng = np.random.default_rng([seed, 21])
     gain = np.maximum(1 + options.gain_deviation * rng.standard_normal(options.flashes), _LEAST_GAIN)
     gain /= gain.mean()
-    flashes, rooms, brightest = [], [], []
+    flashes, rooms, skin, brightest = [], [], [], []
     for c in range(options.views):
         camera = intrinsics @ np.column_stack([rotations[c], translations[c]])
         seen = person.seen(camera, centers[c], options.picture_size)
         ambient = _room_light(person, seen, options.room)
         rooms.append(seen.picture(ambient))
+        skin.append(seen.picture(np.repeat(seen.on_face[:, None], 3, axis=1))[..., 0] > 0)
         reach = options.distance_mm if options.falloff else None
         for strength, position in zip(gain, centers[: options.flashes], strict=True):
             radiance = ambient + strength * person.lit(seen, position, reference_distance_mm=reach)
@@ -220,6 +224,7 @@ def flash_capture(
     return FlashCapture(
         flash=np.stack([_stored(exposure * picture, options, rng) for picture in flashes]),
         room=np.stack([_stored(exposure * picture, options, rng) for picture in rooms])[view],
+        skin=np.stack(skin)[view],
         view=view,
         light=np.tile(np.arange(options.flashes), options.views),
         head_rotations=rotations,

@@ -60,7 +60,7 @@ def test_pictures_are_eight_bits_and_some_are_saturated(noisy):
     assert noisy.flash.shape == noisy.room.shape == (15, 192, 192, 3)
     clipped = (noisy.flash == 255).any(-1).mean()
     assert 1e-5 < clipped < 0.01
-    assert (noisy.flash.astype(int).sum() > noisy.room.astype(int).sum())
+    assert noisy.flash.astype(int).sum() > noisy.room.astype(int).sum()
     assert noisy.room.max() > 20
 
 

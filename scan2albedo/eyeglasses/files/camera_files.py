@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.eyeglasses.files.checked_files import read_checked
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import read_checked
 from scan2albedo.io.units import MM_PER_UNIT
 
 FloatArray = NDArray[np.float64]
@@ -160,6 +161,11 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
         file and the camera.
     """
     content = read_checked(
-        path, CamerasFile, what="cameras", writer="write_cameras", schema="cameras.schema.json"
+        path,
+        CamerasFile,
+        what="cameras",
+        writer="write_cameras",
+        schema="cameras.schema.json",
+        error=EyeglassesError,
     )
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.eyeglasses.files.checked_files import read_checked
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import read_checked
 
 FloatArray = NDArray[np.float64]
 
@@ -98,6 +99,7 @@ def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
         what="key points",
         writer="write_keypoints",
         schema="eyeglasses_keypoints.schema.json",
+        error=EyeglassesError,
     )
     nothing = (np.nan, np.nan, np.nan)
     points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)

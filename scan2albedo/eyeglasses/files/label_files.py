@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.files.camera_files import CameraName, refuse_equal_names
-from scan2albedo.eyeglasses.files.checked_files import read_checked
 from scan2albedo.eyeglasses.files.keypoint_files import refuse_strange_names
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import read_checked
 
 FloatArray = NDArray[np.float64]
 
@@ -125,7 +125,12 @@ def read_labels(path: str | Path) -> ViewLabels:
         When the file cannot be read or is no label file; names the file and its first fault.
     """
     content = read_checked(
-        path, LabelsFile, what="labels", writer="write_labels", schema="eyeglasses_labels.schema.json"
+        path,
+        LabelsFile,
+        what="labels",
+        writer="write_labels",
+        schema="eyeglasses_labels.schema.json",
+        error=EyeglassesError,
     )
     nothing = (np.nan, np.nan)
     pixels = [[view.get(name) or nothing for name in KEY_POINT_NAMES] for view in content.views.values()]

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.eyeglasses.files.checked_files import read_checked
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import read_checked
 from scan2albedo.io.result_json import Matrix, plain_json
 from scan2albedo.io.units import MM_PER_UNIT
 
@@ -68,7 +69,12 @@ def read_start(path: str | Path) -> FloatArray:
         When the file cannot be read or holds no rigid transform; names it.
     """
     content = read_checked(
-        path, StartFile, what="start", writer="write_start", schema="eyeglasses_start.schema.json"
+        path,
+        StartFile,
+        what="start",
+        writer="write_start",
+        schema="eyeglasses_start.schema.json",
+        error=EyeglassesError,
     )
     pose = np.array(content.world_from_glasses)
     pose[:3, 3] *= MM_PER_UNIT[content.unit]

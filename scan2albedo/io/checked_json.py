@@ -7,12 +7,20 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.errors import Scan2AlbedoError
 
 Content = TypeVar("Content", bound=BaseModel)
 
 
-def read_checked(path: str | Path, kind: type[Content], *, what: str, writer: str, schema: str) -> Content:
+def read_checked(
+    path: str | Path,
+    kind: type[Content],
+    *,
+    what: str,
+    writer: str,
+    schema: str,
+    error: type[Scan2AlbedoError],
+) -> Content:
     """Return the content of a JSON file of the given kind.
 
     Parameters
@@ -25,24 +33,26 @@ def read_checked(path: str | Path, kind: type[Content], *, what: str, writer: st
         Function that writes such files.
     schema : str
         File in data_schemas.
+    error : type of Scan2AlbedoError
+        To raise.
 
     Raises
     ------
-    EyeglassesError
-        When the file cannot be read or does not fit.
+    Scan2AlbedoError
+        Of the given type, when the file cannot be read or does not fit.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise EyeglassesError(f"{what} {path}: {error.strerror}; give a file that {writer} wrote") from error
-    except UnicodeDecodeError as error:
-        raise EyeglassesError(f"{what} {path} is no text file; give a JSON file") from error
+    except OSError as cause:
+        raise error(f"{what} {path}: {cause.strerror or cause}; give a file that {writer} wrote") from cause
+    except UnicodeDecodeError as cause:
+        raise error(f"{what} {path} is no text file; give a JSON file") from cause
     try:
         return kind.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
+    except ValidationError as cause:
+        first = cause.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise EyeglassesError(
-            f"{what} {path}: {where}: {first['msg']} ({error.error_count()} problems); expected "
+        raise error(
+            f"{what} {path}: {where}: {first['msg']} ({cause.error_count()} problems); expected "
             f"data_schemas/{schema}"
-        ) from error
+        ) from cause

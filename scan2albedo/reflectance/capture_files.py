@@ -1,0 +1,232 @@
+"""`capture.json`: which pictures were taken, from where, lit by which flash, of which mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from scan2albedo.errors import ReflectanceError, ScanError
+from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import read_checked
+from scan2albedo.io.images import read_image_values
+from scan2albedo.io.load_scan import read_mesh_file
+from scan2albedo.io.units import MM_PER_UNIT
+from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
+from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Row = tuple[float, float, float]
+Matrix = tuple[Row, Row, Row]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PoseEntry(_Part):
+    """Where the head was before one camera: x_cam = R x + t. The flash of that name stands there, too."""
+
+    name: str = Field(min_length=1)
+    rotation: Matrix = Field(description="R, row-major, proper.")
+    translation: Row = Field(description="t, in `unit`.")
+    intrinsics: Matrix | None = Field(None, description="Of this camera, instead of the common ones.")
+    mask: str | None = Field(
+        None,
+        description="Image, bright where this camera sees skin; null: no mask. Relative to this file.",
+    )
+
+
+class PairEntry(_Part):
+    """Two pictures of one camera."""
+
+    camera: str = Field(description="Name of the pose from which they were taken.")
+    flash: str = Field(description="Name of the pose where the flash stood.")
+    flash_image: str = Field(description="With the flash; relative to this file.")
+    room_image: str = Field(description="In the room's light alone; may be the same for several pairs.")
+
+
+class FlashCaptureFile(_Part):
+    """The content of a capture file."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, title="scan2albedo flash capture"
+    )
+
+    format: Literal["scan2albedo flash capture"] = "scan2albedo flash capture"
+    format_version: Literal[1] = 1
+    unit: Literal["mm", "cm", "m"] = "mm"
+    mesh: str = Field(
+        description="OBJ, PLY, GLB, STL or OFF; relative to this file; vertices keep their order."
+    )
+    gamma: float = Field(1.2, gt=0, description="Light is value^gamma.")
+    noise: float = Field(0.01, gt=0, description="Standard deviation of the values, white = 1.")
+    saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
+    falloff_distance: float | None = Field(
+        None, gt=0, description="Flashes fall off with the square of their distance, to 1 here; null: not."
+    )
+    flash_strength: float = Field(
+        1.0, gt=0, description="Light of value 1 comes of reflectance 1 / this; 1 leaves the scale unknown."
+    )
+    intrinsics: Matrix | None = Field(
+        None, description="Pixels (column, row), centres at integers, from camera coordinates."
+    )
+    poses: tuple[PoseEntry, ...] = Field(min_length=1)
+    pictures: tuple[PairEntry, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _complete(self) -> FlashCaptureFile:
+        names = [pose.name for pose in self.poses]
+        if len(set(names)) < len(names):
+            raise ValueError("two poses have one name; give each a name of its own")
+        for number, pair in enumerate(self.pictures):
+            for key in ("camera", "flash"):
+                if getattr(pair, key) not in names:
+                    raise ValueError(f"pictures.{number}: its {key} {getattr(pair, key)!r} is no pose's name")
+        lacking = [pose.name for pose in self.poses if (pose.intrinsics or self.intrinsics) is None]
+        if lacking:
+            raise ValueError(f"pose {lacking[0]!r} has no intrinsics; give them there or for all")
+        return self
+
+
+@dataclass(frozen=True)
+class CaptureFiles:
+    """A capture as a file tells it; pictures are read when they are asked for.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    content : FlashCaptureFile
+    rig : CaptureRig
+        Millimetres.
+    vertices, faces : (V, 3) float64, (F, 3) int64
+        Of the mesh, mm.
+    """
+
+    path: Path
+    content: FlashCaptureFile
+    rig: CaptureRig
+    vertices: FloatArray
+    faces: IntArray
+
+    @property
+    def reference_distance_mm(self) -> float | None:
+        """Where the flashes have fallen off to 1, None when they do not fall off."""
+        distance = self.content.falloff_distance
+        return None if distance is None else distance * MM_PER_UNIT[self.content.unit]
+
+    def pair_names(self) -> tuple[str, ...]:
+        """Return camera and flash of each pair."""
+        return tuple(f"{pair.camera} lit by {pair.flash}" for pair in self.content.pictures)
+
+    def extract_olat(self) -> OlatImages:
+        """Read the pictures and subtract the room's light; what is no skin is not valid.
+
+        Raises
+        ------
+        ScanError
+            When a picture is missing or damaged; names it.
+        ReflectanceError
+            As `reflectance.extract_olat`, and when pictures differ in size.
+        """
+        folder = self.path.parent
+        rooms: dict[str, NDArray[np.generic]] = {}
+        for pair in self.content.pictures:
+            if pair.room_image not in rooms:
+                rooms[pair.room_image] = read_image_values(folder / pair.room_image)
+        flashes = [read_image_values(folder / pair.flash_image) for pair in self.content.pictures]
+        lit_by_room = [rooms[pair.room_image] for pair in self.content.pictures]
+        self._refuse_sizes(flashes, lit_by_room)
+        content = self.content
+        options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
+        olat = extract_olat(flashes, lit_by_room, options=options)
+        return self._masked(olat)
+
+    def _masked(self, olat: OlatImages) -> OlatImages:
+        poses = {pose.name: pose for pose in self.content.poses}
+        masks: dict[str, NDArray[np.bool_]] = {}
+        valid = olat.valid
+        for j, pair in enumerate(self.content.pictures):
+            name = poses[pair.camera].mask
+            if name is None:
+                continue
+            if name not in masks:
+                masks[name] = self._read_mask(name, valid.shape[1:3])
+            valid[j] &= masks[name][..., None]
+        return replace(olat, valid=valid, linear=np.where(valid, olat.linear, np.float32(0)))
+
+    def _read_mask(self, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        values = read_image_values(self.path.parent / name)
+        if values.shape[:2] != shape:
+            height, width = values.shape[:2]
+            raise ReflectanceError(
+                f"capture {self.path}: the mask {name} is {width} x {height} pixels and the pictures are "
+                f"{shape[1]} x {shape[0]}; all must have one size"
+            )
+        return np.asarray(values.max(-1) > values.max() / 2, np.bool_)
+
+    def _refuse_sizes(self, flashes: list[NDArray], rooms: list[NDArray]) -> None:
+        first = flashes[0].shape[:2]
+        for pair, lit, ambient in zip(self.content.pictures, flashes, rooms, strict=True):
+            for name, picture in ((pair.flash_image, lit), (pair.room_image, ambient)):
+                if picture.shape[:2] != first:
+                    height, width = picture.shape[:2]
+                    raise ReflectanceError(
+                        f"capture {self.path}: {name} is {width} x {height} pixels and "
+                        f"{self.content.pictures[0].flash_image} {first[1]} x {first[0]}; all must have one "
+                        "size"
+                    )
+
+
+def read_capture(path: str | Path) -> CaptureFiles:
+    """Read a capture file and its mesh, but no pictures.
+
+    Raises
+    ------
+    ReflectanceError
+        When the file does not fit or a pose is none; names it and the first fault.
+    ScanError
+        When the mesh cannot be read.
+    """
+    file = Path(path)
+    content = read_checked(
+        file,
+        FlashCaptureFile,
+        what="capture",
+        writer="write_capture",
+        schema="flash_capture.schema.json",
+        error=ReflectanceError,
+    )
+    mesh = read_mesh_file(file.parent / content.mesh)
+    if not len(mesh.faces):
+        raise ScanError(f"{file.parent / content.mesh}: holds no triangles; export the mesh again")
+    scale, number = MM_PER_UNIT[content.unit], {pose.name: k for k, pose in enumerate(content.poses)}
+    common = content.intrinsics
+    try:
+        rig = rig_of_head_poses(
+            [pose.rotation for pose in content.poses],
+            [np.multiply(pose.translation, scale) for pose in content.poses],
+            np.array([pose.intrinsics or common for pose in content.poses], np.float64),
+            view=[number[pair.camera] for pair in content.pictures],
+            flash=[number[pair.flash] for pair in content.pictures],
+        )
+    except ReflectanceError as error:
+        raise ReflectanceError(f"capture {file}: {error}") from error
+    return CaptureFiles(file, content, rig, np.asarray(mesh.vertices, np.float64) * scale, mesh.faces)
+
+
+def write_capture(path: str | Path, content: FlashCaptureFile) -> None:
+    """Write a capture file, whole or not at all; pictures and mesh are the caller's.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    write_text(path, content.model_dump_json(indent=1) + "\n")

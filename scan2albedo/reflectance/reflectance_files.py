@@ -1,0 +1,134 @@
+"""Reflectance of a mesh's vertices as NPZ files with a header."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
+from scan2albedo.reflectance.fit_result import ReflectanceFit
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_ARRAYS = {"vertices": "f", "faces": "iu", "known": "b", "diffuse_linear": "f", "weights": "f"}
+_OF_A_FIT = {
+    "std": "f",
+    "low": "f",
+    "high": "f",
+    "pair_count": "iu",
+    "condition": "f",
+    "activation": "f",
+    "identifiability": "f",
+    "identified": "b",
+    "misfit": "f",
+    "light_gain": "f",
+}
+"""What else a fit's file holds; NaN where a vertex is not known."""
+
+
+@dataclass(frozen=True)
+class MeshReflectance:
+    """The reflectance of the vertices of a mesh.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+        Millimetres.
+    faces : (F, 3) int64
+    reflectance : VertexReflectance
+        Of V vertices.
+
+    Raises
+    ------
+    ReflectanceError
+        When shapes disagree, vertices are not finite, or faces point outside them.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    reflectance: VertexReflectance
+
+    def __post_init__(self) -> None:
+        vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces)
+        count = len(self.reflectance.known)
+        if vertices.shape != (count, 3) or not np.isfinite(vertices).all():
+            raise ReflectanceError(f"vertices is {vertices.shape}, expected finite numbers ({count}, 3)")
+        if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
+            raise ReflectanceError(f"faces is {faces.dtype} {faces.shape}, expected integers (F, 3)")
+        if faces.size and (faces.min() < 0 or faces.max() >= count):
+            raise ReflectanceError(f"faces point outside the {count} vertices")
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces.astype(np.int64))
+
+
+class MeshReflectanceHeader(BaseModel):
+    """The text "header" in a file of a mesh's reflectance, as JSON.
+
+    Beside it stand vertices (V, 3) in mm, faces (F, 3), known (V,), diffuse_linear (V, 3) and weights (V, 3);
+    in that of a fit also std, low, high, identifiability and identified (V, 6), pair_count, condition and
+    misfit (V,), activation (V, 3) and light_gain (L, 3).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo reflectance of a mesh")
+
+    format: Literal["scan2albedo mesh reflectance"] = "scan2albedo mesh reflectance"
+    format_version: Literal[1] = 1
+    exponents: tuple[float, float, float] = Field(description="Of the Blinn-Phong lobes, in their order.")
+    vertices: int = Field(ge=1, description="V.")
+    faces: int = Field(ge=0, description="F.")
+
+
+def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: ReflectanceFit | None = None) -> None:
+    """Write a mesh's reflectance as an .npz file, whole or not at all, with the figures of its fit if given.
+
+    Raises
+    ------
+    ValueError
+        When the name does not end in .npz.
+    OutputError
+        When the file cannot be written.
+    """
+    one = mesh.reflectance
+    header = MeshReflectanceHeader(exponents=EXPONENTS, vertices=len(mesh.vertices), faces=len(mesh.faces))
+    arrays = dict(
+        zip(_ARRAYS, (mesh.vertices, mesh.faces, one.known, one.diffuse_linear, one.weights), strict=True)
+    )
+    if fit is not None:
+        arrays |= {name: getattr(fit, name) for name in _OF_A_FIT}
+    write_checked_npz(path, header, arrays, what="reflectance")
+
+
+def read_reflectance(path: str | Path) -> MeshReflectance:
+    """Read a mesh's reflectance.
+
+    Raises
+    ------
+    ReflectanceError
+        When the file is missing, damaged or something else; names it.
+    """
+    header, arrays = read_checked_npz(
+        path,
+        MeshReflectanceHeader,
+        _ARRAYS,
+        what="reflectance",
+        writer="write_reflectance",
+        schema="mesh_reflectance.schema.json",
+        error=ReflectanceError,
+    )
+    if header.exponents != EXPONENTS:
+        raise ReflectanceError(
+            f"reflectance {path} has lobes of exponents {header.exponents}, expected {EXPONENTS}"
+        )
+    try:
+        reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
+        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance)
+    except ReflectanceError as error:
+        raise ReflectanceError(f"reflectance {path}: {error}; write the file again") from error

@@ -1,0 +1,135 @@
+"""Captures as files: what is written is read again, and what is wrong is named."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError, ScanError
+from scan2albedo.reflectance import read_capture
+from scan2albedo.reflectance_demo import write_synthetic_capture
+from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return flash_capture(4, options=FlashCaptureOptions(views=2, flashes=3, picture_size=64, levels=1))
+
+
+@pytest.fixture(scope="module")
+def written(capture, tmp_path_factory):
+    return write_synthetic_capture(capture, tmp_path_factory.mktemp("capture"))
+
+
+@pytest.fixture
+def folder(written, tmp_path):
+    """A copy to spoil."""
+    shutil.copytree(written.parent, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def changed(folder, change):
+    file = folder / "capture.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+    return file
+
+
+def test_what_is_written_is_read_again(capture, written):
+    read = read_capture(written)
+    assert np.allclose(read.rig.cameras, capture.cameras, atol=1e-9)
+    assert np.allclose(read.rig.light_positions, capture.light_positions[capture.light])
+    assert np.allclose(read.vertices, capture.vertices, atol=1e-4)
+    assert (read.faces == capture.faces).all()
+    assert read.reference_distance_mm == capture.options.distance_mm
+    assert read.content.flash_strength == capture.exposure
+    olat = read.extract_olat()
+    assert olat.linear.shape == (6, 64, 64, 3)
+    assert not olat.valid[~capture.skin].any()
+    assert olat.valid[capture.skin].mean() > 0.9
+
+
+def test_unit_of_the_file_is_that_of_mesh_poses_and_falloff(folder, capture):
+    def to_metres(content):
+        content["unit"] = "m"
+        content["falloff_distance"] /= 1000
+        for pose in content["poses"]:
+            pose["translation"] = [x / 1000 for x in pose["translation"]]
+
+    changed(folder, to_metres)
+    import trimesh
+
+    mesh = trimesh.load(folder / "face.ply", process=False)
+    trimesh.Trimesh(mesh.vertices / 1000, mesh.faces, process=False).export(folder / "face.ply")
+    read = read_capture(folder / "capture.json")
+    assert np.allclose(read.vertices, capture.vertices, atol=1e-3)
+    assert np.allclose(read.rig.camera_positions, capture_positions(capture), atol=1e-6)
+    assert read.reference_distance_mm == pytest.approx(1000)
+
+
+def capture_positions(capture):
+    return -np.einsum("cji,cj->ci", capture.head_rotations, capture.head_translations)[capture.view]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: c.pop("mesh"), "mesh: Field required"),
+        (lambda c: c.update(gamma=-1), "gamma"),
+        (lambda c: c["pictures"][2].update(flash="moon"), "pictures.2: its flash 'moon' is no pose's name"),
+        (lambda c: c["poses"][1].update(name="place_00"), "two poses have one name"),
+        (lambda c: c.update(intrinsics=None), "'place_00' has no intrinsics"),
+        (lambda c: c["poses"][0].update(rotation=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "rotation"),
+        (lambda c: c.update(pictures=[]), "pictures"),
+        (lambda c: c.update(lens="wide"), "lens"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused_by_name(folder, change, told):
+    file = changed(folder, change)
+    with pytest.raises(ReflectanceError, match=told) as raised:
+        read_capture(file)
+    assert "capture.json" in str(raised.value)
+
+
+def test_a_file_that_is_no_capture_is_refused(tmp_path):
+    (tmp_path / "capture.json").write_text("{")
+    with pytest.raises(ReflectanceError, match=r"flash_capture\.schema\.json"):
+        read_capture(tmp_path / "capture.json")
+    with pytest.raises(ReflectanceError, match="No such file"):
+        read_capture(tmp_path / "none.json")
+
+
+def test_missing_mesh_and_picture_are_named(folder):
+    (folder / "flash_01_02.png").unlink()
+    with pytest.raises(ScanError, match=r"flash_01_02\.png"):
+        read_capture(folder / "capture.json").extract_olat()
+    (folder / "face.ply").unlink()
+    with pytest.raises(ScanError, match=r"face\.ply"):
+        read_capture(folder / "capture.json")
+
+
+@pytest.mark.parametrize("name", ["room_01.png", "flash_00_01.png", "skin_01.png"])
+def test_pictures_of_another_size_are_named(folder, name):
+    cv2.imwrite(str(folder / name), np.full((10, 20, 3), 90, np.uint8))
+    with pytest.raises(ReflectanceError, match=f"{name} is 20 x 10 pixels"):
+        read_capture(folder / "capture.json").extract_olat()
+
+
+def test_sixteen_bits_hold_what_eight_do(folder):
+    before = read_capture(folder / "capture.json").extract_olat()
+    for file in [*folder.glob("flash_*.png"), *folder.glob("room_*.png")]:
+        picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(file), picture.astype(np.uint16) * 257)
+    after = read_capture(folder / "capture.json").extract_olat()
+    assert np.allclose(before.linear, after.linear, atol=1e-6)
+    assert (before.valid == after.valid).all()
+
+
+def test_pictures_without_integers_cannot_be_written(capture, tmp_path):
+    floats = replace(capture, options=replace(capture.options, bits=None))
+    with pytest.raises(ValueError, match="bits"):
+        write_synthetic_capture(floats, tmp_path)

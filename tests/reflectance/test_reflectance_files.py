@@ -1,0 +1,65 @@
+"""Reflectances of meshes as files."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import (
+    MeshReflectance,
+    MorphableReflectanceModel,
+    VertexReflectance,
+    read_reflectance,
+    write_reflectance,
+)
+
+
+@pytest.fixture
+def mesh():
+    rng = np.random.default_rng(0)
+    known = np.array([True, True, False, True])
+    one = VertexReflectance(rng.random((4, 3)), rng.random((4, 3)), known)
+    return MeshReflectance(rng.normal(size=(4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), one)
+
+
+def test_what_is_written_is_read_again_to_the_bit(mesh, tmp_path):
+    write_reflectance(tmp_path / "face.npz", mesh)
+    read = read_reflectance(tmp_path / "face.npz")
+    assert np.array_equal(read.vertices, mesh.vertices)
+    assert np.array_equal(read.faces, mesh.faces)
+    for name in ("diffuse_linear", "weights", "known"):
+        found, given = (getattr(one.reflectance, name) for one in (read, mesh))
+        assert np.array_equal(found, given, equal_nan=found.dtype.kind == "f")
+    write_reflectance(tmp_path / "again.npz", mesh)
+    assert (tmp_path / "face.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
+
+
+def test_damaged_and_other_files_are_refused_by_name(mesh, tmp_path):
+    file = tmp_path / "face.npz"
+    write_reflectance(file, mesh)
+    data = file.read_bytes()
+    file.write_bytes(data[: len(data) // 2])
+    with pytest.raises(ReflectanceError, match=r"face\.npz"):
+        read_reflectance(file)
+    model = MorphableReflectanceModel.from_samples([mesh.reflectance])
+    model.save(tmp_path / "model.npz")
+    with pytest.raises(ReflectanceError, match=r"model\.npz"):
+        read_reflectance(tmp_path / "model.npz")
+    with pytest.raises(ReflectanceError, match=r"none\.npz"):
+        read_reflectance(tmp_path / "none.npz")
+    with pytest.raises(ValueError, match=r"\.npz"):
+        write_reflectance(tmp_path / "face.bin", mesh)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "told"),
+    [
+        (np.zeros((3, 3)), [[0, 1, 2]], "vertices is"),
+        (np.full((4, 3), np.nan), [[0, 1, 2]], "vertices is"),
+        (np.zeros((4, 3)), [[0, 1, 4]], "outside"),
+        (np.zeros((4, 3)), [[0.0, 1.0, 2.0]], "faces is float64"),
+        (np.zeros((4, 3)), [0, 1, 2], "faces is"),
+    ],
+)
+def test_meshes_that_do_not_fit_are_refused(mesh, vertices, faces, told):
+    with pytest.raises(ReflectanceError, match=told):
+        MeshReflectance(vertices, np.array(faces), mesh.reflectance)
