@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.surface_diffusion import surface_diffusion
 from scan2albedo.optimization import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.model_update import ModelChange, best_change, no_change
+from scan2albedo.reflectance.model_update import ModelChange, best_change, neighbour_smoothing, no_change
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 
 
@@ -29,12 +30,17 @@ class FineTuneOptions:
     (the mean sum of weights)."""
     basis_change: float = 0.1
     """The same of the directions, as a share of the means'."""
+    smoothing_mm: float = 6.0
+    """Standard deviation, along the surface, of the bump to which a peak of what is added spreads. Needs the
+    positions of the vertices."""
     smoothing_steps: int = 4
-    """Steps over the mesh that smooth what is added to the model."""
+    """Without positions: steps to the neighbours' mean. How far they reach depends on the mesh."""
     smallest_step: float = 0.25
     """A change that does not help is halved down to this share of it, then given up."""
     least_gain: float = 1e-3
     """Relative fall of the held-out objective below which a change is not accepted."""
+    significance: float = 2.0
+    """Standard errors by which the held-out images' mean relative fall must exceed 0. One image has none."""
     fit: ImageFitOptions = ImageFitOptions()
     """Of the images."""
 
@@ -42,7 +48,14 @@ class FineTuneOptions:
         for name in ("mean_change", "smallest_step"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("rounds", "basis_change", "smoothing_steps", "least_gain"):
+        for name in (
+            "rounds",
+            "basis_change",
+            "smoothing_mm",
+            "smoothing_steps",
+            "least_gain",
+            "significance",
+        ):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
 
@@ -70,6 +83,7 @@ def finetune(
     held_out: Sequence[ImageObservation],
     faces: ArrayLike,
     *,
+    vertices: ArrayLike | None = None,
     lighting: LightingModel | None = None,
     options: FineTuneOptions = FineTuneOptions(),
     budget: Budget | float | None = None,
@@ -91,6 +105,8 @@ def finetune(
         One or more, best of faces that are not in `observations`.
     faces : (F, 3) array_like of int
         Triangles over the model's V vertices, for smoothing.
+    vertices : (V, 3) array_like of float, optional
+        Their positions in mm, of any face at rest: with them `smoothing_mm` holds, without `smoothing_steps`.
     lighting : LightingModel, optional
         `LightingModel.default()` when omitted.
     options : FineTuneOptions
@@ -119,7 +135,7 @@ def finetune(
     "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement. There networks
     are tuned by gradients, under a penalty on changes; here each change has a closed form.
     """
-    triangles = _checked_faces(faces, len(model.known))
+    smooth = _smoother(model, faces, vertices, options)
     if not observations or not held_out:
         raise ReflectanceError(
             f"{len(observations)} images to tune with and {len(held_out)} held out; give one or more of each"
@@ -141,7 +157,7 @@ def finetune(
             basis_change=options.basis_change,
             lobe=options.fit.lobe,
         )
-        if not tuning.try_steps(change.smoothed(triangles, options.smoothing_steps)):
+        if not tuning.try_steps(change.smoothed(smooth)):
             converged = not meter.exhausted
             break
     return FineTuning(tuning.current, tuple(tuning.steps), before, tuning.error, converged, meter.trace)
@@ -162,8 +178,13 @@ class _Tuning:
         self.held_out = held_out
         self.current, self.change = model, no_change(model)
         self.steps: list[float] = []
-        self.error = self._held_out_error(model)
+        self.errors = self._held_out_errors(model)
         meter.record(self.error)
+
+    @property
+    def error(self) -> float:
+        """Mean objective of the held-out images."""
+        return float(self.errors.mean())
 
     def fitted(self, observations: Sequence[ImageObservation]) -> list[ImageFit]:
         """Fit images with the current model."""
@@ -175,17 +196,17 @@ class _Tuning:
         while step >= self.options.smallest_step and not self.meter.exhausted:
             part = self.change.toward(change, step)
             candidate = part.applied(self.initial)
-            error = self._held_out_error(candidate)
-            if error < (1 - self.options.least_gain) * self.error:
-                self.current, self.change, self.error = candidate, part, error
+            errors = self._held_out_errors(candidate)
+            if is_improvement(self.errors, errors, self.options):
+                self.current, self.change, self.errors = candidate, part, errors
                 self.steps.append(step)
-                self.meter.record(error)
+                self.meter.record(self.error)
                 return True
             step /= 2
         return False
 
-    def _held_out_error(self, model: MorphableReflectanceModel) -> float:
-        return float(np.mean([self._fit(observation, model).objective for observation in self.held_out]))
+    def _held_out_errors(self, model: MorphableReflectanceModel) -> NDArray[np.float64]:
+        return np.array([self._fit(observation, model).objective for observation in self.held_out])
 
     def _fit(self, observation: ImageObservation, model: MorphableReflectanceModel) -> ImageFit:
         self.meter.count()
@@ -193,6 +214,38 @@ class _Tuning:
             # One of many fits; the held-out objective tells whether they were good enough.
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
             return fit_image(observation, model, self.lighting, options=self.options.fit)
+
+
+def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:
+    """Tell whether objectives (n,) of held-out images fell, by more than images differ by chance.
+
+    Their mean must fall by `least_gain`, and so must the mean m of the relative falls of single images, which
+    must also exceed `significance` times its standard error s / sqrt(n), as in a paired test.
+    """
+    gains = 1 - after / np.maximum(before, 1e-300)
+    chance = float(gains.std(ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    enough = max(options.least_gain, options.significance * chance)
+    return bool(after.mean() < (1 - options.least_gain) * before.mean() and gains.mean() > enough)
+
+
+def _smoother(
+    model: MorphableReflectanceModel,
+    faces: ArrayLike,
+    vertices: ArrayLike | None,
+    options: FineTuneOptions,
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return what smooths columns (V, C) over the vertices that the model knows."""
+    count = len(model.known)
+    triangles = _checked_faces(faces, count)
+    triangles = triangles[model.known[triangles].all(1)]
+    if vertices is None:
+        return neighbour_smoothing(count, triangles, options.smoothing_steps)
+    positions = np.asarray(vertices, np.float64)
+    if positions.shape != (count, 3):
+        raise ValueError(f"vertices must have shape ({count}, 3), got {positions.shape}")
+    if not np.isfinite(positions[triangles]).all():
+        raise ReflectanceError("vertices hold NaN or infinite values; give positions in mm, or none")
+    return surface_diffusion(np.nan_to_num(positions), triangles, options.smoothing_mm)
 
 
 def _checked_faces(faces: ArrayLike, count: int) -> NDArray[np.int64]:
