@@ -234,16 +234,19 @@ def test_smoothing_in_mm_does_not_depend_on_the_resolution(model):
 
 
 def test_a_gain_counts_that_images_share():
-    options, before = FineTuneOptions(), np.array([0.2, 0.3, 0.4, 0.25])
+    options, before = FineTuneOptions(), np.array([[0.2], [0.3], [0.4], [0.25]])
     assert is_improvement(before, 0.98 * before, options)
     assert not is_improvement(before, before, options)
     assert not is_improvement(before, 0.9995 * before, options)
-    one_alone = before * [0.8, 1.01, 1.0, 1.02]
+    one_alone = before * [[0.8], [1.01], [1.0], [1.02]]
     assert one_alone.mean() < 0.999 * before.mean()
     assert not is_improvement(before, one_alone, options)
     assert is_improvement(before, one_alone, FineTuneOptions(significance=0.0))
     assert is_improvement(before[:1], 0.9 * before[:1], options)
-    assert not is_improvement(np.zeros(2), np.zeros(2), options)
+    assert not is_improvement(np.zeros((2, 1)), np.zeros((2, 1)), options)
+    two_kinds = np.repeat(before, 2, axis=1)
+    assert is_improvement(two_kinds, 0.9 * two_kinds, options)
+    assert not is_improvement(two_kinds, two_kinds * [0.9, 1.01], options)
 
 
 @pytest.mark.slow
