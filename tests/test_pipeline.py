@@ -15,6 +15,8 @@ import pytest
 
 import scan2albedo as s2a
 from scan2albedo import pipeline
+from scan2albedo.applications import load_result, reflectance_of_processed
+from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.choices import FORCEABLE
 from scan2albedo.demo import compare_with_truth, run_demo
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
@@ -62,6 +64,19 @@ def test_error_against_the_truth(result, case):
     assert report.albedo.mse_percent < 0.25 * report.texture.mse_percent
     assert "51 inner landmarks" in report.table()
     json.dumps(report.figures())
+
+
+def test_the_skin_becomes_a_reflectance_of_the_models_vertices(result, case):
+    found = reflectance_of_processed(result.out)
+    np.testing.assert_array_equal(found.faces, result.fitted.faces)
+    known = found.reflectance.known
+    assert known.mean() > 0.7
+    as_true = replace(load_result(result.out), image=case[1].image)
+    truth = sampled_at_vertices(case[1].albedo_linear.astype(float), as_true)[0]
+    a, b = found.reflectance.diffuse_linear[known], truth[known]
+    scale = np.sum(a * b) / np.sum(a * a)
+    # Of correspondence, light, and edges between 128 x 128 texels together.
+    assert np.linalg.norm(scale * a - b) < 0.12 * np.linalg.norm(b)
 
 
 def test_every_file_of_the_contract_is_there_and_none_else(result):

@@ -1,6 +1,6 @@
-"""Morphable reflectance: lobes at oblique views, fits to images, fine-tuning, speed.
+"""Morphable reflectance: lobes at oblique views, fits to images, speed.
 
-    python tools/bench_reflectance_model.py [lobes] [fit] [finetune] [speed] [--picture fit.png]
+    python tools/bench_reflectance_model.py [lobes] [fit] [speed] [--picture fit.png]
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
 is generated, no shadows. Albedo errors are relative RMSE after the best single scale, over seen vertices of
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -25,14 +25,12 @@ from scan2albedo.lighting.environment_harmonics import project_environment
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.reflectance import (
     EXPONENTS,
-    FineTuneOptions,
     ImageFit,
     ImageFitOptions,
     ImageObservation,
     LightingModel,
     MorphableReflectanceModel,
     VertexReflectance,
-    finetune,
     fit_image,
     generated_environment,
     shade_environment,
@@ -177,49 +175,6 @@ def draw(path: str, face: VertexReflectance, image: ImageObservation, fit: Image
     write_png(path, np.concatenate(rows))
 
 
-def biased_model() -> MorphableReflectanceModel:
-    """Learn from twelve faces whose albedo was captured with an error that all share."""
-    s = surface()
-    waves = harmonics(normalized(s.vertices - [0, 0, s.vertices[:, 2].min() - 40.0]), 8)
-    field = waves @ np.random.default_rng(17).normal(size=waves.shape[1])
-    error = np.exp(0.15 * field / field.std())[:, None]
-    faces = [person(1000 + k) for k in range(12)]
-    return MorphableReflectanceModel.from_samples(
-        [replace(face, diffuse_linear=face.diffuse_linear * error) for face in faces]
-    )
-
-
-def print_finetuning() -> None:
-    """Print what fine-tuning does to a model with an error in its mean, and without its guards."""
-    model = biased_model()
-    faces = [person(200 + k) for k in range(8)]
-    shots = [shot(person(k), k) for k in range(16)]
-    held_out = [shot(person(100 + k), 100 + k) for k in range(6)]
-
-    def error(m: MorphableReflectanceModel) -> float:
-        fits = [fit_image(shot(face, 200 + k), m) for k, face in enumerate(faces)]
-        pairs = zip(fits, faces, strict=True)
-        return float(np.mean([albedo_error(f.face.reflectance.diffuse_linear, face) for f, face in pairs]))
-
-    print(f"albedo before {error(model):.4f}, of a model without the error {error(learned(12, 11)):.4f}")
-    plain = FineTuneOptions(rounds=4)
-    for name, options in {
-        "as it is": plain,
-        "neither anchored nor smoothed": replace(
-            plain, mean_change=10.0, basis_change=1.0, smoothing_steps=0
-        ),
-        "not smoothed": replace(plain, smoothing_steps=0),
-    }.items():
-        start = time.process_time()
-        tuned = finetune(model, shots, held_out, surface().faces, options=options)
-        used = time.process_time() - start
-        print(
-            f"{name:32}objective {tuned.held_out_before:.4f} -> {tuned.held_out_after:.4f} in "
-            f"{len(tuned.accepted_steps)} rounds, albedo {error(tuned.model):.4f}, {used:.0f} s",
-            flush=True,
-        )
-
-
 def print_speed() -> None:
     """Print CPU seconds on 3,663 and 14,533 vertices."""
     LightingModel.default()
@@ -236,7 +191,7 @@ def print_speed() -> None:
         print(f"{count}: learn 40 faces {learn:.2f} s, fit {used:.2f} s, {fit.iterations} steps")
 
 
-PARTS = {"lobes": print_lobes, "finetune": print_finetuning, "speed": print_speed}
+PARTS = {"lobes": print_lobes, "speed": print_speed}
 
 
 def main() -> None:
@@ -246,7 +201,7 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", choices=[*PARTS, "fit"], help="all when omitted")
     parser.add_argument("--picture", help="PNG of one fit: image, albedo, weights; truth above, fit below")
     arguments = parser.parse_args()
-    for part in arguments.parts or ("lobes", "fit", "finetune", "speed"):
+    for part in arguments.parts or ("lobes", "fit", "speed"):
         print(f"\n{part}")
         if part == "fit":
             print_fits(arguments.picture)

@@ -2,6 +2,11 @@
 
 from scan2albedo.applications.blending import blend_faces
 from scan2albedo.applications.expression_transfer import TransferOptions, transfer_expression
+from scan2albedo.applications.face_reflectance import (
+    FaceReflectance,
+    reflectance_model_of_processed,
+    reflectance_of_processed,
+)
 from scan2albedo.applications.files import write_face
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
 from scan2albedo.applications.loading import load_result
@@ -13,6 +18,7 @@ from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
 
 __all__ = [
     "FaceMesh",
+    "FaceReflectance",
     "Picture",
     "ProcessedFace",
     "RelightOptions",
@@ -25,6 +31,8 @@ __all__ = [
     "light_arc",
     "load_result",
     "personal_model",
+    "reflectance_model_of_processed",
+    "reflectance_of_processed",
     "relight",
     "swap_texture",
     "sweep",

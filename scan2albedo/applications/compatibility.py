@@ -42,7 +42,7 @@ def _check_pair(a: ProcessedFace, b: ProcessedFace) -> None:
             f"{both}: processed with different models, {a.model_name!r} and {b.model_name!r}; "
             "process both scans with one --model"
         )
-    if _same_mesh(a.mesh, b.mesh):
+    if same_mesh(a.mesh, b.mesh):
         return
     if a.model_name == NO_MODEL:
         raise ApplicationError(
@@ -57,7 +57,7 @@ def _check_pair(a: ProcessedFace, b: ProcessedFace) -> None:
         )
 
 
-def _same_mesh(a: FaceMesh, b: FaceMesh) -> bool:
+def same_mesh(a: FaceMesh, b: FaceMesh) -> bool:
     """Return whether two meshes have the same triangles at the same places of the chart."""
     same = len(a.uv) == len(b.uv) and np.array_equal(a.faces, b.faces)
     return bool(same and np.allclose(a.uv, b.uv, rtol=0, atol=_SAME_UV))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,16 +55,37 @@ class ModelChange:
             total_variance=model.total_variance + float(variance.sum() - np.sum(model.deviation**2)),
         )
 
-    def smoothed(self, faces: NDArray[np.int64], steps: int) -> ModelChange:
-        """Return the change with each vertex moved half way to its neighbours' mean, `steps` times."""
+    def smoothed(self, smooth: Callable[[FloatArray], FloatArray]) -> ModelChange:
+        """Return the change with a smoother of columns (V, C) applied to each of its parts."""
         count = len(self.sum_mean)
-        links = adjacency(count, faces)
-        degree = np.asarray(links.sum(1)).ravel()
-        # Vertices without neighbours keep what they have.
-        walk = sparse.diags(1 / np.maximum(degree, 1)) @ links + sparse.diags((degree == 0).astype(float))
-        arrays = [self.diffuse_mean, self.diffuse_basis, self.sum_mean[..., None], self.sum_basis[..., None]]
-        smooth = [_smooth(array, walk, steps) for array in arrays]
-        return ModelChange(smooth[0], smooth[1], smooth[2][..., 0], smooth[3][..., 0])
+        parts = [np.moveaxis(array, -2, 0) for array in (self.diffuse_mean, self.diffuse_basis)]
+        parts += [np.moveaxis(array, -1, 0) for array in (self.sum_mean, self.sum_basis)]
+        columns = [np.reshape(part, (count, math.prod(part.shape[1:]))) for part in parts]
+        ends = np.cumsum([column.shape[1] for column in columns])[:-1]
+        found = np.split(smooth(np.concatenate(columns, axis=1)), ends, axis=1)
+        back = [column.reshape(part.shape) for column, part in zip(found, parts, strict=True)]
+        diffuse = [np.ascontiguousarray(np.moveaxis(part, 0, -2)) for part in back[:2]]
+        total = [np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in back[2:]]
+        return ModelChange(diffuse[0], diffuse[1], total[0], total[1])
+
+
+def neighbour_smoothing(
+    count: int, faces: NDArray[np.int64], steps: int
+) -> Callable[[FloatArray], FloatArray]:
+    """Return a smoother that moves each vertex half way to its neighbours' mean, `steps` times.
+
+    Vertices without neighbours keep what they have.
+    """
+    links = adjacency(count, faces)
+    degree = np.asarray(links.sum(1)).ravel()
+    walk = sparse.diags(1 / np.maximum(degree, 1)) @ links + sparse.diags((degree == 0).astype(float))
+
+    def smooth(columns: FloatArray) -> FloatArray:
+        for _ in range(steps):
+            columns = 0.5 * (columns + walk @ columns)
+        return columns
+
+    return smooth
 
 
 def no_change(model: MorphableReflectanceModel) -> ModelChange:
@@ -169,15 +191,6 @@ def _dual(
         system[:, np.arange(size), np.arange(size)] += noise[block].reshape(-1, size)
         solution[block] = np.linalg.solve(system, off[block].reshape(-1, size, 1))[..., 0]
     return solution.reshape(off.shape)
-
-
-def _smooth(array: FloatArray, walk: sparse.spmatrix, steps: int) -> FloatArray:
-    """Smooth (..., V, C) over vertices."""
-    columns = np.moveaxis(array, -2, 0)
-    flat = np.ascontiguousarray(columns).reshape(len(columns), -1)
-    for _ in range(steps):
-        flat = 0.5 * (flat + walk @ flat)
-    return np.ascontiguousarray(np.moveaxis(flat.reshape(columns.shape), 0, -2))
 
 
 def _arrays(change: ModelChange) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

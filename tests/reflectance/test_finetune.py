@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.surface_diffusion import surface_diffusion
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_harmonics import project_environment
 from scan2albedo.lighting.harmonics import harmonics
@@ -23,7 +24,8 @@ from scan2albedo.reflectance import (
     shade_environment,
 )
 from scan2albedo.reflectance.environment_shading import light_response
-from scan2albedo.reflectance.model_update import best_change, no_change
+from scan2albedo.reflectance.finetune import is_improvement
+from scan2albedo.reflectance.model_update import best_change, neighbour_smoothing, no_change
 
 POINTS = distant_directions(500)
 POINTS = POINTS[POINTS[:, 2] > 0]
@@ -163,14 +165,115 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
 
 
 def test_smoothing_keeps_what_is_even_and_what_stands_alone(model):
-    ones = dataclasses.replace(no_change(model), sum_mean=np.ones(len(POINTS)))
-    np.testing.assert_allclose(ones.smoothed(FACES, 20).sum_mean, 1, rtol=1e-12)
-    peak = dataclasses.replace(no_change(model), sum_mean=np.eye(len(POINTS))[40])
-    smooth = peak.smoothed(FACES, 5)
-    assert smooth.sum_mean.max() < 0.5
-    assert smooth.diffuse_basis.shape == model.diffuse_basis.shape
-    lonely = peak.smoothed(FACES[(FACES != 40).all(1)], 5)
-    assert lonely.sum_mean[40] == 1
+    count = len(POINTS)
+    ones = dataclasses.replace(no_change(model), sum_mean=np.ones(count))
+    peak = dataclasses.replace(
+        no_change(model),
+        sum_mean=np.eye(count)[40],
+        diffuse_basis=np.tile(np.eye(count)[40, :, None], (8, 1, 3)),
+    )
+    rest = FACES[(FACES != 40).all(1)]
+    for make in (
+        lambda faces: neighbour_smoothing(count, faces, 5),
+        lambda faces: surface_diffusion(POINTS, faces, 0.3),
+    ):
+        np.testing.assert_allclose(ones.smoothed(make(FACES)).sum_mean, 1, rtol=1e-12)
+        smooth = peak.smoothed(make(FACES))
+        assert smooth.sum_mean.max() < 0.5
+        np.testing.assert_allclose(smooth.diffuse_basis[3, :, 1], smooth.sum_mean)
+        assert peak.smoothed(make(rest)).sum_mean[40] == 1
+    np.testing.assert_array_equal(no_change(model).smoothed(make(FACES)).diffuse_basis, 0)
+
+
+def test_what_the_model_does_not_know_stays_zero(model, lighting):
+    known = POINTS[:, 1] < 0.6
+    part = {"diffuse_mean": 0, "diffuse_basis": 1, "sum_mean": 0, "sum_basis": 1}
+    arrays = {
+        name: np.where(
+            known.reshape((1,) * axis + (-1,) + (1,) * (getattr(model, name).ndim - axis - 1)),
+            getattr(model, name),
+            0,
+        )
+        for name, axis in part.items()
+    }
+    partial = dataclasses.replace(model, known=known, **arrays)
+    tuned = finetune(
+        partial,
+        pictures(people(2, 1, BEARD), 1),
+        pictures(people(1, 2, BEARD), 2),
+        FACES,
+        vertices=100 * POINTS,
+        lighting=lighting,
+        options=FineTuneOptions(rounds=1),
+    )
+    assert tuned.accepted_steps
+    assert (tuned.model.diffuse_mean[~known] == 0).all()
+    assert (tuned.model.sum_basis[:, ~known] == 0).all()
+
+
+def test_smoothing_in_mm_does_not_depend_on_the_resolution(model):
+    blank = dataclasses.replace(
+        no_change(model), diffuse_basis=np.zeros((0, 1, 3)), sum_basis=np.zeros((0, 1))
+    )
+    for in_mm in (True, False):
+        heights = []
+        for count in (21, 41):
+            x, y = np.meshgrid(np.linspace(-50, 50, count), np.linspace(-50, 50, count))
+            vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count**2)], 1)
+            corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
+            square = corner[:, None] + [0, 1, count, count + 1]
+            faces = np.concatenate([square[:, [0, 1, 2]], square[:, [2, 1, 3]]])
+            wave = np.cos(2 * np.pi * vertices[:, 0] / 25)
+            change = dataclasses.replace(blank, diffuse_mean=np.zeros((count**2, 3)), sum_mean=wave)
+            smooth = (
+                surface_diffusion(vertices, faces, 4.0) if in_mm else neighbour_smoothing(count**2, faces, 4)
+            )
+            middle = np.abs(vertices[:, :2]).max(1) < 25
+            heights.append(np.abs(change.smoothed(smooth).sum_mean[middle]).max())
+        assert (abs(heights[0] - heights[1]) < 0.05) == in_mm
+
+
+def test_a_gain_counts_that_images_share():
+    options, before = FineTuneOptions(), np.array([[0.2], [0.3], [0.4], [0.25]])
+    assert is_improvement(before, 0.98 * before, options)
+    assert not is_improvement(before, before, options)
+    assert not is_improvement(before, 0.9995 * before, options)
+    one_alone = before * [[0.8], [1.01], [1.0], [1.02]]
+    assert one_alone.mean() < 0.999 * before.mean()
+    assert not is_improvement(before, one_alone, options)
+    assert is_improvement(before, one_alone, FineTuneOptions(significance=0.0))
+    assert is_improvement(before[:1], 0.9 * before[:1], options)
+    assert not is_improvement(np.zeros((2, 1)), np.zeros((2, 1)), options)
+    two_kinds = np.repeat(before, 2, axis=1)
+    assert is_improvement(two_kinds, 0.9 * two_kinds, options)
+    assert not is_improvement(two_kinds, two_kinds * [0.9, 1.01], options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("pattern", [BEARD, 1.0], ids=["off", "right"])
+def test_images_that_no_step_saw_are_never_explained_worse(lighting, seed, pattern):
+    model = MorphableReflectanceModel.from_samples(people(20, 100 * seed), components=8)
+    first = 10 * (seed + 1)
+    shots = pictures(people(10, first + 1, pattern), first + 1)
+    held_out = pictures(people(5, first + 2, pattern), first + 2)
+    tuned = finetune(
+        model,
+        shots,
+        held_out,
+        FACES,
+        vertices=100 * POINTS,
+        lighting=lighting,
+        options=FineTuneOptions(rounds=2),
+    )
+    third = pictures(people(6, first + 3, pattern), first + 3)
+    before, after = (
+        np.mean([fit_image(shot, m, lighting).relative_rmse for shot in third]) for m in (model, tuned.model)
+    )
+    assert after <= before
+    if pattern is BEARD:
+        assert after < 0.8 * before
+    print(before, after, tuned.accepted_steps)
 
 
 def test_a_budget_that_ends_keeps_what_was_accepted(model, lighting):
@@ -198,6 +301,10 @@ def test_what_cannot_be_tuned_with_is_refused(model):
         finetune(model, [], shots, FACES)
     with pytest.raises(ValueError, match="point outside"):
         finetune(model, shots, shots, [[0, 1, len(POINTS)]])
+    with pytest.raises(ValueError, match="vertices must have shape"):
+        finetune(model, shots, shots, FACES, vertices=POINTS[1:])
+    with pytest.raises(ReflectanceError, match="vertices hold NaN"):
+        finetune(model, shots, shots, FACES, vertices=np.full_like(POINTS, np.nan))
     with pytest.raises(ValueError, match="mean_change"):
         FineTuneOptions(mean_change=0)
     with pytest.raises(ValueError, match="rounds"):

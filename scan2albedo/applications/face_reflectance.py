@@ -1,0 +1,210 @@
+"""`reflectance_of_processed`: a processed scan's skin as a reflectance of its model's vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.applications.compatibility import same_mesh
+from scan2albedo.applications.loading import load_result
+from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.rasterization import pixels_from_uv
+from scan2albedo.lighting.asrm import Reflectance, shade_points
+from scan2albedo.lighting.point_light import PointLight
+
+if TYPE_CHECKING:
+    from scan2albedo.process_result import ProcessResult
+    from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_LEAST_TRUSTED = 0.5
+"""Part of a vertex's texels, by weight, that must have been seen."""
+
+
+@dataclass(frozen=True)
+class FaceReflectance:
+    """A processed scan's reflectance, and the mesh whose vertices it belongs to."""
+
+    name: str
+    reflectance: VertexReflectance
+    """At the mesh's V vertices; not known where the scan did not show them."""
+    mesh: FaceMesh
+    """The model's surface in this face's shape, mm: the same triangles for all scans of one model."""
+    model_name: str
+
+    @property
+    def vertices(self) -> FloatArray:
+        """(V, 3) mm, in the model's frame."""
+        return self.mesh.vertices
+
+    @property
+    def faces(self) -> NDArray[np.int64]:
+        """(F, 3)."""
+        return self.mesh.faces
+
+
+def reflectance_of_processed(
+    source: str | Path | ProcessResult | ProcessedFace, *, level: float | None = None
+) -> FaceReflectance:
+    """Return the reflectance of a processed scan at the vertices of its model's surface.
+
+    Scans of one model share its triangles, so their reflectances make a `MorphableReflectanceModel`. The
+    albedo is sampled bilinearly among texels that were seen; a vertex of which less than half was, is not
+    known. What the estimate knows as roughness becomes the albedo of the nearest Lambertian surface, and its
+    highlight the nearest weights of three lobes, one set for all vertices times the annotation's relative
+    strength.
+
+    Parameters
+    ----------
+    source : path, ProcessResult or ProcessedFace
+        What `load_result` takes, or what it gave; processed with a model.
+    level : float, optional
+        Geometric mean of the albedo's V over what was seen, to which albedo and highlight are scaled; as the
+        estimate has them when omitted. No image tells a scan's scale, so scans that are to be compared need
+        one level, or flashes of one strength.
+
+    Returns
+    -------
+    FaceReflectance
+        A light of intensity E in `relight` is one of pi E here, for an estimate's albedo is the radiance of a
+        surface and not pi times it.
+
+    Raises
+    ------
+    ApplicationError
+        When the scan was processed without a model, so that its vertices are its own; when nothing of it was
+        seen, or it cannot be loaded.
+    ValueError
+        When `level` is not above 0.
+
+    Notes
+    -----
+    The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum (n.l)^2, over normals that the viewer sees
+    and six lights around it. Under a point light the vertices send what the relit face sends to 2 % (matte),
+    4 % (a highlight of exponent 8) and 12 % (a roughness of 0.3 rad, which no Lambertian surface has).
+    Vertices lie between texels: at 128 x 128 that alone is 6 % of the albedo, nearly all of it at the edges
+    of brows and lips, as tests/applications/test_face_reflectance.py asserts.
+    """
+    from scan2albedo.reflectance import lobe_weights_of_phong, reflectance_from_albedo
+
+    if level is not None and not (np.isfinite(level) and level > 0):
+        raise ValueError(f"level must be above 0, got {level}")
+    face = source if isinstance(source, ProcessedFace) else load_result(source)
+    if face.model_name == NO_MODEL:
+        raise ApplicationError(
+            f"{face.name}: processed without a model, so its vertices correspond to no other scan's; process "
+            "it with a model"
+        )
+    albedo, known = sampled_at_vertices(face.albedo_linear.astype(np.float64), face)
+    if not known.any():
+        raise ApplicationError(f"{face.name}: no vertex of its surface was seen; scan it from other sides")
+    scale = 1.0 if level is None else level / face.level()
+    skin = face.reflectance
+    lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
+    strength, _ = sampled_at_vertices(_specular_scale(face), face)
+    reflectance = reflectance_from_albedo(
+        scale * _lambert_share(skin) * albedo, weights=scale * strength * lobes, known=known
+    )
+    return FaceReflectance(face.name, reflectance, face.mesh, face.model_name)
+
+
+def reflectance_model_of_processed(
+    sources: Sequence[str | Path | ProcessResult | ProcessedFace],
+    *,
+    level: float | None = None,
+    components: int | None = None,
+    least_support: float = 0.5,
+) -> tuple[MorphableReflectanceModel, list[FaceReflectance]]:
+    """Return the morphable model of processed scans' reflectances, and those.
+
+    Parameters
+    ----------
+    sources : sequence of path, ProcessResult or ProcessedFace
+        One or more, of one model.
+    level : float, optional
+        As in `reflectance_of_processed`.
+    components, least_support
+        As in `MorphableReflectanceModel.from_samples`.
+
+    Raises
+    ------
+    ApplicationError
+        As `reflectance_of_processed`, and when scans have different models or meshes; names both.
+    ReflectanceError
+        When there is no scan, or no vertex has the support.
+    """
+    from scan2albedo.reflectance import MorphableReflectanceModel
+
+    people = [reflectance_of_processed(source, level=level) for source in sources]
+    for other in people[1:]:
+        _check_pair(people[0], other)
+    samples = [person.reflectance for person in people]
+    model = MorphableReflectanceModel.from_samples(
+        samples, components=components, least_support=least_support
+    )
+    return model, people
+
+
+def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatArray, BoolArray]:
+    """Return values (V, C) of an image (H, W, C) at the face's vertices, and which are known (V,).
+
+    Bilinear over the four texels around a vertex, by those that were seen; NaN where not known.
+    """
+    columns, rows = pixels_from_uv(face.mesh.uv, face.image.shape).T
+    height, width = face.image.shape
+    total = np.zeros((len(columns), image.shape[2]))
+    trusted, surface = np.zeros(len(columns)), np.zeros(len(columns))
+    for down in (0, 1):
+        for right in (0, 1):
+            row, column = np.floor(rows).astype(int) + down, np.floor(columns).astype(int) + right
+            weight = (1 - np.abs(rows - row)) * (1 - np.abs(columns - column))
+            inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            row, column = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+            on_surface = weight * (inside & face.mask[row, column])
+            seen = on_surface * face.image.seen[row, column]
+            total += seen[:, None] * image[row, column]
+            trusted, surface = trusted + seen, surface + on_surface
+    known = (trusted > 0) & (trusted >= _LEAST_TRUSTED * surface)
+    values = total / np.where(known, trusted, 1.0)[:, None]
+    return np.where(known[:, None], values, np.nan), known
+
+
+def _specular_scale(face: ProcessedFace) -> FloatArray:
+    scale = face.image.specular_scale
+    return (np.ones(face.image.shape) if scale is None else scale.astype(np.float64))[..., None]
+
+
+def _lambert_share(skin: Reflectance) -> float:
+    """Return the albedo of the Lambertian surface that is nearest to a rough one of albedo 1."""
+    from scan2albedo.lighting.environment import distant_directions
+
+    if skin.brdf == "lambert":
+        return 1.0
+    normals = distant_directions(2000)
+    normals = normals[normals[:, 2] > 0.1]
+    matte = replace(skin, specular_strength=0.0)
+    product, square = np.zeros(()), np.zeros(())
+    for azimuth, elevation in np.radians([(0, 0), (30, 0), (0, 30), (-60, 0), (0, -60), (45, 45)]):
+        light = PointLight(float(azimuth), float(elevation))
+        lambert = np.maximum(normals @ light.direction, 0)
+        # Ambient light, 1 in the estimate's units, is not reflected by roughness.
+        rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
+        product, square = product + rough @ lambert, square + lambert @ lambert
+    return float(product / square)
+
+
+def _check_pair(a: FaceReflectance, b: FaceReflectance) -> None:
+    if a.model_name != b.model_name or not same_mesh(a.mesh, b.mesh):
+        raise ApplicationError(
+            f"{a.name} ({a.model_name}, {len(a.vertices)} vertices) and {b.name} ({b.model_name}, "
+            f"{len(b.vertices)} vertices): their meshes differ; process both scans with one model and one "
+            "version of it"
+        )

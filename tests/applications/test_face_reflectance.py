@@ -1,0 +1,189 @@
+"""Processed scans as reflectances of the model's vertices: albedo, highlights, units, what was not seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.applications import (
+    FaceMesh,
+    ProcessedFace,
+    RelightOptions,
+    load_result,
+    reflectance_model_of_processed,
+    reflectance_of_processed,
+    relight,
+)
+from scan2albedo.applications.face_reflectance import sampled_at_vertices
+from scan2albedo.errors import ApplicationError, ReflectanceError
+from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.lighting import PointLight
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.reflectance import lobe_weights_of_phong, point_light_lobes, point_light_radiance
+from scan2albedo.synthetic.face_paint import paint_face
+
+SIZE = 128
+FAR_MM = 1e7
+MATTE = Reflectance("lambert")
+GLOSSY = Reflectance("lambert", 0.0, 0.15, 8.0)
+ROUGH = Reflectance("oren-nayar", 0.3)
+LIGHTS = [PointLight(0.0, 0.0), PointLight(0.6, 0.3), PointLight(-0.4, 0.2, 900.0, 2.5)]
+
+
+def on_model(made, albedo_linear, reflectance, name="someone"):
+    """A synthetic face on the default model's mesh, as a processed scan has it."""
+    model, (vertices, faces) = s2a.AnnotatedFaceModel.default(), made.image.occluder_mesh()
+    level = round(np.log(len(faces) / len(model.control_faces)) / np.log(4))
+    uv = linear_refinement(len(model.uv), model.control_faces, level) @ model.uv
+    mesh = FaceMesh(vertices, faces, uv)
+    return ProcessedFace(name, made.image, albedo_linear, reflectance, made.lights, mesh, "default")
+
+
+@pytest.fixture(scope="module")
+def true_face(scene):
+    made = scene(1, size=SIZE)
+    return on_model(made, made.albedo_linear, MATTE)
+
+
+@pytest.fixture(scope="module")
+def true_albedo(true_face):
+    return paint_face(true_face.mesh.uv, s2a.AnnotatedFaceModel.default(), np.random.default_rng(1))
+
+
+def relative_rmse(found, truth):
+    scale = np.sum(found * truth) / np.sum(found**2)
+    return np.linalg.norm(scale * found - truth) / np.linalg.norm(truth)
+
+
+def test_the_albedo_of_texels_is_that_of_vertices(true_face, true_albedo):
+    found = reflectance_of_processed(true_face)
+    assert found.vertices.shape == found.reflectance.diffuse_linear.shape == true_albedo.shape
+    assert found.reflectance.known.all()
+    # What is left are the edges of brows and lips between 128 x 128 texels.
+    assert relative_rmse(found.reflectance.diffuse_linear, true_albedo) < 0.065
+
+
+def test_the_albedo_of_an_estimate_is_the_true_one_up_to_its_scale(scene, true_albedo):
+    made = scene(1, size=SIZE)
+    estimate = s2a.estimate_albedo(made.image, lights=1, budget=s2a.Budget(evaluations=100))
+    face = on_model(made, estimate.albedo_linear, estimate.reflectance)
+    found = reflectance_of_processed(face).reflectance
+    known = found.known
+    assert known.mean() > 0.99
+    assert relative_rmse(found.diffuse_linear[known], true_albedo[known]) < 0.09
+    raw = sampled_at_vertices(made.image.texture_linear.astype(float), face)[0]
+    assert relative_rmse(raw[known], true_albedo[known]) > 0.15
+
+
+def sent_and_expected(face, light, reflectance):
+    """(N, 3) what vertices send under one light, as a reflectance has it and as the relit face has it."""
+    picture = relight(face, [light], ambient=0.0, options=RelightOptions(shadows=False)).texture_linear
+    expected, known = sampled_at_vertices(picture.astype(float), face)
+    normals, _ = sampled_at_vertices(face.image.normal, face)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    near = np.isfinite(light.distance_mm)
+    lobes = point_light_lobes(
+        face.mesh.vertices,
+        normals,
+        [[0, 0, FAR_MM]],
+        [light.direction * (light.distance_mm if near else FAR_MM)],
+        reference_distance_mm=light.distance_mm if near else None,
+    )
+    sent = np.pi * light.intensity * point_light_radiance(reflectance, lobes)[0]
+    used = known & (normals[:, 2] > 0.2)
+    return sent[used], expected[used]
+
+
+@pytest.mark.parametrize(("skin", "most"), [(MATTE, 0.025), (GLOSSY, 0.04), (ROUGH, 0.13)])
+@pytest.mark.parametrize("light", LIGHTS)
+def test_it_sends_what_the_relit_face_sends(true_face, light, skin, most):
+    face = replace(true_face, reflectance=skin)
+    sent, expected = sent_and_expected(face, light, reflectance_of_processed(face).reflectance)
+    assert np.linalg.norm(sent - expected) < most * np.linalg.norm(expected)
+
+
+def test_rough_skin_is_that_matte_skin_which_is_nearest(true_face):
+    face = replace(true_face, reflectance=ROUGH)
+    errors = {}
+    for factor in (0.9, 1.0, 1.1):
+        found = reflectance_of_processed(face).reflectance
+        scaled = replace(found, diffuse_linear=factor * found.diffuse_linear)
+        pairs = [sent_and_expected(face, light, scaled) for light in LIGHTS]
+        errors[factor] = np.mean([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in pairs])
+    assert min(errors, key=errors.get) == 1.0
+
+
+def test_highlights_are_those_of_the_estimate_times_the_annotation(true_face):
+    face = replace(true_face, reflectance=GLOSSY)
+    weights = reflectance_of_processed(face).reflectance.weights
+    scale = sampled_at_vertices(face.image.specular_scale[..., None].astype(float), face)[0]
+    np.testing.assert_allclose(weights, scale * lobe_weights_of_phong(0.15, 8.0))
+    assert np.ptp(scale) > 0.1
+
+
+def test_vertices_that_were_not_seen_are_not_known_and_lend_nothing(true_face):
+    seen = true_face.mask.copy()
+    seen[:, : SIZE // 2] = False
+    albedo = np.where(seen[..., None], true_face.albedo_linear, 1e6)
+    hidden = replace(true_face, albedo_linear=albedo, image=replace(true_face.image, texture_valid=seen))
+    found = reflectance_of_processed(hidden).reflectance
+    left = true_face.mesh.uv[:, 0] < 0.5 - 1 / SIZE
+    right = true_face.mesh.uv[:, 0] > 0.5 + 1 / SIZE
+    assert not found.known[left].any()
+    assert found.known[right].all()
+    assert np.isnan(found.diffuse_linear[~found.known]).all()
+    assert found.diffuse_linear[found.known].max() <= true_face.albedo_linear.max()
+
+
+def test_a_level_scales_albedo_and_highlights_alike(true_face):
+    face = replace(true_face, reflectance=GLOSSY)
+    plain, brighter = (
+        reflectance_of_processed(face, level=level).reflectance for level in (None, 2 * face.level())
+    )
+    np.testing.assert_allclose(brighter.diffuse_linear, 2 * plain.diffuse_linear)
+    np.testing.assert_allclose(brighter.weights, 2 * plain.weights)
+    with pytest.raises(ValueError, match="level"):
+        reflectance_of_processed(face, level=0.0)
+
+
+def test_scans_of_one_model_make_a_morphable_one(scene):
+    faces = []
+    for seed in range(3):
+        made = scene(seed)
+        faces.append(on_model(made, made.albedo_linear, GLOSSY, f"person{seed}"))
+    model, people = reflectance_model_of_processed(faces)
+    assert (model.components, model.samples) == (2, 3)
+    assert [one.name for one in people] == ["person0", "person1", "person2"]
+    assert model.project(people[1].reflectance).diffuse_rmse < 1e-9
+    fewer, _ = reflectance_model_of_processed(faces, components=1)
+    assert fewer.components == 1
+
+
+def test_a_folder_gives_what_its_result_gives(result, stored):
+    of_folder, of_result = reflectance_of_processed(stored), reflectance_of_processed(result)
+    np.testing.assert_array_equal(of_folder.faces, result.fitted.faces)
+    np.testing.assert_array_equal(of_folder.reflectance.known, of_result.reflectance.known)
+    known = of_result.reflectance.known
+    np.testing.assert_allclose(
+        of_folder.reflectance.diffuse_linear[known], of_result.reflectance.diffuse_linear[known], rtol=1e-4
+    )
+    loaded = reflectance_of_processed(load_result(stored))
+    np.testing.assert_array_equal(loaded.reflectance.weights, of_folder.reflectance.weights)
+
+
+def test_scans_whose_vertices_do_not_correspond_are_refused(true_face, person, stored):
+    with pytest.raises(ApplicationError, match="without a model"):
+        reflectance_of_processed(replace(true_face, model_name="none"))
+    with pytest.raises(ApplicationError, match=r"someone .*rest.*meshes differ"):
+        reflectance_model_of_processed([true_face, stored])
+    with pytest.raises(ApplicationError, match=r"someone .*person0.*meshes differ"):
+        reflectance_model_of_processed([true_face, person(0)])
+    with pytest.raises(ReflectanceError, match="no sample"):
+        reflectance_model_of_processed([])
+
+
+def test_a_scan_that_shows_nothing_is_refused(true_face):
+    blind = replace(true_face.image, texture_valid=np.zeros_like(true_face.mask))
+    with pytest.raises(ApplicationError, match="someone: no vertex"):
+        reflectance_of_processed(replace(true_face, image=blind))
