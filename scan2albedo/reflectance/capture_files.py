@@ -18,6 +18,7 @@ from scan2albedo.io.load_scan import read_mesh_file
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
+from scan2albedo.reflectance.photograph_files import read_skin_mask
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -157,19 +158,11 @@ class CaptureFiles:
             if name is None:
                 continue
             if name not in masks:
-                masks[name] = self._read_mask(name, valid.shape[1:3])
+                masks[name] = read_skin_mask(
+                    self.path.parent / name, valid.shape[1:3], f"capture {self.path}"
+                )
             valid[j] &= masks[name][..., None]
         return replace(olat, valid=valid, linear=np.where(valid, olat.linear, np.float32(0)))
-
-    def _read_mask(self, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        values = read_image_values(self.path.parent / name)
-        if values.shape[:2] != shape:
-            height, width = values.shape[:2]
-            raise ReflectanceError(
-                f"capture {self.path}: the mask {name} is {width} x {height} pixels and the pictures are "
-                f"{shape[1]} x {shape[0]}; all must have one size"
-            )
-        return np.asarray(values.max(-1) > values.max() / 2, np.bool_)
 
     def _refuse_sizes(self, flashes: list[NDArray], rooms: list[NDArray]) -> None:
         first = flashes[0].shape[:2]

@@ -1,5 +1,6 @@
 """Synthetic scenes with ground truth."""
 
+from scan2albedo.synthetic.face_photograph import FacePhotograph, FacePhotographOptions, face_photograph
 from scan2albedo.synthetic.flash_capture import FlashCapture, FlashCaptureOptions, flash_capture
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_bend import GlassesBend
@@ -20,6 +21,8 @@ from scan2albedo.synthetic.scenes import (
 from scan2albedo.synthetic.wearer import Wearer, WearerOptions, wearer
 
 __all__ = [
+    "FacePhotograph",
+    "FacePhotographOptions",
     "FlashCapture",
     "FlashCaptureOptions",
     "GlassesBend",
@@ -37,6 +40,7 @@ __all__ = [
     "WearerOptions",
     "eyeglasses",
     "face",
+    "face_photograph",
     "flash_capture",
     "hemisphere",
     "light_at",

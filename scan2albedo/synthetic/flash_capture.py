@@ -9,15 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.synthetic.glossy_person import GlossyPerson, SeenSurface
 from scan2albedo.synthetic.identity import Expression
+from scan2albedo.synthetic.portrait import (
+    TARGET_MM,
+    exposure_for,
+    focal_length_px,
+    portrait_camera,
+    stored_values,
+    toward,
+)
 from scan2albedo.synthetic.sitter import sit_down
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_TARGET_MM = np.array([0.0, 0.0, -5.0])
 _SIDE_DEG = 60.0
 _HIGH_FLASHES_DEG = ((-20.0, 25.0), (20.0, 25.0))
 """Azimuth and elevation of the flashes that stand where no camera takes pictures."""
@@ -211,13 +217,13 @@ def flash_capture(
         seen = person.seen(camera, centers[c], options.picture_size)
         ambient = _room_light(person, seen, options.room)
         rooms.append(seen.picture(ambient))
-        skin.append(seen.picture(np.repeat(seen.on_face[:, None], 3, axis=1))[..., 0] > 0)
+        skin.append(seen.marked(seen.on_face))
         reach = options.distance_mm if options.falloff else None
         for strength, position in zip(gain, centers[: options.flashes], strict=True):
             radiance = ambient + strength * person.lit(seen, position, reference_distance_mm=reach)
             flashes.append(seen.picture(radiance))
             brightest.append(radiance[seen.on_face].max(1))
-    exposure = _exposure(np.concatenate(brightest), options.saturated_part)
+    exposure = exposure_for(np.concatenate(brightest), options.saturated_part)
     subdivision = face_model.subdivision(options.levels)
     count = subdivision.matrix.shape[0]
     view = np.repeat(np.arange(options.views), options.flashes)
@@ -248,24 +254,15 @@ def _head_poses(options: FlashCaptureOptions) -> tuple[FloatArray, FloatArray, F
     sides = np.linspace(-_SIDE_DEG, _SIDE_DEG, options.views) if options.views > 1 else [0.0]
     places = [(float(azimuth), 0.0) for azimuth in sides]
     places += _HIGH_FLASHES_DEG[: max(options.flashes - options.views, 0)]
-    size = options.picture_size
-    focal = size * options.distance_mm / (2 * options.reach_mm)
+    size, distance = options.picture_size, options.distance_mm
     cameras = [
-        look_at(
-            _TARGET_MM + options.distance_mm * _toward(*place), _TARGET_MM, focal_px=focal, shape=(size, size)
-        )
+        portrait_camera(*place, size=size, distance_mm=distance, reach_mm=options.reach_mm)
         for place in places
     ]
-    middle = (size - 1) / 2
+    focal, middle = focal_length_px(size, distance, options.reach_mm), (size - 1) / 2
     intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
     poses = np.linalg.solve(intrinsics, np.stack(cameras))
     return poses[:, :, :3], poses[:, :, 3], intrinsics
-
-
-def _toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
-    across = math.cos(elevation)
-    return np.array([math.sin(azimuth) * across, math.sin(elevation), math.cos(azimuth) * across])
 
 
 def _centers(rotations: FloatArray, translations: FloatArray) -> FloatArray:
@@ -275,24 +272,13 @@ def _centers(rotations: FloatArray, translations: FloatArray) -> FloatArray:
 def _room_light(person: GlossyPerson, seen: SeenSurface, strength: float) -> FloatArray:
     """Return the radiance (N, 3) under three lamps and light from everywhere, half each."""
     lamps = [
-        person.lit(seen, _TARGET_MM + _ROOM_DISTANCE_MM * _toward(*lamp)) / len(_ROOM_LAMPS_DEG)
+        person.lit(seen, TARGET_MM + _ROOM_DISTANCE_MM * toward(*lamp)) / len(_ROOM_LAMPS_DEG)
         for lamp in _ROOM_LAMPS_DEG
     ]
     return strength * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
 
 
-def _exposure(brightest: FloatArray, saturated_part: float) -> float:
-    white = float(np.quantile(brightest, 1 - saturated_part)) if len(brightest) else 0.0
-    return 1 / white if white > 0 else 1.0
-
-
 def _stored(
     linear: NDArray[np.float32], options: FlashCaptureOptions, rng: np.random.Generator
 ) -> NDArray[np.generic]:
-    """Return the values of a picture."""
-    values = linear ** np.float32(1 / options.gamma)
-    values += np.float32(options.noise) * rng.standard_normal(values.shape, dtype=np.float32)
-    if options.bits is None:
-        return values
-    kind = np.uint8 if options.bits == 8 else np.uint16
-    return np.round(np.clip(values, 0, 1) * np.iinfo(kind).max).astype(kind)
+    return stored_values(linear, gamma=options.gamma, noise=options.noise, bits=options.bits, rng=rng)

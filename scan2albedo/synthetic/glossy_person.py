@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
+from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, Sitter
 from scan2albedo.synthetic.textures import smooth_noise
@@ -51,6 +52,12 @@ class SeenSurface:
         picture = np.zeros((self.size**2, 3), np.float32)
         picture[self.pixel] = radiance
         return picture.reshape(self.size, self.size, 3)
+
+    def marked(self, points: BoolArray) -> BoolArray:
+        """Return (S, S) True at the pixels of some points (N,)."""
+        mask = np.zeros(self.size**2, bool)
+        mask[self.pixel] = points
+        return mask.reshape(self.size, self.size)
 
 
 @dataclass(frozen=True)
@@ -119,7 +126,24 @@ class GlossyPerson:
         """
         offset = light - seen.position
         reach = np.linalg.norm(offset, axis=1)
-        toward = offset / reach[:, None]
+        radiance = self._reflected(seen, offset / reach[:, None], reach)
+        if reference_distance_mm is None:
+            return radiance
+        return radiance * (reference_distance_mm / reach[:, None]) ** 2
+
+    def under(self, seen: SeenSurface, lights: DistantLights) -> FloatArray:
+        """Return the radiance (N, 3) under distant lights, with cast shadows."""
+        radiance = np.zeros((len(seen.position), 3))
+        everywhere = np.full(len(radiance), np.inf)
+        for direction, irradiance in zip(
+            np.asarray(lights.directions), np.asarray(lights.irradiance_linear), strict=True
+        ):
+            toward = np.broadcast_to(direction, seen.position.shape)
+            radiance += irradiance * self._reflected(seen, toward, everywhere)
+        return radiance
+
+    def _reflected(self, seen: SeenSurface, toward: FloatArray, reach: FloatArray) -> FloatArray:
+        """Return the radiance (N, 3) under light of strength 1 from directions (N, 3), `reach` (N,) mm off."""
         n_l = np.einsum("nc,nc->n", seen.normal, toward)
         facing = np.flatnonzero(n_l > 0)
         start = seen.position[facing] + _OFFSET_MM * seen.normal[facing]
@@ -130,9 +154,8 @@ class GlossyPerson:
         gloss = np.zeros(len(rows))
         for k, s in enumerate(EXPONENTS):
             gloss += seen.weights[rows, k] * (s + 2) / (8 * np.pi) * n_h**s
-        strength = 1.0 if reference_distance_mm is None else (reference_distance_mm / reach[rows, None]) ** 2
         radiance = np.zeros((len(reach), 3))
-        radiance[rows] = strength * (seen.diffuse_linear[rows] / np.pi * n_l[rows, None] + gloss[:, None])
+        radiance[rows] = seen.diffuse_linear[rows] / np.pi * n_l[rows, None] + gloss[:, None]
         return radiance
 
     def _reflectance(

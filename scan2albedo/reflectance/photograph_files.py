@@ -1,0 +1,156 @@
+"""`photograph.json`: a picture of a face in plain light, its camera, and what is known of the face's shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import read_checked
+from scan2albedo.io.images import read_image_values
+from scan2albedo.io.load_scan import read_mesh_file
+from scan2albedo.io.units import MM_PER_UNIT
+
+FloatArray = NDArray[np.float64]
+_Row = tuple[float, float, float, float]
+_Pixel = tuple[float, float]
+
+LANDMARKS = 68
+
+
+class FacePhotographFile(BaseModel):
+    """The content of a photograph file."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, title="scan2albedo face photograph"
+    )
+
+    format: Literal["scan2albedo face photograph"] = "scan2albedo face photograph"
+    format_version: Literal[1] = 1
+    unit: Literal["mm", "cm", "m"] = "mm"
+    image: str = Field(description="Relative to this file.")
+    mask: str | None = Field(None, description="Image, bright on skin; null: no mask. Relative to this file.")
+    gamma: float = Field(1.2, gt=0, description="Light is value^gamma.")
+    saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
+    camera: tuple[_Row, _Row, _Row] = Field(
+        description="Row-major 3x4: pixels (column, row), centres at integers, from points in `unit`."
+    )
+    mesh: str | None = Field(
+        None,
+        description="The face in the camera's frame: OBJ, PLY, GLB, STL or OFF with the model's vertices in "
+        "their order; null when landmarks tell the shape. Relative to this file.",
+    )
+    landmarks: tuple[_Pixel | None, ...] | None = Field(
+        None, description="68 pixels (column, row), iBUG-68 order; null for what is hidden."
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> FacePhotographFile:
+        if self.mesh is None and self.landmarks is None:
+            raise ValueError("there is neither a mesh nor landmarks; give one of them")
+        if self.landmarks is not None and len(self.landmarks) != LANDMARKS:
+            raise ValueError(f"there are {len(self.landmarks)} landmarks, expected {LANDMARKS}")
+        return self
+
+
+@dataclass(frozen=True)
+class PhotographFiles:
+    """A photograph as a file tells it.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    content : FacePhotographFile
+    image : (H, W, 3) uint8, uint16 or float32
+        Values.
+    mask : (H, W) bool or None
+    camera : (3, 4) float64
+        From points in mm.
+    vertices : (V, 3) float64 or None
+        Of the mesh, mm.
+    landmarks_px : (68, 2) float64 or None
+        NaN for what is hidden.
+    """
+
+    path: Path
+    content: FacePhotographFile
+    image: NDArray[np.generic]
+    mask: NDArray[np.bool_] | None
+    camera: FloatArray
+    vertices: FloatArray | None
+    landmarks_px: FloatArray | None
+
+
+def read_photograph(path: str | Path) -> PhotographFiles:
+    """Read a photograph file with its image, mask and mesh.
+
+    Raises
+    ------
+    ReflectanceError
+        When the file does not fit, or mask and image differ in size; names it and the first fault.
+    ScanError
+        When image, mask or mesh cannot be read.
+    """
+    file = Path(path)
+    content = read_checked(
+        file,
+        FacePhotographFile,
+        what="photograph",
+        writer="write_photograph",
+        schema="face_photograph.schema.json",
+        error=ReflectanceError,
+    )
+    scale, folder = MM_PER_UNIT[content.unit], file.parent
+    image = read_image_values(folder / content.image)
+    camera = np.array(content.camera, np.float64)
+    camera[:, :3] /= scale
+    vertices = None
+    if content.mesh is not None:
+        vertices = np.asarray(read_mesh_file(folder / content.mesh).vertices, np.float64) * scale
+    landmarks = None
+    if content.landmarks is not None:
+        landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], np.float64)
+    mask = None if content.mask is None else _read_mask(file, content.mask, image.shape[:2])
+    return PhotographFiles(file, content, image, mask, camera, vertices, landmarks)
+
+
+def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
+    """Write a photograph file, whole or not at all; image, mask and mesh are the caller's.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    write_text(path, content.model_dump_json(indent=1) + "\n")
+
+
+def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    return read_skin_mask(file.parent / name, shape, f"photograph {file}")
+
+
+def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> NDArray[np.bool_]:
+    """Return a mask (H, W), True where its image is brighter than half of its brightest value.
+
+    Raises
+    ------
+    ReflectanceError
+        When it has another size than `shape` (H, W); `whose` it is, in words.
+    ScanError
+        When it cannot be read.
+    """
+    values = read_image_values(path)
+    if values.shape[:2] != shape:
+        height, width = values.shape[:2]
+        raise ReflectanceError(
+            f"{whose}: the mask {path.name} is {width} x {height} pixels and the image {shape[1]} x {shape[0]}; "
+            "all must have one size"
+        )
+    return np.asarray(values.max(-1) > values.max() / 2, np.bool_)
