@@ -1,4 +1,4 @@
-"""`photograph.json`: a picture of a face in plain light, its camera, and what is known of the face's shape."""
+"""`photograph.json`: a picture of a face in plain light, its camera, what is known of the face's shape."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> NDArray[np
     if values.shape[:2] != shape:
         height, width = values.shape[:2]
         raise ReflectanceError(
-            f"{whose}: the mask {path.name} is {width} x {height} pixels and the image {shape[1]} x {shape[0]}; "
+            f"{whose}: the mask {path.name} is {width} x {height} pixels, the image {shape[1]} x {shape[0]}; "
             "all must have one size"
         )
     return np.asarray(values.max(-1) > values.max() / 2, np.bool_)

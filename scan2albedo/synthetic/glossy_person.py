@@ -143,7 +143,7 @@ class GlossyPerson:
         return radiance
 
     def _reflected(self, seen: SeenSurface, toward: FloatArray, reach: FloatArray) -> FloatArray:
-        """Return the radiance (N, 3) under light of strength 1 from directions (N, 3), `reach` (N,) mm off."""
+        """Return radiance (N, 3) under light of strength 1 from directions (N, 3), `reach` (N,) mm away."""
         n_l = np.einsum("nc,nc->n", seen.normal, toward)
         facing = np.flatnonzero(n_l > 0)
         start = seen.position[facing] + _OFFSET_MM * seen.normal[facing]
