@@ -24,6 +24,7 @@ from scan2albedo.io.lens_json import LensesRecord
 from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
 from scan2albedo.reflectance.model_files import ReflectanceModelHeader
+from scan2albedo.reflectance.shape_model_files import ShapeModelHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
@@ -43,6 +44,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "eyeglasses_lenses": LensesRecord,
     "template_set": TemplatesHeader,
     "reflectance_model": ReflectanceModelHeader,
+    "shape_model": ShapeModelHeader,
 }
 
 

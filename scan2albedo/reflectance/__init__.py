@@ -6,6 +6,8 @@ from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetu
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
 from scan2albedo.reflectance.generated_environments import generated_environment
+from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
+from scan2albedo.reflectance.geometry_options import GeometryFitOptions
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
@@ -14,6 +16,7 @@ from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOpti
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
 from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
+from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_fit import fit_reflectance
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 from scan2albedo.reflectance.vertex_samples import SamplingOptions, VertexSamples, sample_vertices
@@ -26,12 +29,15 @@ __all__ = [
     "EnvironmentShading",
     "FineTuneOptions",
     "FineTuning",
+    "GeometryFit",
+    "GeometryFitOptions",
     "ImageFit",
     "ImageFitOptions",
     "ImageObservation",
     "LightingModel",
     "ModelReflectance",
     "MorphableReflectanceModel",
+    "MorphableShapeModel",
     "OlatImages",
     "OlatOptions",
     "Projection",
@@ -50,6 +56,7 @@ __all__ = [
     "lobe_weights_of_phong",
     "point_light_lobes",
     "point_light_radiance",
+    "refine_geometry",
     "reflectance_from_albedo",
     "relighting_error",
     "rig_of_head_poses",
