@@ -1,12 +1,13 @@
 """Geometry from one image: landmarks alone, and landmarks with photometry.
 
-    python tools/bench_reflectance_geometry.py [faces] [weights] [--people 6] [--picture fit.png]
+    python tools/bench_reflectance_geometry.py [faces] [weights] [light] [--people 6] [--picture fit.png]
 
-Faces of `scan2albedo.synthetic` that the shape model was not learned from, with painted skin, random lobes and a
-mild expression, under generated environments. Pictures are made pixel by pixel on a mesh sixteen times finer
-than the model's, by sums over 400 distant lights, with 1 % noise, and with cast shadows or without; nothing of
-the fit's shading is in them. Landmarks have 1 px noise (0.5 mm). Errors are over vertices that the camera sees,
-positions after the best rigid alignment, means over people. Times are CPU seconds.
+Faces of `scan2albedo.synthetic` that the shape model was not learned from, with painted skin, random lobes
+and a mild expression, under generated environments. Pictures are made pixel by pixel on a mesh sixteen times
+finer than the model's, by sums over 400 distant lights, with 1 % noise, and cast shadows or not; nothing of the
+fit's shading is in them. Landmarks have 1 px noise (0.5 mm). Errors are means over the vertices that the
+camera sees and over people: positions after the best rigid alignment, the same with the best scale too (size
+and distance cannot be told apart in one image), and normals. Times are CPU seconds.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import get_args
 import numpy as np
 from bench_reflectance_model import learned, person, surface
 from numba import njit
+from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
 from scan2albedo.geometry.mesh import normalized, vertex_normals
@@ -29,8 +31,9 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
+from scan2albedo.io.images import write_png
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.lighting.environment_harmonics import project_distant_lights
+from scan2albedo.lighting.environment_harmonics import project_distant_lights, project_environment
 from scan2albedo.reflectance import (
     GeometryFit,
     GeometryFitOptions,
@@ -41,6 +44,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     refine_geometry,
 )
+from scan2albedo.reflectance.smooth_image import SmoothImage
 from scan2albedo.synthetic import identity
 
 LEVEL, FINE = 1, 3
@@ -99,8 +103,6 @@ def scene(seed: int, shadows: bool) -> Scene:
 @cache
 def coarse_skin(seed: int, width_mm: float = 1.5) -> VertexReflectance:
     """Skin of the fine mesh averaged around the vertices of the coarse one."""
-    from scipy.spatial import cKDTree
-
     fine, coarse = surface(FINE), surface(LEVEL)
     distance, near = cKDTree(fine.vertices).query(coarse.vertices, k=60)
     weight = np.exp(-(distance**2) / (2 * width_mm**2))
@@ -117,7 +119,7 @@ def photograph(
     pixels, depth = project(CAMERA, vertices)
     raster = rasterize(pixels, 1 / depth, faces, SHAPE)
     normal = vertex_normals(vertices, faces)
-    # Barycentric weights in the picture are those on the surface to 1e-3: a face is small beside its distance.
+    # Barycentric weights in the picture are nearly those on the surface: faces are small.
     on_face = raster.covered
     points, n, diffuse, weights = (
         interpolate(raster, faces, v)[on_face] for v in (vertices, normal, skin.diffuse_linear, skin.weights)
@@ -125,7 +127,9 @@ def photograph(
     n = normalized(n)
     view = normalized(camera_centers(CAMERA[None])[0] - points)
     caster, color = RayCaster(vertices, faces), np.zeros_like(points)
-    for toward, irradiance in zip(np.asarray(lights.directions), np.asarray(lights.irradiance_linear)):
+    for toward, irradiance in zip(
+        np.asarray(lights.directions), np.asarray(lights.irradiance_linear), strict=True
+    ):
         lit = n @ toward > 0
         if shadows:
             lit[lit] = ~caster.occluded(points[lit] + 0.3 * n[lit], toward)
@@ -158,19 +162,21 @@ def visible(s: Scene) -> np.ndarray:
     return np.einsum("vi,vi->v", normals, view) > 0.1
 
 
-def errors(vertices: np.ndarray, s: Scene) -> tuple[float, float]:
-    """Return mean distances in mm and angles in degrees over visible vertices."""
+def errors(vertices: np.ndarray, s: Scene) -> tuple[float, float, float]:
+    """Return mean distances in mm, with the best scale too, and angles in degrees, over visible vertices."""
     seen, faces = visible(s), shape_model().faces
-    aligned = transform_points(procrustes(vertices[seen], s.vertices[seen]), vertices)
+    distances = []
+    for scale in (True, False):
+        aligned = transform_points(procrustes(vertices[seen], s.vertices[seen], scale=scale), vertices)
+        distances.append(float(np.linalg.norm(aligned - s.vertices, axis=1)[seen].mean()))
     cosine = np.sum(vertex_normals(aligned, faces) * vertex_normals(s.vertices, faces), axis=1)[seen]
-    distance = np.linalg.norm(aligned - s.vertices, axis=1)[seen]
-    return float(distance.mean()), float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+    return distances[1], distances[0], float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
 def refined(s: Scene, options: GeometryFitOptions, skin=None, light=None, start=None) -> GeometryFit:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        initial = {}
+        initial: dict[str, np.ndarray] = {}
         if start is not None:
             initial = {
                 "initial_scene_from_model": start.scene_from_model,
@@ -200,8 +206,6 @@ def alternated(s: Scene, options: GeometryFitOptions, rounds: int = 3) -> Geomet
 
 def estimated(s: Scene, fit: GeometryFit) -> tuple[VertexReflectance, np.ndarray]:
     """Return reflectance and light that `fit_image` finds on a geometry."""
-    from scan2albedo.reflectance.smooth_image import SmoothImage
-
     smooth = SmoothImage(s.image, None, 1.0)
     pixels, _ = project(CAMERA, fit.vertices)
     view = normalized(camera_centers(CAMERA[None])[0] - fit.vertices)
@@ -225,26 +229,87 @@ def print_faces(people: int, picture: str | None) -> None:
     learned(60, 40, LEVEL)
     for shadows in (False, True):
         scenes = [scene(seed, shadows) for seed in range(people)]
-        print(f"\n{people} people, {'with' if shadows else 'without'} cast shadows")
-        print(f"{'':44}{'vertices mm':>12}{'normals deg':>12}{'CPU s':>8}")
+        print_head(f"{people} people, {'with' if shadows else 'no'} cast shadows")
         print_row("mean shape", [errors(shape_model().mean, s) for s in scenes])
         print_row("nearest shape of the model", [errors(nearest(s), s) for s in scenes])
         for name, method in METHODS.items():
-            start = time.process_time()
-            fits = [method(s, GeometryFitOptions()) for s in scenes]
-            used = (time.process_time() - start) / people
-            rows = [errors(fit.vertices, s) for fit, s in zip(fits, scenes, strict=True)]
-            accepted = sum(fit.plan.ran("reflectance.geometry.photometry") for fit in fits)
-            print_row(name, rows, used, f"  accepted {accepted}" if name != "landmarks" else "")
+            print_method(name, method, scenes, GeometryFitOptions())
+    if picture:
+        draw(picture, scene(0, True))
 
 
-def print_row(name: str, rows: list[tuple[float, float]], used: float | None = None, note: str = "") -> None:
-    mm, degrees = np.mean(rows, axis=0)
-    seconds = "" if used is None else f"{used:8.2f}"
-    print(
-        f"{name:44}{mm:12.3f}{degrees:12.2f}{seconds}{note}   {[round(row[0], 2) for row in rows]}",
-        flush=True,
-    )
+def print_weights(people: int, picture: str | None) -> None:
+    """Print errors by the weights of the objective and the smoothing of the image."""
+    scenes = [scene(seed, False) for seed in range(people)]
+    known = METHODS["+ photometry, reflectance and light known"]
+    print_head("landmarks alone")
+    for weight in (0.002, 0.02, 0.1, 0.2, 0.5):
+        print_method(
+            f"landmark_weight {weight:g}", refined, scenes, GeometryFitOptions(landmark_weight=weight)
+        )
+    print_head("with photometry, reflectance and light known")
+    for change in (
+        {},
+        {"landmark_weight": 0.02},
+        {"photometric_weight": 0.5},
+        {"photometric_weight": 8.0},
+        {"prior_weight": 3e-4},
+        {"prior_weight": 3e-3},
+        {"blur_edges": (0.0,)},
+        {"blur_edges": (0.6,)},
+    ):
+        text = ", ".join(f"{name} {value}" for name, value in change.items()) or "as it is"
+        print_method(text, known, scenes, GeometryFitOptions(**change))
+
+
+def print_light(people: int, picture: str | None) -> None:
+    """Print what the light of other places does, of the same brightness, and how often it is believed."""
+    scenes = [scene(seed, False) for seed in range(people)]
+    places = [project_environment(generated_environment(90_000 + seed)) for seed in range(people)]
+
+    def wrong(s: Scene, options: GeometryFitOptions) -> GeometryFit:
+        light = places[[other is s for other in scenes].index(True)]
+        return refined(s, options, s.reflectance, light * s.light[0].sum() / light[0].sum())
+
+    print_head("light of other places")
+    print_method("landmarks", refined, scenes, GeometryFitOptions())
+    print_method("+ photometry, wrong light", wrong, scenes, GeometryFitOptions())
+    print_method("the same, believed always", wrong, scenes, GeometryFitOptions(largest_rmse=99.0))
+
+
+def print_head(title: str) -> None:
+    print(f"\n{title:44}{'rigid mm':>10}{'scaled mm':>11}{'normals deg':>13}{'CPU s':>8}{'believed':>10}")
+
+
+def print_method(name: str, method: Method, scenes: list[Scene], options: GeometryFitOptions) -> None:
+    start = time.process_time()
+    fits = [method(s, options) for s in scenes]
+    used = (time.process_time() - start) / len(scenes)
+    believed = sum(fit.plan.ran("reflectance.geometry.photometry") for fit in fits)
+    rows = [errors(fit.vertices, s) for fit, s in zip(fits, scenes, strict=True)]
+    print_row(name, rows, f"{used:8.2f}{believed:10d}")
+
+
+def print_row(name: str, rows: list[tuple[float, float, float]], more: str = "") -> None:
+    rigid, scaled, degrees = np.mean(rows, axis=0)
+    print(f"{name:44}{rigid:10.3f}{scaled:11.3f}{degrees:13.2f}{more}", flush=True)
+
+
+def draw(path: str, s: Scene) -> None:
+    """Draw the image, and by the normals: truth, landmarks, photometry known and estimated; errors below."""
+    fits = [method(s, GeometryFitOptions()).vertices for method in METHODS.values()]
+    faces = shape_model().faces
+    top = [np.clip(s.image / np.quantile(s.image, 0.98), 0, 1)]
+    bottom = [np.ones_like(s.image)]
+    for vertices in (s.vertices, *fits):
+        aligned = transform_points(procrustes(vertices, s.vertices, scale=True), vertices)
+        pixels, depth = project(CAMERA, aligned)
+        raster = rasterize(pixels, 1 / depth, faces, SHAPE)
+        distance = np.linalg.norm(aligned - s.vertices, axis=1) / 3.0
+        heat = np.clip(np.stack([2 * distance, 2 - 2 * distance, np.zeros_like(distance)], 1), 0, 1)
+        top.append(interpolate(raster, faces, 0.5 + 0.5 * vertex_normals(aligned, faces)))
+        bottom.append(interpolate(raster, faces, heat))
+    write_png(path, np.concatenate([np.concatenate(row, axis=1) for row in (top, bottom)]))
 
 
 def nearest(s: Scene) -> np.ndarray:
@@ -262,15 +327,19 @@ def nearest(s: Scene) -> np.ndarray:
     return shape
 
 
+PARTS = {"faces": print_faces, "weights": print_weights, "light": print_light}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parts", nargs="*", choices=["faces"], help="all when omitted")
+    parser.add_argument("parts", nargs="*", choices=list(PARTS), help="all when omitted")
     parser.add_argument("--people", type=int, default=6)
-    parser.add_argument("--picture", help="PNG")
+    parser.add_argument("--picture", help="PNG: normals of one face, and its errors (green 0, red 3 mm)")
     arguments = parser.parse_args()
-    print_faces(arguments.people, arguments.picture)
+    for part in arguments.parts or PARTS:
+        PARTS[part](arguments.people, arguments.picture)
 
 
 if __name__ == "__main__":

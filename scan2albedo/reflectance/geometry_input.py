@@ -50,7 +50,8 @@ def initial_state(
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
     if len(seen) < _LEAST_FOR_POSE:
         raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes {_LEAST_FOR_POSE}; give initial_scene_from_model"
+            f"{len(seen)} landmarks are seen, and a pose takes {_LEAST_FOR_POSE}; give "
+            "initial_scene_from_model"
         )
     points = model.shape(a, b)[model.landmark_vertices[seen]]
     return GeometryState(pose_from_landmarks(camera, points, landmarks[seen]), a, b)

@@ -28,16 +28,16 @@ class GeometryFitOptions:
     """Landmarks farther off than this count by their distance, not its square; None for squares alone."""
     contour: bool = True
     """Use landmarks 0 ... 16, along the jaw, which slide over the face where its outline is meant."""
-    blur_edges: tuple[float, ...] = (0.4,)
-    """The image is smoothed by these standard deviations, one after the other, in mean edges of the mesh: what
-    is finer between vertices than their spacing the reflectance does not hold."""
+    blur_edges: tuple[float, ...] = (0.3,)
+    """The image is smoothed by these standard deviations, one after the other, in mean edges of the mesh: the
+    reflectance does not hold what is finer than the spacing of its vertices."""
     view_cosine: float = 0.2
     """Vertices whose normals have less than this to the line of sight do not count."""
     margin_px: float = 2.0
     """Nor do those nearer than this to an edge of the surface in the image."""
     refresh_steps: int = 5
     """After so many steps it is settled anew which vertices count."""
-    rounds: int = 20
+    rounds: int = 10
     """Most times that this is settled, for each of `blur_edges`."""
     landmark_steps: int = 100
     """Most steps with landmarks alone."""
@@ -47,7 +47,7 @@ class GeometryFitOptions:
     """Photometry is not believed when it makes the landmarks' error larger than this times the error without,
     and `landmark_slack_px`."""
     landmark_slack_px: float = 0.5
-    largest_rmse: float = 0.3
+    largest_rmse: float = 0.25
     """Nor when the colours' relative rmse stays above this."""
 
     def __post_init__(self) -> None:

@@ -75,24 +75,10 @@ class GeometryRefinement:
         converged = self._descend(search, self.photometry)
         meter.adopt(stage)
         self.iterations += search.iterations
-        before, after = self.state, search.state
-        term = self.photometry.common_term([s.vertices(self.model) for s in (before, after)])
-        if term is None or search.iterations == 0:
-            self.steps.append(
-                PlanStep(name, False, "the image tells nothing of the face, or cannot be bettered")
-            )
-            return
-        refusal = self._refusal(term, before, after)
-        self.steps.append(
-            PlanStep(
-                name,
-                not refusal,
-                refusal or "the colours are explained better",
-                f"relative rmse {self.rmse[0]:.4f} -> {self.rmse[1]:.4f}, {len(term.used)} vertices",
-            )
-        )
-        if not refusal:
-            self.state, self.converged = after, converged
+        if self._accept(name, self.photometry, search):
+            self.state, self.converged = search.state, converged
+        elif meter.exhausted:
+            self.converged = False
 
     def _descend(self, search: GeometrySearch, photometry: Photometry) -> bool:
         """Search with what is seen settled anew every few steps; tell whether it converged."""
@@ -104,17 +90,28 @@ class GeometryRefinement:
                 if term is None or search.meter.exhausted:
                     break
                 terms: list[GeometryTerm] = [term] if self.anchor is None else [self.anchor, term]
-                steps = search.iterations
                 search.run(terms, options.refresh_steps, options.tolerance)
-                fallen = search.first_value - search.value
-                if (
-                    search.converged
-                    or search.iterations == steps
-                    or fallen < options.tolerance * search.value
-                ):
+                # Nothing to gain from what is seen now, and so neither from settling it anew.
+                if search.converged or search.first_value - search.value <= options.tolerance * search.value:
                     converged = not search.meter.exhausted
                     break
         return converged
+
+    def _accept(self, name: str, photometry: Photometry, search: GeometrySearch) -> bool:
+        """Tell whether the result of photometry is believed, and write it into the plan."""
+        if search.iterations == 0:
+            self.steps.append(PlanStep(name, False, "the image shows nothing of the face, or no step helps"))
+            return False
+        shapes = [state.vertices(self.model) for state in (self.state, search.state)]
+        term = photometry.common_term(shapes)
+        if term is None:
+            self.steps.append(PlanStep(name, False, "shapes before and after show nothing in common"))
+            return False
+        refusal = self._refusal(term, self.state, search.state)
+        evidence = f"relative rmse {self.rmse[0]:.4f} -> {self.rmse[1]:.4f}, {len(term.used)} vertices"
+        reason = refusal or "the colours are explained better"
+        self.steps.append(PlanStep(name, not refusal, reason, evidence))
+        return not refusal
 
     def _refusal(self, term: PhotometricTerm, before: GeometryState, after: GeometryState) -> str:
         """Return why the result of photometry is not believed, or an empty text."""

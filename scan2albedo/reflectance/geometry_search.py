@@ -79,9 +79,12 @@ class GeometrySearch:
     def run(self, terms: Sequence[GeometryTerm], steps: int, tolerance: float) -> None:
         """Take up to `steps` steps down the sum of `terms`, until it hardly falls or the budget ends.
 
-        `converged` tells of this run. Where the terms are not defined nothing moves.
+        `converged` tells of this run, `first_value` the objective it began with. Where the terms are not
+        defined nothing moves.
         """
         self.terms, self.converged = terms, False
+        if self.meter.exhausted:
+            return
         self.damping = min(self.damping, 1e-1)
         self.value = self._objective(self.state, self.vertices)
         self.first_value = self.value

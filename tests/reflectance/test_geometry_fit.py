@@ -92,10 +92,17 @@ def face(model):
 
 
 def vertex_error(vertices, truth):
-    return np.linalg.norm(transform_points(procrustes(vertices, truth), vertices) - truth, axis=1).mean()
+    """Mean distance in mm after the best similarity: size and distance cannot be told apart in one image."""
+    aligned = transform_points(procrustes(vertices, truth, scale=True), vertices)
+    return np.linalg.norm(aligned - truth, axis=1).mean()
+
+
+# The pictures are no finer than the mesh, so nothing is to be smoothed.
+OPTIONS = GeometryFitOptions(blur_edges=(0.0,))
 
 
 def refine(face, model, **given):
+    given = {"options": OPTIONS} | given
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         return refine_geometry(face.image, CAMERA, given.pop("landmarks_px", face.landmarks), model, **given)
@@ -144,6 +151,7 @@ def test_the_gradient_is_that_of_the_objective_by_pose_and_coefficients(model, f
         assert gradient @ direction == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
     errors = []
     for seed in range(3):
@@ -152,14 +160,14 @@ def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
         both = refine(face, model, reflectance=SKIN, light=LIGHT)
         assert both.converged
         assert both.plan.ran("reflectance.geometry.photometry")
-        assert both.photometric_rmse_after < 0.5 * both.photometric_rmse_before
+        assert both.photometric_rmse_after < 0.6 * both.photometric_rmse_before
         errors.append(
             [vertex_error(v, face.vertices) for v in (model.mean, landmarks.vertices, both.vertices)]
         )
     mean, landmarks, both = np.mean(errors, axis=0)
     assert landmarks < 0.85 * mean
-    assert both < 0.6 * landmarks
-    assert both < 0.8
+    assert both < 0.5 * landmarks
+    assert both < 0.35
 
 
 def test_the_result_holds_together(model, face):
@@ -272,6 +280,7 @@ def test_light_that_explains_nothing_changes_nothing(model, face, light):
     assert lit.photometric_rmse_before > 0.3
 
 
+@pytest.mark.slow
 def test_light_of_other_places_does_not_make_it_worse(model):
     for seed in range(3):
         face = portrait(model, seed)
@@ -319,7 +328,7 @@ def test_a_black_image_changes_nothing(model, face):
     np.testing.assert_array_equal(fit.vertices, refine(face, model).vertices)
 
 
-@pytest.mark.parametrize("evaluations", [1, 5, 30])
+@pytest.mark.parametrize("evaluations", [1, 5, 14])
 def test_a_budget_that_ends_gives_the_best_so_far(model, face, evaluations):
     with pytest.warns(RuntimeWarning, match="without having converged"):
         fit = refine_geometry(
@@ -348,18 +357,18 @@ def test_what_cannot_be_fitted_is_refused(model, face):
         refine_geometry(image, CAMERA, NO_MARKS, model, initial_scene_from_model=np.eye(4))
     with pytest.raises(ReflectanceError, match="initial_scene_from_model"):
         refine_geometry(image, CAMERA, NO_MARKS, model, reflectance=SKIN, light=LIGHT)
+    behind = compose(np.eye(3), [0, 0, 5000])
     with pytest.raises(ReflectanceError, match="behind the camera"):
-        behind = compose(np.eye(3), [0, 0, 5000])
         refine_geometry(image, CAMERA, face.landmarks, model, initial_scene_from_model=behind)
     with pytest.raises(ReflectanceError, match="no rigid"):
         refine_geometry(image, CAMERA, face.landmarks, model, initial_scene_from_model=2 * np.eye(4))
+    few = VertexReflectance(np.ones((5, 3)), np.ones((5, 3)), np.ones(5, bool))
     with pytest.raises(ReflectanceError, match="topology"):
-        few = VertexReflectance(np.ones((5, 3)), np.ones((5, 3)), np.ones(5, bool))
         refine_geometry(image, CAMERA, face.landmarks, model, reflectance=few, light=LIGHT)
     with pytest.raises(ReflectanceError, match="NaN"):
         refine_geometry(image, CAMERA, face.landmarks, model, reflectance=SKIN, light=LIGHT * np.nan)
+    start = np.full(model.identity_components, np.nan)
     with pytest.raises(ReflectanceError, match="initial_identity"):
-        start = np.full(model.identity_components, np.nan)
         refine_geometry(image, CAMERA, face.landmarks, model, initial_identity=start)
 
 
