@@ -4,8 +4,8 @@
 
 Faces of `scan2albedo.synthetic` that the shape model was not learned from, with painted skin, random lobes
 and a mild expression, under generated environments. Pictures are made pixel by pixel on a mesh sixteen times
-finer than the model's, by sums over 400 distant lights, with 1 % noise, and cast shadows or not; nothing of the
-fit's shading is in them. Landmarks have 1 px noise (0.5 mm). Errors are means over the vertices that the
+finer than the model's, by sums over 400 distant lights, with 1 % noise, and cast shadows or not; nothing of
+the fit's shading is in them. Landmarks have 1 px noise (0.5 mm). Errors are means over the vertices that the
 camera sees and over people: positions after the best rigid alignment, the same with the best scale too (size
 and distance cannot be told apart in one image), and normals. Times are CPU seconds.
 """

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 
 FloatArray = NDArray[np.float64]
 
 _ITERATIONS = 200
+_LEAST_SPAN_PX = 1e-3
 _STARTS_DEG = ((0.0, 0.0), (0.0, 45.0), (0.0, -45.0), (35.0, 0.0), (-35.0, 0.0))
 """Pitch and yaw that the first rotation is turned by: flat sets of points have two minima."""
 
@@ -30,12 +32,18 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
         Four or more, not on a line, in the model's frame.
     pixels : (N, 2) float64
 
+    Raises
+    ------
+    ReflectanceError
+        When the pixels are all one, or no pose found has the points in front of the camera.
+
     References
     ----------
     .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
        IEEE PAMI 22(6), 2000.
     """
-    # Half the span of the points is a distance from which lines of sight meet them well conditioned.
+    if not np.ptp(pixels, axis=0).max() > _LEAST_SPAN_PX:
+        raise ReflectanceError("all landmarks lie in one point of the image; check them")
     center = points_mm.mean(0)
     local = points_mm - center
     directions = pixel_directions(camera, pixels)
@@ -47,6 +55,10 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
         pose, error = _iterate(local, directions, turned)
         if error < least:
             best, least = pose, error
+    if not np.isfinite(least):
+        raise ReflectanceError(
+            "no pose puts the landmarks in front of the camera; check landmarks and camera"
+        )
     to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
     return np.asarray(to_scene @ best @ compose(np.eye(3), -center))
 
