@@ -26,7 +26,9 @@ from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
 from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from scan2albedo.reflectance.model_files import ReflectanceModelHeader
+from scan2albedo.reflectance.photograph_files import FacePhotographFile
 from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
+from scan2albedo.reflectance.shape_model_files import ShapeModelHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
@@ -49,6 +51,8 @@ RECORDS: dict[str, type[BaseModel]] = {
     "reflectance_result": ReflectanceRecord,
     "mesh_reflectance": MeshReflectanceHeader,
     "flash_capture": FlashCaptureFile,
+    "face_photograph": FacePhotographFile,
+    "shape_model": ShapeModelHeader,
 }
 
 

@@ -7,15 +7,19 @@ from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetu
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
 from scan2albedo.reflectance.generated_environments import generated_environment
+from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
+from scan2albedo.reflectance.geometry_options import GeometryFitOptions
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
+from scan2albedo.reflectance.photograph_files import PhotographFiles, read_photograph, write_photograph
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
 from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
+from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_fit import fit_reflectance
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 from scan2albedo.reflectance.vertex_samples import SamplingOptions, VertexSamples, sample_vertices
@@ -29,6 +33,8 @@ __all__ = [
     "EnvironmentShading",
     "FineTuneOptions",
     "FineTuning",
+    "GeometryFit",
+    "GeometryFitOptions",
     "ImageFit",
     "ImageFitOptions",
     "ImageObservation",
@@ -36,8 +42,10 @@ __all__ = [
     "MeshReflectance",
     "ModelReflectance",
     "MorphableReflectanceModel",
+    "MorphableShapeModel",
     "OlatImages",
     "OlatOptions",
+    "PhotographFiles",
     "Projection",
     "ReflectanceFit",
     "ReflectanceFitOptions",
@@ -55,12 +63,15 @@ __all__ = [
     "point_light_lobes",
     "point_light_radiance",
     "read_capture",
+    "read_photograph",
     "read_reflectance",
+    "refine_geometry",
     "reflectance_from_albedo",
     "relighting_error",
     "rig_of_head_poses",
     "sample_vertices",
     "shade_environment",
     "write_capture",
+    "write_photograph",
     "write_reflectance",
 ]

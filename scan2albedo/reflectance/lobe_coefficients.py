@@ -165,6 +165,22 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
     return np.where(angle[..., None] < np.pi / 2, values[..., :-1], 0.0), values[..., -1]
 
 
+def tilted_lobe_slopes(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives (..., 9) and (...) by the angle of what `tilted_lobe` returns.
+
+    Examples
+    --------
+    >>> h = 1e-5
+    >>> ahead, behind = tilted_lobe(0.7 + h, 8)[1], tilted_lobe(0.7 - h, 8)[1]
+    >>> bool(abs(tilted_lobe_slopes(0.7, 8)[1] - (ahead - behind) / (2 * h)) < 1e-8)
+    True
+    """
+    _check_exponent(exponent)
+    angle = np.asarray(angle_rad, np.float64)
+    slopes = _tilted_spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2), 1)
+    return np.where(angle[..., None] < np.pi / 2, slopes[..., :-1], 0.0), slopes[..., -1]
+
+
 def _integral(angle: float, exponent: float, tilt: float | None) -> tuple[FloatArray, float]:
     """Return coefficients of the true lobe around a direction, and its tilt; None: its mean direction."""
     heights, turns = _QUADRATURE

@@ -1,0 +1,193 @@
+"""Refine a face's pose and shape from one image, by its landmarks and its colours."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.optimization import Budget, Plan, ProgressCallback, Trace
+from scan2albedo.reflectance.environment_shading import checked_light
+from scan2albedo.reflectance.geometry_input import checked_landmarks, edge_px, initial_state
+from scan2albedo.reflectance.geometry_options import GeometryFitOptions
+from scan2albedo.reflectance.geometry_refinement import GeometryRefinement
+from scan2albedo.reflectance.photometry import Photometry
+from scan2albedo.reflectance.shape_model import MorphableShapeModel
+from scan2albedo.reflectance.smooth_image import SmoothImage
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GeometryFit:
+    """A face's pose and shape that explain an image."""
+
+    scene_from_model: FloatArray
+    """(4, 4), rigid, from the shape model's frame to the one of the camera matrix; mm."""
+    identity: FloatArray
+    """(N_S,)."""
+    expression: FloatArray
+    """(N_E,)."""
+    vertices: FloatArray
+    """(V, 3) in the scene, mm."""
+    normals: FloatArray
+    """(V, 3) unit, in the scene."""
+    landmark_error_px: FloatArray
+    """(68,) distances in the image; NaN where a landmark was not seen or left out."""
+    photometric_rmse_before: float | None
+    """Of the colours with the shape from landmarks alone (or the initial one), over that of the image, over
+    vertices that both shapes show; None where photometry tells nothing."""
+    photometric_rmse_after: float | None
+    """The same with photometry, believed or not."""
+    plan: Plan
+    """Whether landmarks and photometry were used, and why."""
+    converged: bool
+    iterations: int
+    trace: Trace
+    """Of the objective, in rows of "reflectance.geometry.landmarks" and ".photometry"."""
+
+    @property
+    def landmark_rmse_px(self) -> float | None:
+        """Root mean square over the landmarks used; None without any."""
+        seen = np.isfinite(self.landmark_error_px)
+        return float(np.sqrt(np.mean(self.landmark_error_px[seen] ** 2))) if seen.any() else None
+
+
+def refine_geometry(
+    image_linear: ArrayLike,
+    camera: ArrayLike,
+    landmarks_px: ArrayLike,
+    shape_model: MorphableShapeModel,
+    *,
+    reflectance: VertexReflectance | None = None,
+    light: ArrayLike | None = None,
+    mask: ArrayLike | None = None,
+    initial_scene_from_model: ArrayLike | None = None,
+    initial_identity: ArrayLike | None = None,
+    initial_expression: ArrayLike | None = None,
+    options: GeometryFitOptions = GeometryFitOptions(),
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> GeometryFit:
+    """Fit pose and shape to landmarks, then to landmarks and the colours of the image together.
+
+    Minimises over pose (6 numbers), identity a and expression b
+
+        E = W_l / n sum |p(x_k) - q_k|^2 + W_p / 3U sum (sqrt(r^2 + eps^2) - eps) + w (|a|^2 + |b|^2),
+        r = (I(p(x_v)) - c_v D(n_v) L - sum_s w_vs S_s(n_v, v_v) L) / unit,
+
+    q in mm at the face's depth, by Levenberg-Marquardt with analytic derivatives on re-weighted squares. In r
+    both the image moves under a vertex and the shading turns with its normal. Which vertices U are seen is
+    found by rays, anew every few steps. The result with photometry is taken only when the objective over
+    what both shapes show falls, landmarks stay near, and the colours are explained; else that of landmarks.
+
+    Parameters
+    ----------
+    image_linear : (H, W, 3) array_like of float
+        Linear colours; NaN pixels are gaps.
+    camera : (3, 4) array_like of float
+        Pixels from mm in the scene, any scale, see `geometry.pinhole`.
+    landmarks_px : (68, 2) array_like of float
+        Column and row, iBUG-68 order; NaN rows are not seen.
+    shape_model : MorphableShapeModel
+    reflectance : VertexReflectance, optional
+        Of the model's V vertices, in the unit that goes with `light`; without it landmarks alone are used.
+    light : (81, 3) array_like of float, optional
+        Harmonics of the light in the scene's frame; goes with `reflectance`.
+    mask : (H, W) array_like of bool, optional
+        Where the image shows skin.
+    initial_scene_from_model : (4, 4) array_like of float, optional
+        Rigid; found from the landmarks when omitted.
+    initial_identity, initial_expression : (N_S,), (N_E,) array_like of float, optional
+        Zeros when omitted.
+    options : GeometryFitOptions
+    budget : Budget or float, optional
+        Evaluations or seconds after which the best so far is returned with `converged=False`.
+    on_progress : callable, optional
+        Called with every `TraceRow`.
+
+    Raises
+    ------
+    ReflectanceError
+        When there is neither a landmark nor photometry, no initial pose and too few landmarks to find one,
+        another topology, or numbers that are not finite.
+    ValueError
+        When shapes are others, or only one of `reflectance` and `light` is given.
+
+    Warns
+    -----
+    RuntimeWarning
+        When it stops without having converged.
+
+    Notes
+    -----
+    Cast shadows are not modelled. How far away a face is and how large cannot be told apart but by the prior.
+    The published objective weights landmarks far less, for those of networks are several mm off;
+    tools/bench_reflectance_geometry.py tells what weights do.
+
+    Cost of a step: 3 U (N_S + N_E)^2.
+
+    References
+    ----------
+    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+    .. [2] V. Blanz, T. Vetter, "A Morphable Model for the Synthesis of 3D Faces", SIGGRAPH 1999.
+    """
+    matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
+    landmarks = checked_landmarks(landmarks_px, options.contour)
+    start = initial_state(
+        matrix, landmarks, shape_model, initial_scene_from_model, initial_identity, initial_expression
+    )
+    photometry = None
+    if (reflectance is None) != (light is None):
+        raise ValueError("reflectance and light go together; give both or none")
+    if reflectance is not None and light is not None:
+        blur_px = [edge_px(matrix, shape_model, start) * blur for blur in options.blur_edges]
+        images = [SmoothImage(image_linear, mask, blur) for blur in blur_px]
+        skin = _checked_reflectance(reflectance, shape_model)
+        photometry = Photometry(images, matrix, shape_model.faces, skin, checked_light(light), options)
+    if photometry is None and not np.isfinite(landmarks).any():
+        raise ReflectanceError(
+            "no landmark is seen and no reflectance given, so nothing tells of the geometry; give one of both"
+        )
+    fit = GeometryRefinement(matrix, landmarks, shape_model, photometry, start, options)
+    fit.run(Budget.of(budget), on_progress)
+    if not fit.converged:
+        warnings.warn(
+            f"the geometry fit stopped after {fit.iterations} steps without having converged",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return _result(fit)
+
+
+def _result(fit: GeometryRefinement) -> GeometryFit:
+    vertices = fit.state.vertices(fit.model)
+    return GeometryFit(
+        scene_from_model=fit.state.scene_from_model,
+        identity=fit.state.identity,
+        expression=fit.state.expression,
+        vertices=vertices,
+        normals=vertex_normals(vertices, fit.model.faces),
+        landmark_error_px=fit.landmark_errors(fit.state),
+        photometric_rmse_before=fit.rmse[0],
+        photometric_rmse_after=fit.rmse[1],
+        plan=Plan(tuple(fit.steps)),
+        converged=fit.converged,
+        iterations=fit.iterations,
+        trace=fit.trace,
+    )
+
+
+def _checked_reflectance(reflectance: VertexReflectance, model: MorphableShapeModel) -> VertexReflectance:
+    if len(reflectance.known) != len(model.mean):
+        raise ReflectanceError(
+            f"the reflectance has {len(reflectance.known)} vertices and the shape model {len(model.mean)}; "
+            "bring both to one topology"
+        )
+    return reflectance

@@ -1,0 +1,181 @@
+"""What landmarks and colours say of where vertices lie: values and derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.normal_jacobian import vertex_normal_jacobian
+from scan2albedo.geometry.pinhole import camera_centers, project
+from scan2albedo.reflectance.environment_shading import shade_environment
+from scan2albedo.reflectance.shading_gradient import shading_gradient
+from scan2albedo.reflectance.smooth_image import SmoothImage
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class WeightedResiduals:
+    """Residuals r (R,) whose weighted squares stand for a term: its gradient is J^T (weight r)."""
+
+    residual: FloatArray
+    weight: FloatArray
+    by_vertices: sparse.bsr_matrix
+    """(R, 3V) J, by the coordinates of the vertices in the scene, blocks three columns wide."""
+
+
+class GeometryTerm(Protocol):
+    """A part of the objective that depends on where the vertices (V, 3) lie in the scene."""
+
+    def value(self, vertices: FloatArray) -> float:
+        """Return the term; inf where it is not defined."""
+
+    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+        """Return the term as weighted squares around `vertices`."""
+
+
+@dataclass(frozen=True)
+class LandmarkTerm:
+    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, less of it far off where `softness_mm` says so.
+
+    E = W / n sum 2 s^2 (sqrt(1 + |r|^2 / s^2) - 1),   or W / n sum |r|^2 without s.
+    """
+
+    camera: FloatArray
+    """(3, 4), normalised."""
+    vertex: IntArray
+    """(n,) of each landmark seen, n > 0."""
+    pixels: FloatArray
+    """(n, 2) q."""
+    pixel_mm: float
+    """Size of a pixel at the face."""
+    weight: float
+    softness_mm: float | None
+
+    def value(self, vertices: FloatArray) -> float:
+        """Return the term; inf where a landmark's vertex lies behind the camera."""
+        squared = np.sum(self._off(vertices) ** 2, axis=1)
+        if not np.isfinite(squared).all():
+            return np.inf
+        if self.softness_mm is not None:
+            width = self.softness_mm**2
+            squared = 2 * width * (np.sqrt(1 + squared / width) - 1)
+        return self.weight * float(squared.mean())
+
+    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+        """Return the term as weighted squares around `vertices`."""
+        off, count = self._off(vertices), len(self.vertex)
+        softer = np.ones(count)
+        if self.softness_mm is not None:
+            softer = 1 / np.sqrt(1 + np.sum(off**2, axis=1) / self.softness_mm**2)
+        blocks = self.pixel_mm * projection_jacobian(self.camera, vertices[self.vertex])
+        shape = (2 * count, 3 * len(vertices))
+        jacobian = sparse.bsr_matrix((blocks, self.vertex, np.arange(count + 1)), shape=shape)
+        weight = np.repeat(2 * self.weight / count * softer, 2)
+        return WeightedResiduals(off.ravel(), weight, jacobian)
+
+    def _off(self, vertices: FloatArray) -> FloatArray:
+        return self.pixel_mm * (project(self.camera, vertices[self.vertex])[0] - self.pixels)
+
+
+@dataclass(frozen=True)
+class PhotometricTerm:
+    """Mean over the vertices U and channels of sqrt(r^2 + eps^2) - eps, r = (I(p(x)) - shading) / unit.
+
+    Which vertices count is settled beforehand; what becomes hidden meanwhile stays in.
+    """
+
+    image: SmoothImage
+    camera: FloatArray
+    """(3, 4), normalised."""
+    faces: IntArray
+    used: IntArray
+    """(U,), U > 0."""
+    reflectance: VertexReflectance
+    """Of the U vertices."""
+    light: FloatArray
+    """(81, 3)."""
+    unit: float
+    """Colour that counts as 1."""
+    weight: float
+    softness: float
+
+    def value(self, vertices: FloatArray) -> float:
+        """Return the term; inf where a vertex has no normal or lies behind the camera."""
+        off = self.differences(vertices)
+        if off is None:
+            return np.inf
+        return self.weight * float(np.mean(np.hypot(off, self.softness) - self.softness))
+
+    def differences(self, vertices: FloatArray) -> FloatArray | None:
+        """Return r (U, 3), or None when a vertex has no normal or lies behind the camera."""
+        pixels, _ = project(self.camera, vertices[self.used])
+        normals, sight = self._normals(vertices), self._sight(vertices)
+        if not (np.isfinite(pixels).all() and normals.any(1).all()):
+            return None
+        shading = shade_environment(self.reflectance, normals, normalized(sight), self.light)
+        return (self.image.look_up(pixels) - shading.radiance_linear) / self.unit
+
+    def relative_rmse(self, vertices: FloatArray) -> float:
+        """Return the root mean square of the differences over that of the image; inf where `value` is."""
+        off = self.differences(vertices)
+        if off is None:
+            return np.inf
+        observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
+        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), 1e-300))
+
+    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+        """Return the term as weighted squares around `vertices`, where its value is finite."""
+        off = self.differences(vertices)
+        if off is None:
+            raise ValueError("the photometric term is not defined here; its value is inf")
+        points, sight = vertices[self.used], self._sight(vertices)
+        distance = np.linalg.norm(sight, axis=1)
+        view = sight / distance[:, None]
+        pixels, _ = project(self.camera, points)
+        turned = shading_gradient(self.reflectance, self._normals(vertices), view, self.light)
+        across = turned.by_view - np.einsum("uji,ui,uk->ujk", turned.by_view, view, view)
+        direct = self.image.gradient(pixels) @ projection_jacobian(self.camera, points)
+        # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
+        direct += across / distance[:, None, None]
+        jacobian = _by_vertices(
+            vertex_normal_jacobian(vertices, self.faces), self.used, turned.by_normal, direct
+        )
+        jacobian.data /= self.unit
+        weight = self.weight / off.size / np.hypot(off, self.softness)
+        return WeightedResiduals(off.ravel(), weight.ravel(), jacobian)
+
+    def _normals(self, vertices: FloatArray) -> FloatArray:
+        return vertex_normals(vertices, self.faces)[self.used]
+
+    def _sight(self, vertices: FloatArray) -> FloatArray:
+        return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
+
+
+def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:
+    """Return (N, 2, 3) derivatives of `project`'s pixels by the points (N, 3), all in front of the camera."""
+    image = points @ camera[:, :3].T + camera[:, 3]
+    pixels = image[:, :2] / image[:, 2:]
+    return np.asarray((camera[:2, :3] - pixels[:, :, None] * camera[2, :3]) / image[:, 2, None, None])
+
+
+def _by_vertices(
+    normals: sparse.bsr_matrix, used: IntArray, by_normal: FloatArray, direct: FloatArray
+) -> sparse.bsr_matrix:
+    """Return -by_normal dn / dx + direct, rows of the used vertices only."""
+    length = np.diff(normals.indptr)[used]
+    start = np.concatenate([[0], np.cumsum(length)])
+    row = np.repeat(np.arange(len(used)), length)
+    taken = normals.indptr[used][row] + np.arange(start[-1]) - start[row]
+    column = normals.indices[taken]
+    blocks = -by_normal[row] @ normals.data[taken]
+    own = column == used[row]
+    blocks[own] += direct
+    return sparse.bsr_matrix((blocks, column, start), shape=(3 * len(used), normals.shape[1]))

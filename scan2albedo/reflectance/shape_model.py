@@ -1,0 +1,228 @@
+"""`MorphableShapeModel`: faces' shapes as a mean and directions of identity and expression."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.sample_statistics import sample_eigenvectors
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LANDMARKS = 68
+"""In iBUG-68 order."""
+
+
+@dataclass(frozen=True)
+class MorphableShapeModel:
+    """Shape x = mean + sum a_i identity_i + sum b_i expression_i, coefficients of unit variance.
+
+    Parameters
+    ----------
+    mean : (V, 3) float64
+        Millimetres.
+    identity_basis : (N_S, V, 3) float64
+    expression_basis : (N_E, V, 3) float64
+        From the neutral face; coefficients 0 are the neutral expression.
+    faces : (F, 3) int64
+        Counter-clockwise seen from outside.
+    landmark_vertices : (68,) int64
+        Vertex of each landmark, iBUG-68 order.
+
+    Raises
+    ------
+    ReflectanceError
+        When shapes disagree, a number is not finite, or an index points outside the vertices.
+
+    References
+    ----------
+    .. [1] V. Blanz, T. Vetter, "A Morphable Model for the Synthesis of 3D Faces", SIGGRAPH 1999.
+
+    Examples
+    --------
+    >>> people = np.random.default_rng(0).normal(size=(5, 100, 3))
+    >>> model = MorphableShapeModel.from_samples(people, None, [[0, 1, 2]], np.arange(68))
+    >>> model.identity_components, model.expression_components
+    (4, 0)
+    >>> model.shape(np.zeros(4), []).shape
+    (100, 3)
+    """
+
+    mean: FloatArray
+    identity_basis: FloatArray
+    expression_basis: FloatArray
+    faces: IntArray
+    landmark_vertices: IntArray
+
+    def __post_init__(self) -> None:
+        count = len(self.mean)
+        for name, leading in (
+            ("mean", ()),
+            ("identity_basis", self.identity_basis.shape[:1]),
+            ("expression_basis", self.expression_basis.shape[:1]),
+        ):
+            array, expected = getattr(self, name), (*leading, count, 3)
+            if array.shape != expected:
+                raise ReflectanceError(f"shape model: {name} is {array.shape}, expected {expected}")
+            if not np.isfinite(array).all():
+                raise ReflectanceError(f"shape model: {name} holds NaN or infinite values")
+        if self.faces.ndim != 2 or self.faces.shape[1:] != (3,) or not len(self.faces):
+            raise ReflectanceError(f"shape model: faces is {self.faces.shape}, expected (F, 3) with F > 0")
+        if self.landmark_vertices.shape != (LANDMARKS,):
+            raise ReflectanceError(
+                f"shape model: landmark_vertices is {self.landmark_vertices.shape}, expected ({LANDMARKS},)"
+            )
+        for name in ("faces", "landmark_vertices"):
+            index = getattr(self, name)
+            if index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
+                raise ReflectanceError(
+                    f"shape model: {name} must be integers in 0 ... {count - 1}, got {index.dtype} in "
+                    f"{index.min()} ... {index.max()}"
+                )
+
+    @classmethod
+    def from_samples(
+        cls,
+        neutral_vertices: ArrayLike,
+        expression_offsets: ArrayLike | None,
+        faces: ArrayLike,
+        landmark_vertices: ArrayLike,
+        *,
+        identity_components: int = 80,
+        expression_components: int = 64,
+    ) -> MorphableShapeModel:
+        """Learn a model from shapes of one topology, rigidly aligned to each other.
+
+        The deviations X (K x 3V) of the neutral faces from their mean have the Gram matrix
+        X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1). Of expressions an offset and its opposite
+        count as equally likely, so that no expression is the mean one.
+
+        Parameters
+        ----------
+        neutral_vertices : (K, V, 3) array_like of float
+            Millimetres; one or more. One gives a model without directions of identity.
+        expression_offsets : (E, V, 3) array_like of float, optional
+            Expressive minus neutral face of the same person.
+        faces : (F, 3) array_like of int
+        landmark_vertices : (68,) array_like of int
+        identity_components, expression_components : int
+            Most directions to keep; there are at most K - 1 and E.
+
+        Raises
+        ------
+        ReflectanceError
+            When there is no face, topologies differ, or numbers are not finite.
+        ValueError
+            When a number of components is negative.
+
+        Notes
+        -----
+        Cost: (K^2 + 4 E^2) V.
+        """
+        if identity_components < 0 or expression_components < 0:
+            raise ValueError(
+                f"components must be 0 or more, got {identity_components} and {expression_components}"
+            )
+        neutral = _checked_stack(neutral_vertices, "neutral_vertices")
+        if len(neutral) == 0:
+            raise ReflectanceError("there is no face to learn shapes from; give one or more")
+        count = neutral.shape[1]
+        offsets = np.zeros((0, count, 3))
+        if expression_offsets is not None:
+            offsets = _checked_stack(expression_offsets, "expression_offsets")
+        if offsets.shape[1] != count:
+            raise ReflectanceError(
+                f"expression_offsets have {offsets.shape[1]} vertices and neutral_vertices {count}; bring "
+                "all to one topology"
+            )
+        mean = neutral.mean(0)
+        both = np.concatenate([offsets, -offsets])
+        return cls(
+            mean,
+            _directions(neutral - mean, identity_components, float(np.sum(neutral**2))),
+            _directions(both, expression_components, float(np.sum(both**2))),
+            np.asarray(faces, np.int64),
+            np.asarray(landmark_vertices, np.int64),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> MorphableShapeModel:
+        """Read a model that `save` wrote; raises `ReflectanceError` when the file is something else."""
+        from scan2albedo.reflectance.shape_model_files import read_shape_model
+
+        return read_shape_model(path)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as an .npz file, whole or not at all; raises `OutputError`."""
+        from scan2albedo.reflectance.shape_model_files import write_shape_model
+
+        write_shape_model(path, self)
+
+    @property
+    def identity_components(self) -> int:
+        """N_S."""
+        return len(self.identity_basis)
+
+    @property
+    def expression_components(self) -> int:
+        """N_E."""
+        return len(self.expression_basis)
+
+    @property
+    def basis(self) -> FloatArray:
+        """(N_S + N_E, V, 3), identity first."""
+        return np.concatenate([self.identity_basis, self.expression_basis])
+
+    def shape(self, identity: ArrayLike, expression: ArrayLike) -> FloatArray:
+        """Return the vertices (V, 3) in mm of coefficients (N_S,) and (N_E,).
+
+        Raises
+        ------
+        ReflectanceError
+            When a coefficient is not finite.
+        ValueError
+            When there are not N_S and N_E.
+        """
+        a = checked_coefficients(identity, self.identity_components, "identity")
+        b = checked_coefficients(expression, self.expression_components, "expression")
+        moved = np.tensordot(a, self.identity_basis, 1) + np.tensordot(b, self.expression_basis, 1)
+        return np.asarray(self.mean + moved)
+
+
+def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray:
+    """Return coefficients as (count,), or raise `ValueError` for the shape, `ReflectanceError` for NaN."""
+    coefficients = np.array(values, np.float64)
+    if coefficients.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},), got {coefficients.shape}")
+    if not np.isfinite(coefficients).all():
+        raise ReflectanceError(f"{name} holds NaN or infinite values; give finite coefficients")
+    return coefficients
+
+
+def _directions(deviations: FloatArray, most: int, size: float) -> FloatArray:
+    if len(deviations) == 0:
+        return deviations
+    vectors, _, _ = sample_eigenvectors(deviations, most, size=size)
+    return np.asarray(np.tensordot(vectors.T / np.sqrt(max(len(deviations) - 1, 1)), deviations, 1))
+
+
+def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
+    try:
+        stack = np.asarray(shapes, np.float64)
+    except ValueError as error:
+        raise ReflectanceError(
+            f"{name} differ in their number of vertices; bring all to one topology"
+        ) from error
+    if stack.ndim != 3 or stack.shape[2] != 3:
+        raise ReflectanceError(f"{name} must have shape (K, V, 3), got {stack.shape}")
+    bad = ~np.isfinite(stack).all((1, 2))
+    if bad.any():
+        raise ReflectanceError(
+            f"{name}: shape {int(np.flatnonzero(bad)[0])} holds NaN or infinite values; leave it out"
+        )
+    return stack

@@ -1,0 +1,402 @@
+"""Geometry from one image: derivatives, truth found again, every extreme, bad input."""
+
+import dataclasses
+import itertools
+import warnings
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.pinhole import camera_centers, look_at, project
+from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
+from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.optimization import Budget, Meter
+from scan2albedo.reflectance import (
+    GeometryFitOptions,
+    MorphableShapeModel,
+    VertexReflectance,
+    generated_environment,
+    refine_geometry,
+    shade_environment,
+)
+from scan2albedo.reflectance.geometry_search import GeometrySearch, GeometryState
+from scan2albedo.reflectance.geometry_terms import LandmarkTerm, PhotometricTerm
+from scan2albedo.reflectance.smooth_image import SmoothImage
+from scan2albedo.synthetic import identity
+
+SHAPE = (260, 220)
+CAMERA = look_at([40.0, 20.0, 900.0], [0.0, 0.0, 0.0], focal_px=1000.0, shape=SHAPE)
+AFM = AnnotatedFaceModel.default()
+TO_SURFACE = AFM.subdivision(0).matrix
+REST, FACES = AFM.surface(0)
+LIGHT = project_environment(generated_environment(4))
+NO_MARKS = np.full((68, 2), np.nan)
+
+
+@pytest.fixture(scope="module")
+def model():
+    rng = np.random.default_rng(0)
+    neutral = [TO_SURFACE @ identity.person(AFM, rng) for _ in range(40)]
+    offsets = [
+        TO_SURFACE @ identity.person(AFM, rng, strength=0.0, expression=name) - REST
+        for name in get_args(identity.Expression)[1:]
+    ]
+    nearest = np.linalg.norm(REST - AFM.landmarks[:, None], axis=2).argmin(1)
+    return MorphableShapeModel.from_samples(neutral, offsets, FACES, nearest)
+
+
+def skin(seed=0):
+    """Patchy skin with highlights."""
+    rng, count = np.random.default_rng(seed), len(REST)
+    waves = np.sin(REST @ rng.normal(size=(3, 3)) * 0.06 + rng.uniform(0, 6, 3))
+    weights = np.array([0.05, 0.12, 0.08]) * (1 + 0.3 * waves)
+    return VertexReflectance(np.array([0.5, 0.35, 0.28]) * (1 + 0.15 * waves), weights, np.ones(count, bool))
+
+
+SKIN = skin()
+
+
+@dataclasses.dataclass(frozen=True)
+class Portrait:
+    vertices: np.ndarray
+    image: np.ndarray
+    landmarks: np.ndarray
+    pose: np.ndarray
+
+
+def portrait(model, seed, light=LIGHT, noise=0.01):
+    """A person of none of the model's samples, their picture, and landmarks with 1 px noise."""
+    rng = np.random.default_rng([seed, 5])
+    name = get_args(identity.Expression)[rng.integers(6)]
+    shape = TO_SURFACE @ identity.person(AFM, rng, expression=name, expression_strength=0.5)
+    pose = compose(rotation_from_vector(rng.normal(size=3) * 0.15), rng.normal(size=3) * 10)
+    vertices = transform_points(pose, shape)
+    normals = vertex_normals(vertices, FACES)
+    view = normalized(camera_centers(CAMERA[None])[0] - vertices)
+    color = shade_environment(SKIN, normals, view, light).radiance_linear
+    pixels, depth = project(CAMERA, vertices)
+    image = interpolate(rasterize(pixels, 1 / depth, FACES, SHAPE), FACES, color)
+    image = image + noise * np.median(color) * rng.normal(size=image.shape)
+    marks = pixels[model.landmark_vertices] + rng.normal(size=(68, 2))
+    return Portrait(vertices, image, marks, pose)
+
+
+@pytest.fixture(scope="module")
+def face(model):
+    return portrait(model, 0)
+
+
+def vertex_error(vertices, truth):
+    """Mean distance in mm after the best similarity: size and distance cannot be told apart in one image."""
+    aligned = transform_points(procrustes(vertices, truth, scale=True), vertices)
+    return np.linalg.norm(aligned - truth, axis=1).mean()
+
+
+# The pictures are no finer than the mesh, so nothing is to be smoothed.
+OPTIONS = GeometryFitOptions(blur_edges=(0.0,))
+
+
+def refine(face, model, **given):
+    given = {"options": OPTIONS} | given
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return refine_geometry(face.image, CAMERA, given.pop("landmarks_px", face.landmarks), model, **given)
+
+
+def states(model, face):
+    rng = np.random.default_rng(3)
+    count = model.identity_components, model.expression_components
+    return GeometryState(face.pose, 0.3 * rng.normal(size=count[0]), 0.3 * rng.normal(size=count[1]))
+
+
+def terms(model, face, softness_mm=None):
+    normals = vertex_normals(face.vertices, FACES)
+    used = np.flatnonzero(normals[:, 2] > 0.4)
+    part = VertexReflectance(SKIN.diffuse_linear[used], SKIN.weights[used], SKIN.known[used])
+    image = SmoothImage(face.image, None, 1.0)
+    photometric = PhotometricTerm(image, CAMERA, FACES, used, part, LIGHT, 0.5, 2.0, 0.01)
+    return LandmarkTerm(CAMERA, model.landmark_vertices, face.landmarks, 0.9, 0.3, softness_mm), photometric
+
+
+def test_colours_differ_by_the_derivative_when_vertices_move(model, face):
+    photometric = terms(model, face)[1]
+    vertices, h = states(model, face).vertices(model), 1e-6
+    found = photometric.linearized(vertices)
+    np.testing.assert_array_equal(found.residual, photometric.differences(vertices).ravel())
+    for direction in np.random.default_rng(1).normal(size=(3, *vertices.shape)):
+        ahead, behind = (photometric.differences(vertices + s * direction) for s in (h, -h))
+        expected = ((ahead - behind) / (2 * h)).ravel()
+        np.testing.assert_allclose(found.by_vertices @ direction.ravel(), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("softness_mm", [None, 0.5])
+def test_the_gradient_is_that_of_the_objective_by_pose_and_coefficients(model, face, softness_mm):
+    search = GeometrySearch(model, states(model, face), 1e-3, Meter("test", "objective"))
+    search.terms = terms(model, face, softness_mm)
+    _, gradient = search._normal_equations()
+    assert len(gradient) == 6 + model.identity_components + model.expression_components
+
+    def objective(step):
+        moved = search._moved(step)
+        return search._objective(moved, moved.vertices(model))
+
+    for direction in np.random.default_rng(2).normal(size=(4, len(gradient))):
+        direction[:3] *= 0.01
+        expected = (objective(1e-6 * direction) - objective(-1e-6 * direction)) / 2e-6
+        assert gradient @ direction == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
+    errors = []
+    for seed in range(3):
+        face = portrait(model, seed)
+        landmarks = refine(face, model)
+        both = refine(face, model, reflectance=SKIN, light=LIGHT)
+        assert both.converged
+        assert both.plan.ran("reflectance.geometry.photometry")
+        assert both.photometric_rmse_after < 0.6 * both.photometric_rmse_before
+        errors.append(
+            [vertex_error(v, face.vertices) for v in (model.mean, landmarks.vertices, both.vertices)]
+        )
+    mean, landmarks, both = np.mean(errors, axis=0)
+    assert landmarks < 0.85 * mean
+    assert both < 0.5 * landmarks
+    assert both < 0.35
+
+
+def test_the_result_holds_together(model, face):
+    fit = refine(face, model, reflectance=SKIN, light=LIGHT)
+    made = transform_points(fit.scene_from_model, model.shape(fit.identity, fit.expression))
+    np.testing.assert_allclose(fit.vertices, made, atol=1e-9)
+    turn = fit.scene_from_model[:3, :3]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    np.testing.assert_array_equal(fit.normals, vertex_normals(fit.vertices, FACES))
+    pixels, _ = project(CAMERA, fit.vertices[model.landmark_vertices])
+    np.testing.assert_allclose(fit.landmark_error_px, np.linalg.norm(pixels - face.landmarks, axis=1))
+    assert fit.landmark_rmse_px == pytest.approx(np.sqrt(np.mean(fit.landmark_error_px**2)))
+    assert fit.trace.stages == ("reflectance.geometry.landmarks", "reflectance.geometry.photometry")
+    again = refine(face, model, reflectance=SKIN, light=LIGHT)
+    np.testing.assert_array_equal(again.vertices, fit.vertices)
+
+
+def test_landmarks_alone_descend(model, face):
+    fit = refine(face, model)
+    errors = [row.error for row in fit.trace]
+    assert all(after <= before for before, after in itertools.pairwise(errors))
+    assert fit.landmark_rmse_px < 1.6
+    assert fit.photometric_rmse_before is None
+    assert not fit.plan.ran("reflectance.geometry.photometry")
+
+
+def test_exposure_does_not_matter(model, face):
+    one = refine(face, model, reflectance=SKIN, light=LIGHT)
+    bright = dataclasses.replace(face, image=1000 * face.image)
+    other = refine(bright, model, reflectance=SKIN, light=1000 * LIGHT)
+    np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-4)
+
+
+def test_neither_the_cameras_scale_nor_its_sign_matters(model, face):
+    one = refine_geometry(face.image, CAMERA, face.landmarks, model)
+    other = refine_geometry(face.image, -7 * CAMERA, face.landmarks, model)
+    np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-8)
+
+
+def test_without_landmarks_photometry_goes_on_from_the_pose_given(model, face):
+    off = compose(rotation_from_vector([0.01, -0.01, 0.005]), [1.0, -1.0, 0]) @ face.pose
+    fit = refine(
+        face, model, landmarks_px=NO_MARKS, reflectance=SKIN, light=LIGHT, initial_scene_from_model=off
+    )
+    assert fit.plan.ran("reflectance.geometry.photometry")
+    assert not fit.plan.ran("reflectance.geometry.landmarks")
+    assert np.isnan(fit.landmark_error_px).all()
+    assert fit.landmark_rmse_px is None
+    assert vertex_error(fit.vertices, face.vertices) < 0.8 * vertex_error(model.mean, face.vertices)
+
+
+def test_a_few_landmarks_are_enough_beside_a_pose(model, face):
+    few = NO_MARKS.copy()
+    few[[30, 36]] = face.landmarks[[30, 36]]
+    few[8, 0] = 5.0
+    fit = refine(face, model, landmarks_px=few, initial_scene_from_model=face.pose)
+    assert np.flatnonzero(np.isfinite(fit.landmark_error_px)).tolist() == [30, 36]
+    assert fit.landmark_rmse_px < 1
+
+
+def test_the_jaw_line_may_be_left_out(model, face):
+    shifted = face.landmarks.copy()
+    shifted[:17] += [25, 0]
+    fit = refine(face, model, landmarks_px=shifted, options=GeometryFitOptions(contour=False))
+    assert np.isnan(fit.landmark_error_px[:17]).all()
+    assert fit.landmark_rmse_px < 1.6
+
+
+def test_landmarks_far_off_pull_less_when_asked(model, face):
+    spoilt = face.landmarks.copy()
+    spoilt[[19, 33, 54]] += [[30, 0], [0, -25], [20, 20]]
+    errors = [
+        vertex_error(refine(face, model, landmarks_px=spoilt, options=o).vertices, face.vertices)
+        for o in (GeometryFitOptions(), GeometryFitOptions(landmark_softness_mm=1.0))
+    ]
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_a_face_that_looks_away_shows_nothing_and_keeps_its_landmarks_fit(model, face):
+    away = face.pose @ compose(rotation_from_vector([0, np.pi, 0]), np.zeros(3))
+    pixels, _ = project(CAMERA, transform_points(away, REST)[model.landmark_vertices])
+    fit = refine(
+        face,
+        model,
+        landmarks_px=pixels,
+        initial_scene_from_model=away,
+        reflectance=SKIN,
+        light=LIGHT,
+        options=GeometryFitOptions(rounds=2),
+    )
+    assert not fit.plan.ran("reflectance.geometry.photometry")
+    assert np.isfinite(fit.vertices).all()
+
+
+def test_a_face_outside_the_image_or_the_mask_shows_nothing(model, face):
+    alone = refine(face, model)
+    mask = np.zeros(SHAPE, bool)
+    mask[:5, :5] = True
+    masked = refine(face, model, reflectance=SKIN, light=LIGHT, mask=mask)
+    np.testing.assert_array_equal(masked.vertices, alone.vertices)
+    assert not masked.plan.ran("reflectance.geometry.photometry")
+    assert masked.photometric_rmse_after is None
+
+
+@pytest.mark.parametrize("light", [np.zeros((81, 3)), -LIGHT, 5 * LIGHT], ids=["none", "negative", "strong"])
+def test_light_that_explains_nothing_changes_nothing(model, face, light):
+    alone, lit = refine(face, model), refine(face, model, reflectance=SKIN, light=light)
+    np.testing.assert_array_equal(lit.vertices, alone.vertices)
+    assert not lit.plan.ran("reflectance.geometry.photometry")
+    assert lit.photometric_rmse_before > 0.3
+
+
+@pytest.mark.slow
+def test_light_of_other_places_does_not_make_it_worse(model):
+    for seed in range(3):
+        face = portrait(model, seed)
+        other = project_environment(generated_environment(70 + seed))
+        other *= LIGHT[0] / other[0]
+        alone, lit = refine(face, model), refine(face, model, reflectance=SKIN, light=other)
+        assert vertex_error(lit.vertices, face.vertices) < 1.05 * vertex_error(alone.vertices, face.vertices)
+
+
+def test_missing_pixels_are_left_out(model, face):
+    image = face.image.copy()
+    image[::7, ::5] = np.nan
+    image[100:130, 60:90] = np.nan
+    spoilt = refine(dataclasses.replace(face, image=image), model, reflectance=SKIN, light=LIGHT)
+    whole = refine(face, model, reflectance=SKIN, light=LIGHT)
+    assert spoilt.plan.ran("reflectance.geometry.photometry")
+    alone = vertex_error(refine(face, model).vertices, face.vertices)
+    assert vertex_error(spoilt.vertices, face.vertices) < 0.5 * (
+        alone + vertex_error(whole.vertices, face.vertices)
+    )
+
+
+def test_vertices_without_known_reflectance_are_left_out(model, face):
+    known = REST[:, 1] > 0
+    half = dataclasses.replace(SKIN, known=known)
+    fit = refine(face, model, reflectance=half, light=LIGHT)
+    assert fit.plan.ran("reflectance.geometry.photometry")
+    assert np.isfinite(fit.vertices).all()
+
+
+def test_models_without_directions_move_the_pose_alone(model, face):
+    empty = np.zeros((0, *model.mean.shape))
+    rigid = dataclasses.replace(model, identity_basis=empty, expression_basis=empty)
+    fit = refine(face, rigid, reflectance=SKIN, light=LIGHT)
+    np.testing.assert_allclose(fit.vertices, transform_points(fit.scene_from_model, model.mean), atol=1e-9)
+    only_expressions = dataclasses.replace(model, identity_basis=empty)
+    fit = refine(face, only_expressions, reflectance=SKIN, light=LIGHT)
+    assert fit.identity.shape == (0,)
+    assert vertex_error(fit.vertices, face.vertices) < vertex_error(model.mean, face.vertices)
+
+
+def test_a_black_image_changes_nothing(model, face):
+    black = dataclasses.replace(face, image=np.zeros_like(face.image))
+    fit = refine(black, model, reflectance=SKIN, light=LIGHT)
+    np.testing.assert_array_equal(fit.vertices, refine(face, model).vertices)
+
+
+@pytest.mark.parametrize("evaluations", [1, 5, 14])
+def test_a_budget_that_ends_gives_the_best_so_far(model, face, evaluations):
+    with pytest.warns(RuntimeWarning, match="without having converged"):
+        fit = refine_geometry(
+            face.image,
+            CAMERA,
+            face.landmarks,
+            model,
+            reflectance=SKIN,
+            light=LIGHT,
+            budget=Budget(evaluations=evaluations),
+        )
+    assert not fit.converged
+    assert np.isfinite(fit.vertices).all()
+    assert sum(1 for _ in fit.trace) <= evaluations
+
+
+def test_progress_is_told(model, face):
+    rows = []
+    fit = refine(face, model, on_progress=rows.append)
+    assert tuple(rows) == fit.trace.rows
+
+
+def test_what_cannot_be_fitted_is_refused(model, face):
+    image = face.image
+    with pytest.raises(ReflectanceError, match="nothing tells"):
+        refine_geometry(image, CAMERA, NO_MARKS, model, initial_scene_from_model=np.eye(4))
+    with pytest.raises(ReflectanceError, match="initial_scene_from_model"):
+        refine_geometry(image, CAMERA, NO_MARKS, model, reflectance=SKIN, light=LIGHT)
+    behind = compose(np.eye(3), [0, 0, 5000])
+    with pytest.raises(ReflectanceError, match="behind the camera"):
+        refine_geometry(image, CAMERA, face.landmarks, model, initial_scene_from_model=behind)
+    with pytest.raises(ReflectanceError, match="no rigid"):
+        refine_geometry(image, CAMERA, face.landmarks, model, initial_scene_from_model=2 * np.eye(4))
+    few = VertexReflectance(np.ones((5, 3)), np.ones((5, 3)), np.ones(5, bool))
+    with pytest.raises(ReflectanceError, match="topology"):
+        refine_geometry(image, CAMERA, face.landmarks, model, reflectance=few, light=LIGHT)
+    with pytest.raises(ReflectanceError, match="NaN"):
+        refine_geometry(image, CAMERA, face.landmarks, model, reflectance=SKIN, light=LIGHT * np.nan)
+    start = np.full(model.identity_components, np.nan)
+    with pytest.raises(ReflectanceError, match="initial_identity"):
+        refine_geometry(image, CAMERA, face.landmarks, model, initial_identity=start)
+
+
+def test_shapes_that_do_not_fit_are_refused(model, face):
+    image = face.image
+    with pytest.raises(ValueError, match="go together"):
+        refine_geometry(image, CAMERA, face.landmarks, model, light=LIGHT)
+    with pytest.raises(ValueError, match="landmarks_px"):
+        refine_geometry(image, CAMERA, face.landmarks[:5], model)
+    with pytest.raises(ValueError, match="image_linear"):
+        refine_geometry(image[..., 0], CAMERA, face.landmarks, model, reflectance=SKIN, light=LIGHT)
+    with pytest.raises(ValueError, match="cameras"):
+        refine_geometry(image, np.eye(4), face.landmarks, model)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"landmark_weight": 0},
+        {"prior_weight": -1},
+        {"softness": np.nan},
+        {"blur_edges": ()},
+        {"blur_edges": (-1.0,)},
+        {"view_cosine": 1.0},
+        {"rounds": 0},
+        {"landmark_softness_mm": 0.0},
+    ],
+)
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        GeometryFitOptions(**wrong)

@@ -1,0 +1,136 @@
+"""The morphable shape model: its statistics, its file, what it refuses."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import MorphableShapeModel
+
+FACES = np.array([[0, 1, 2], [1, 3, 2]])
+MARKS = np.arange(68)
+
+
+def people(count, seed=0, vertices=90):
+    """Shapes with four ways to differ."""
+    modes = np.random.default_rng(7).normal(size=(4, vertices, 3)) * [[[4.0]], [[2.0]], [[1.0]], [[0.5]]]
+    return 50 + np.tensordot(np.random.default_rng(seed).normal(size=(count, 4)), modes, 1)
+
+
+def learned(count=30, expressions=6, **options):
+    offsets = people(expressions, 3) - 50 if expressions else None
+    return MorphableShapeModel.from_samples(people(count), offsets, FACES, MARKS, **options)
+
+
+def test_directions_have_the_samples_mean_and_covariance():
+    shapes, model = people(30).reshape(30, -1), learned(expressions=0)
+    np.testing.assert_allclose(model.mean.ravel(), shapes.mean(0))
+    assert model.identity_components == 4
+    flat = model.identity_basis.reshape(4, -1)
+    np.testing.assert_allclose(flat.T @ flat, np.cov(shapes.T), atol=1e-10)
+    lengths = np.linalg.norm(flat, axis=1)
+    assert (np.diff(lengths) < 0).all()
+    np.testing.assert_allclose(flat @ flat.T, np.diag(lengths**2), atol=1e-9 * lengths[0] ** 2)
+
+
+def test_expressions_have_the_covariance_of_offsets_around_the_neutral_face():
+    offsets = (people(6, 3) - 50).reshape(6, -1)
+    flat = learned().expression_basis.reshape(4, -1)
+    np.testing.assert_allclose(flat.T @ flat, 2 * offsets.T @ offsets / 11, atol=1e-10)
+
+
+def test_a_single_expression_is_kept():
+    offset = (people(1, 3) - 50)[0]
+    model = MorphableShapeModel.from_samples(people(5), [offset], FACES, MARKS)
+    assert model.expression_components == 1
+    direction = model.expression_basis[0]
+    assert abs(np.sum(direction * offset)) == pytest.approx(
+        np.linalg.norm(direction) * np.linalg.norm(offset)
+    )
+
+
+def test_shapes_are_mean_plus_directions():
+    model = learned()
+    a, b = np.arange(1.0, 5), np.arange(4.0)
+    expected = model.mean + np.tensordot(np.concatenate([a, b]), model.basis, 1)
+    np.testing.assert_allclose(model.shape(a, b), expected)
+    np.testing.assert_array_equal(model.shape(np.zeros(4), np.zeros(4)), model.mean)
+
+
+def test_components_are_cut_at_what_is_asked_for_and_what_there_is():
+    assert learned(identity_components=2, expression_components=0).basis.shape == (2, 90, 3)
+    assert learned(count=3, expressions=2).basis.shape == (2 + 2, 90, 3)
+    assert learned(count=1, expressions=0).basis.shape == (0, 90, 3)
+    same = MorphableShapeModel.from_samples(np.repeat(people(1), 4, axis=0), None, FACES, MARKS)
+    assert same.identity_components == 0
+
+
+def test_a_model_comes_back_from_its_file(tmp_path):
+    model = learned()
+    model.save(tmp_path / "a.npz")
+    back = MorphableShapeModel.load(tmp_path / "a.npz")
+    for field in dataclasses.fields(model):
+        np.testing.assert_array_equal(getattr(back, field.name), getattr(model, field.name))
+    model.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"header": np.array('{"format": "something"}')}, "format"),
+        ({"header": None}, "cannot be read"),
+        ({"mean": np.full((90, 3), np.nan)}, "NaN"),
+        ({"mean": np.zeros((89, 3))}, "header tells"),
+        ({"faces": np.array([[0, 1, 90]])}, r"0 \.\.\. 89"),
+        ({"faces": np.zeros((2, 3))}, "faces holds float64"),
+        ({"landmark_vertices": np.arange(5)}, "landmark_vertices"),
+        ({"expression_basis": np.zeros((4, 80, 3))}, "expression_basis"),
+    ],
+)
+def test_files_that_are_no_model_are_refused(tmp_path, changes, message):
+    path = tmp_path / "model.npz"
+    learned().save(path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files} | changes
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    with pytest.raises(ReflectanceError, match=message):
+        MorphableShapeModel.load(path)
+
+
+def test_damaged_missing_and_misnamed_files_are_named(tmp_path):
+    path = tmp_path / "model.npz"
+    learned().save(path)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(ReflectanceError, match=r"model\.npz cannot be read"):
+        MorphableShapeModel.load(path)
+    with pytest.raises(ReflectanceError, match=r"none\.npz cannot be read"):
+        MorphableShapeModel.load(tmp_path / "none.npz")
+    with pytest.raises(ValueError, match="npz"):
+        learned().save(tmp_path / "model.json")
+
+
+def test_what_cannot_be_learned_from_is_refused():
+    with pytest.raises(ReflectanceError, match="no face"):
+        MorphableShapeModel.from_samples(np.zeros((0, 90, 3)), None, FACES, MARKS)
+    with pytest.raises(ReflectanceError, match="one topology"):
+        MorphableShapeModel.from_samples([np.zeros((90, 3)), np.zeros((80, 3))], None, FACES, MARKS)
+    with pytest.raises(ReflectanceError, match="one topology"):
+        MorphableShapeModel.from_samples(people(3), np.zeros((2, 80, 3)), FACES, MARKS)
+    spoilt = people(3)
+    spoilt[1, 5] = np.nan
+    with pytest.raises(ReflectanceError, match="shape 1"):
+        MorphableShapeModel.from_samples(spoilt, None, FACES, MARKS)
+    with pytest.raises(ReflectanceError, match="faces"):
+        MorphableShapeModel.from_samples(people(3), None, np.zeros((0, 3), int), MARKS)
+    with pytest.raises(ValueError, match="components"):
+        learned(identity_components=-1)
+
+
+def test_coefficients_that_do_not_fit_are_refused():
+    model = learned()
+    with pytest.raises(ValueError, match="identity"):
+        model.shape([0.0], np.zeros(4))
+    with pytest.raises(ReflectanceError, match="expression"):
+        model.shape(np.zeros(4), [np.nan, 0, 0, 0])
