@@ -125,6 +125,10 @@ def build(
     least_support: Annotated[
         float, typer.Option(help="Share of the samples that must know a vertex, above 0 and up to 1.")
     ] = 0.5,
+    landmark_vertices: Annotated[
+        Path | None,
+        typer.Option(help="JSON list of the 68 landmarks' vertices; then shapes are learned, too."),
+    ] = None,
     json_summary: JsonOption = False,
 ) -> None:
     """Learn a morphable model of reflectance from several faces."""
@@ -133,7 +137,12 @@ def build(
     with _work("build", out) as progress:
         from scan2albedo.reflectance_model_run import build_model, write_model_folder
 
-        built = build_model(samples, components=components, least_support=least_support)
+        built = build_model(
+            samples,
+            components=components,
+            least_support=least_support,
+            landmark_vertices=landmark_vertices,
+        )
         figures = write_model_folder(built, out, {"components": components, "least_support": least_support})
         progress.say(
             f"build: {figures['components']} directions from {figures['samples']} faces, "
@@ -159,6 +168,73 @@ def sample(
 
         figures = write_samples(model, out, count=count, seed=seed, scale=scale)
         progress.say(f"sample: {count} reflectances in {out}")
+    _summarise(figures, out, json_summary)
+
+
+@app.command("fit-image")
+def fit_image(
+    photograph: Annotated[
+        Path,
+        typer.Argument(help="A photograph file: image, camera, mesh or landmarks.", metavar="PHOTOGRAPH"),
+    ],
+    out: OutOption,
+    model: Annotated[Path, typer.Option(help="Folder that `reflectance build` or `finetune` wrote.")],
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Find the reflectance and the light of one photograph with a model."""
+    spend = _checked_budget(budget)
+    with _work("fit-image", out) as progress:
+        from scan2albedo.reflectance import read_photograph
+        from scan2albedo.reflectance_image_run import fit_photograph, write_fitted_photograph
+        from scan2albedo.reflectance_model_run import read_model_folder
+
+        models = read_model_folder(model)
+        done = fit_photograph(read_photograph(photograph), models, budget=spend, on_progress=progress.update)
+        figures = write_fitted_photograph(done, models, out)
+        progress.say(
+            f"fit-image: relative RMSE {100 * figures['relative_rmse']:.1f} % over "
+            f"{figures['seen_vertices']} vertices; files in {out}"
+        )
+    _summarise(figures, out, json_summary)
+
+
+@app.command("finetune")
+def finetune(
+    model: ModelArgument,
+    photographs: Annotated[
+        list[Path], typer.Argument(help="Photograph files of other faces.", metavar="PHOTOGRAPH...")
+    ],
+    out: OutOption,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A photograph to judge by, may be repeated, best six or more; otherwise one of three."
+        ),
+    ] = None,
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Improve a model with photographs; it changes only when photographs held out are explained better."""
+    spend = _checked_budget(budget)
+    with _work("finetune", out) as progress:
+        from scan2albedo.reflectance_image_run import tune_model, write_tuned_model
+        from scan2albedo.reflectance_model_run import read_model_folder
+
+        done = tune_model(
+            read_model_folder(model),
+            photographs,
+            held_out or (),
+            budget=spend,
+            on_progress=progress.update,
+            say=lambda line: progress.say(f"finetune: {line}"),
+        )
+        figures = write_tuned_model(done, out)
+        before, after = figures["held_out_before"], figures["held_out_after"]
+        progress.say(
+            f"finetune: {len(figures['accepted_steps'])} changes accepted, held-out objective {before:.4g} -> "
+            f"{after:.4g}; files in {out}"
+        )
     _summarise(figures, out, json_summary)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.reflectance import (
     MeshReflectance,
     MorphableReflectanceModel,
+    MorphableShapeModel,
     read_reflectance,
     write_reflectance,
 )
@@ -25,6 +28,7 @@ from scan2albedo.report.rendering import View, render_mesh
 FloatArray = NDArray[np.float64]
 
 FIT_FILE, MODEL_FILE, MEAN_FILE = "reflectance.npz", "reflectance_model.npz", "mean.npz"
+SHAPE_FILE = "shape_model.npz"
 _RESULT_FILE = "result.json"
 _SHOWN_DIRECTIONS = 4
 _SPREAD = 2.0
@@ -39,6 +43,8 @@ class BuiltModel:
     model: MorphableReflectanceModel
     mean: MeshReflectance
     sources: tuple[Path, ...]
+    shape: MorphableShapeModel | None
+    """Of the samples' meshes, where it is known which vertices are landmarks."""
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
@@ -77,9 +83,24 @@ def read_sample(path: Path) -> MeshReflectance:
 
 
 def build_model(
-    sources: Sequence[Path], *, components: int | None = None, least_support: float = 0.5
+    sources: Sequence[Path],
+    *,
+    components: int | None = None,
+    least_support: float = 0.5,
+    landmark_vertices: Path | None = None,
 ) -> BuiltModel:
     """Learn a model from files or folders, see `read_sample`.
+
+    Meshes are aligned rigidly to the first before their mean is taken.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+    components, least_support
+        As in `MorphableReflectanceModel.from_samples`.
+    landmark_vertices : Path, optional
+        JSON file with the numbers of the 68 landmarks' vertices, iBUG-68 order; with it a model of the
+        meshes' shapes is learned, too.
 
     Raises
     ------
@@ -100,9 +121,31 @@ def build_model(
     model = MorphableReflectanceModel.from_samples(
         [sample.reflectance for sample in samples], components=components, least_support=least_support
     )
-    vertices = np.mean([sample.vertices for sample in samples], axis=0)
+    first = samples[0].vertices
+    shapes = np.stack([transform_points(procrustes(one.vertices, first), one.vertices) for one in samples])
     mean = model.reconstruct(np.zeros(model.components)).reflectance
-    return BuiltModel(model, MeshReflectance(vertices, samples[0].faces, mean), tuple(sources))
+    shape = None
+    if landmark_vertices is not None:
+        shape = MorphableShapeModel.from_samples(
+            shapes, None, samples[0].faces, _read_landmark_vertices(landmark_vertices, len(first))
+        )
+    return BuiltModel(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), tuple(sources), shape)
+
+
+def _read_landmark_vertices(path: Path, count: int) -> NDArray[np.int64]:
+    try:
+        numbers = np.asarray(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise ReflectanceError(
+            f"landmark vertices {path} cannot be read ({error}); give a JSON list"
+        ) from error
+    if numbers.shape != (68,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise ReflectanceError(f"landmark vertices {path}: expected a list of 68 integers")
+    if numbers.min() < 0 or numbers.max() >= count:
+        raise ReflectanceError(
+            f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} vertices"
+        )
+    return numbers.astype(np.int64)
 
 
 def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -111,13 +154,25 @@ def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) ->
     with folder_of_results(out, "build", built.sources) as results:
         built.model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)
+        if built.shape is not None:
+            built.shape.save(results.folder / SHAPE_FILE)
         results.figure("model.png", overview_figure(_title(built.model), model_panels(built), 5))
         results.finish(figures, options=options)
     return figures
 
 
-def read_model_folder(path: Path) -> tuple[MorphableReflectanceModel, MeshReflectance]:
-    """Read a model and its mean from the folder that `build` or `finetune` wrote.
+@dataclass(frozen=True)
+class ModelFolder:
+    """A model, its mean on the mean mesh, and the shapes' model if there is one."""
+
+    folder: Path
+    model: MorphableReflectanceModel
+    mean: MeshReflectance
+    shape: MorphableShapeModel | None
+
+
+def read_model_folder(path: Path) -> ModelFolder:
+    """Read the folder that `build` or `finetune` wrote.
 
     Raises
     ------
@@ -132,7 +187,13 @@ def read_model_folder(path: Path) -> tuple[MorphableReflectanceModel, MeshReflec
             f"{path}: {MODEL_FILE} has {len(model.known)} vertices and {MEAN_FILE} {len(mean.vertices)}; "
             "build the model again"
         )
-    return model, mean
+    shape = MorphableShapeModel.load(path / SHAPE_FILE) if (path / SHAPE_FILE).exists() else None
+    if shape is not None and len(shape.mean) != len(model.known):
+        raise ReflectanceError(
+            f"{path}: {SHAPE_FILE} has {len(shape.mean)} vertices and {MODEL_FILE} {len(model.known)}; build "
+            "the model again"
+        )
+    return ModelFolder(path, model, mean, shape)
 
 
 def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
@@ -143,7 +204,8 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
     dict
         Figures as in `reflectance.json`.
     """
-    model, mean = read_model_folder(folder)
+    models = read_model_folder(folder)
+    model, mean = models.model, models.mean
     drawn = [model.sample(np.random.default_rng([seed, number]), scale=scale) for number in range(count)]
     figures = {
         "samples": count,
