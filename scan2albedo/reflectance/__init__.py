@@ -1,16 +1,19 @@
 """Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
 
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
-from scan2albedo.reflectance.environment_shading import EnvironmentShading, shade_environment
+from scan2albedo.reflectance.environment_shading import EnvironmentShading, LightResponse, shade_environment
 from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
 from scan2albedo.reflectance.generated_environments import generated_environment
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.light_transfer import light_transfer
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
+from scan2albedo.reflectance.perceptual_term import PerceptualDistance
+from scan2albedo.reflectance.photograph import PhotographOptions, observe_photograph
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
 from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
@@ -29,11 +32,14 @@ __all__ = [
     "ImageFit",
     "ImageFitOptions",
     "ImageObservation",
+    "LightResponse",
     "LightingModel",
     "ModelReflectance",
     "MorphableReflectanceModel",
     "OlatImages",
     "OlatOptions",
+    "PerceptualDistance",
+    "PhotographOptions",
     "Projection",
     "ReflectanceFit",
     "ReflectanceFitOptions",
@@ -47,7 +53,9 @@ __all__ = [
     "fit_image",
     "fit_reflectance",
     "generated_environment",
+    "light_transfer",
     "lobe_weights_of_phong",
+    "observe_photograph",
     "point_light_lobes",
     "point_light_radiance",
     "reflectance_from_albedo",

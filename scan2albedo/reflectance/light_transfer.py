@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.blocks import blocks, each_block
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance.environment_shading import LightResponse, unit_vectors
 from scan2albedo.reflectance.lobe_coefficients import ORDER, lambert_coefficients
+from scan2albedo.reflectance.picture_samples import checked_mesh, checked_normals
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _BLOCK = 128
-_LEAST_DIRECTIONS, _MOST_DIRECTIONS = 64, 100_000
+_DIRECTIONS = 64, 100_000
 
 
 def light_transfer(
@@ -68,7 +68,7 @@ def light_transfer(
     ReflectanceError
         When vertices are not finite, a vector is not a unit vector, or there are no triangles.
     ValueError
-        When shapes disagree, or there are no directions.
+        When shapes disagree, or for fewer than 64 or more than 100,000 directions.
 
     Notes
     -----
@@ -92,12 +92,16 @@ def light_transfer(
     >>> print(white.round(1))  # at its foot a wall hides half of what the floor sees
     0.5
     """
-    xyz, index = _checked_surface(vertices, faces)
-    if not _LEAST_DIRECTIONS <= directions <= _MOST_DIRECTIONS:
-        raise ValueError(
-            f"directions must be in {_LEAST_DIRECTIONS} ... {_MOST_DIRECTIONS}, got {directions}"
-        )
-    n, v, bare = _checked_vectors(normals, toward_camera, xyz.shape)
+    xyz, index = checked_mesh(vertices, faces)
+    if not _DIRECTIONS[0] <= directions <= _DIRECTIONS[1]:
+        raise ValueError(f"directions must be {_DIRECTIONS[0]} to {_DIRECTIONS[1]}, got {directions}")
+    n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)
+    if v.shape != xyz.shape:
+        raise ValueError(f"toward_camera is {v.shape}, expected {xyz.shape} as vertices")
+    # Vectors stand where there is no surface that no formula trips over.
+    bare = np.asarray(~n.any(1))
+    n[bare] = (0.0, 0.0, 1.0)
+    v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
     toward = distant_directions(directions)
     weighted = harmonics(toward, ORDER) * (4 * np.pi / directions)
     visible = ShadowMap(RayCaster(xyz, index), xyz, n, offset_mm).table(toward).visibility
@@ -136,26 +140,3 @@ def _shadowed(
     # The first harmonic is constant: it tells the lit share of the lobe.
     share = part[:, :1] / whole[:, :1]
     return np.asarray(part + share * (free - whole))
-
-
-def _checked_surface(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
-    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
-        raise ValueError(f"vertices is {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)")
-    if not np.isfinite(xyz).all():
-        raise ReflectanceError("vertices are not all finite")
-    if len(index) == 0 or index.min() < 0 or index.max() >= len(xyz):
-        raise ReflectanceError(f"faces hold no triangles, or others than of the {len(xyz)} vertices")
-    return xyz, index
-
-
-def _checked_vectors(
-    normals: ArrayLike, toward_camera: ArrayLike, shape: tuple[int, ...]
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return n, v and where n is 0; vectors stand there that no formula trips over."""
-    n, v = np.array(normals, np.float64), np.array(toward_camera, np.float64)
-    if n.shape != shape or v.shape != shape:
-        raise ValueError(f"normals are {n.shape} and toward_camera {v.shape}, expected {shape} both")
-    bare = np.asarray(~n.any(1))
-    n[bare], v[bare] = (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)
-    return unit_vectors(n, "normals"), unit_vectors(v, "toward_camera"), bare
