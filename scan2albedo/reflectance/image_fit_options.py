@@ -23,8 +23,9 @@ class ImageFitOptions:
     perceptual_weight: float = 0.1
     """Of the value that `perceptual` returns; see `fit_image`."""
     white_light_weight: float = 0.0
-    """Of the squared differences between the channels' light and their mean, in units of the light's mean
-    radiance. It makes fits worse wherever light has a colour; see `fit_image`."""
+    """Of the squared differences between the channels' light and their mean, over the square of the first
+    light's first coefficient. 0, since any other makes albedo no better: at 10, the weight as published, its
+    error rose from 0.067 to 0.135 in light as it comes, and from 0.067 to 0.070 where all light was grey."""
     lobe: Lobe = "tilted"
     """Lobe of the highlights where the observation has no transfer; see `shade_environment`."""
     iterations: int = 200

@@ -73,7 +73,9 @@ def light_transfer(
     Notes
     -----
     Highlights are those of each vertex and view, nearer to the truth than any `Lobe` also where there is no
-    shadow. The same input gives the same bits.
+    shadow. Of light received by a face, 1,024 directions leave 0.5 % of the diffuse part and 1 to 3 % of the
+    highlights wrong, most of it beyond order 8 for the sharpest; without shadows 16 to 25 % would be, as
+    tools/bench_reflectance_model.py tells. The same input gives the same bits.
 
     Cost: V directions / 2 rays, 10 V directions 81 operations, V directions bytes. Light that the surface
     sends onto itself is left out.
