@@ -232,7 +232,7 @@ def finetune(
         figures = write_tuned_model(done, out)
         before, after = figures["held_out_before"], figures["held_out_after"]
         progress.say(
-            f"finetune: {len(figures['accepted_steps'])} changes accepted, held-out objective {before:.4g} -> "
+            f"finetune: {len(figures['accepted_steps'])} changes accepted, held-out {before:.4g} -> "
             f"{after:.4g}; files in {out}"
         )
     _summarise(figures, out, json_summary)

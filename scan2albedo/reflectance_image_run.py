@@ -308,8 +308,8 @@ def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> Float
 def _shape_model(photograph: PhotographFiles, models: ModelFolder) -> MorphableShapeModel:
     if models.shape is None:
         raise ReflectanceError(
-            f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build the "
-            "model with --landmark-vertices"
+            f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
+            "the model with --landmark-vertices"
         )
     return models.shape
 

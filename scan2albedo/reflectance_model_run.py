@@ -143,7 +143,8 @@ def _read_landmark_vertices(path: Path, count: int) -> NDArray[np.int64]:
         raise ReflectanceError(f"landmark vertices {path}: expected a list of 68 integers")
     if numbers.min() < 0 or numbers.max() >= count:
         raise ReflectanceError(
-            f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} vertices"
+            f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} "
+            "vertices"
         )
     return numbers.astype(np.int64)
 

@@ -1,10 +1,13 @@
-"""Morphable reflectance: lobes at oblique views, fits to images, speed.
+"""Morphable reflectance: lobes at oblique views, fits to images, shadows, white light, speed.
 
-    python tools/bench_reflectance_model.py [lobes] [fit] [speed] [--picture fit.png]
+    python tools/bench_reflectance_model.py [lobes] [fit] [shadows] [white] [photograph] [speed]
+                                            [--picture fit.png] [--photographs faces.png]
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
-is generated, no shadows. Albedo errors are relative RMSE after the best single scale, over seen vertices of
-faces that the model was not learned from. Times are CPU seconds.
+is generated; it casts shadows in `shadows`, `white` and `photograph` only, ray-traced as
+tools/shadowed_shots.py tells.
+Albedo errors are relative RMSE after the best single scale, over seen vertices; faces are such as the model
+was not learned from, unless said. Times are CPU seconds.
 """
 
 from __future__ import annotations
@@ -15,9 +18,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from shadowed_shots import ShadowedSurface, sent
 
 import scan2albedo as s2a
 from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.images import write_png
 from scan2albedo.lighting.environment import distant_directions
@@ -29,10 +34,14 @@ from scan2albedo.reflectance import (
     ImageFitOptions,
     ImageObservation,
     LightingModel,
+    LightResponse,
     MorphableReflectanceModel,
+    PhotographOptions,
     VertexReflectance,
     fit_image,
     generated_environment,
+    light_transfer,
+    observe_photograph,
     shade_environment,
 )
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
@@ -157,6 +166,152 @@ def print_fits(picture: str | None) -> None:
         draw(picture, faces[3], shot(faces[3], 3), fit_image(shot(faces[3], 3), model))
 
 
+@cache
+def shadowed_surface() -> ShadowedSurface:
+    s, fine = surface(), surface(2)
+    return ShadowedSurface(s.vertices, s.normals, s.view, (fine.vertices, fine.faces))
+
+
+@cache
+def transfer() -> LightResponse:
+    s = surface()
+    return light_transfer(s.vertices, s.faces, s.normals, s.view)
+
+
+@dataclass(frozen=True)
+class ShadowedCases:
+    """Faces, the light (V, 4, 3) each receives in its picture and in another, all with shadows."""
+
+    faces: list[VertexReflectance]
+    received: np.ndarray
+    elsewhere: np.ndarray
+
+    @classmethod
+    def of(cls, faces: list[VertexReflectance], seed: int, grey: bool = False) -> ShadowedCases:
+        maps = [generated_environment(seed + k) for k in range(2 * len(faces))]
+        if grey:
+            maps = [np.repeat(image.mean(-1, keepdims=True), 3, -1) for image in maps]
+        received = shadowed_surface().received(maps)
+        return cls(faces, received[: len(faces)], received[len(faces) :])
+
+    def picture(self, k: int, with_transfer: bool) -> ImageObservation:
+        s, rng = surface(), np.random.default_rng([k, 3])
+        color = sent(self.faces[k], self.received[k])
+        color = color * (1 + 0.01 * rng.normal(size=color.shape))
+        return ImageObservation(color, s.normals, s.view, s.seen, transfer() if with_transfer else None)
+
+    def errors(self, found: list[VertexReflectance]) -> str:
+        """Mean and worst albedo error, and error under the other light after the best scale."""
+        albedo = [albedo_error(a.diffuse_linear, b) for a, b in zip(found, self.faces, strict=True)]
+        relit = []
+        for k, reflectance in enumerate(found):
+            a, b = (sent(face, self.elsewhere[k])[surface().seen] for face in (reflectance, self.faces[k]))
+            relit.append(np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b) / np.linalg.norm(b))
+        return f"{np.mean(albedo):10.4f}{np.max(albedo):10.4f}{np.mean(relit):10.4f}"
+
+    def fitted(self, with_transfer: bool, options: ImageFitOptions) -> str:
+        """Return errors and CPU seconds of fits."""
+        model = learned(60, 40)
+        LightingModel.default()
+        pictures = [self.picture(k, with_transfer) for k in range(len(self.faces))]
+        start = time.process_time()
+        fits = [fit_image(picture, model, options=options) for picture in pictures]
+        used = (time.process_time() - start) / len(fits)
+        return f"{self.errors([fit.face.reflectance for fit in fits])}{used:8.2f} s"
+
+
+def people_of_the_model(first: int) -> list[VertexReflectance]:
+    model = learned(60, 40)
+    return [model.project(person(1000 + first + k)).nearest.reflectance for k in range(8)]
+
+
+def print_received_light() -> None:
+    """Print errors of what vertices receive, and what the transfer costs."""
+    s = surface()
+    maps = [generated_environment(60_000 + k) for k in range(20)]
+    truth = shadowed_surface().received(maps)[:, s.seen]
+    size = np.linalg.norm(truth, axis=(1, 3))
+    lights = [project_environment(image) for image in maps]
+    shadows = shadowed_surface().received(maps, shadows=False)[:, s.seen]
+    print("light received, median relative RMSE, %: diffuse, s = 1, 8, 64")
+
+    def row(name: str, made: np.ndarray, note: str = "") -> None:
+        off = np.median(np.linalg.norm(made - truth, axis=(1, 3)) / size, axis=0)
+        print(f"{name:30}" + "".join(f"{100 * e:8.2f}" for e in off) + note)
+
+    row("exact, without shadows", shadows)
+    start = time.process_time()
+    for count in (256, 512, 1024, 2048):
+        start = time.process_time()
+        made = light_transfer(s.vertices, s.faces, s.normals, s.view, directions=count)
+        used = time.process_time() - start
+        whole = np.concatenate([made.diffuse[:, None], made.specular], axis=1)[s.seen]
+        row(
+            f"transfer of {count} directions", np.stack([whole @ light for light in lights]), f"{used:8.2f} s"
+        )
+
+
+def print_shadows() -> None:
+    """Print fits to pictures with cast shadows, with and without the transfer."""
+    print_received_light()
+    model = learned(60, 40)
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    groups = {
+        "faces of the model": ShadowedCases.of(people_of_the_model(20), 62_000),
+        "new faces": ShadowedCases.of([person(k) for k in range(8)], 63_000),
+    }
+    print(f"{'':44}{'albedo':>10}{'worst':>10}{'relit':>10}{'fit':>10}")
+    for name, cases in groups.items():
+        print(f"{name + ', mean face':44}{cases.errors([mean] * 8)}")
+        nearest = [model.project(face).nearest.reflectance for face in cases.faces]
+        print(f"{name + ', nearest of the model':44}{cases.errors(nearest)}")
+        for with_transfer in (False, True):
+            for prior in (1e-3, 3e-4, 1e-4):
+                label = f"{name}, {'with' if with_transfer else 'no'} transfer, prior {prior:g}"
+                made = cases.fitted(with_transfer, ImageFitOptions(prior_weight=prior))
+                print(f"{label:44}{made}", flush=True)
+
+
+def print_white_light() -> None:
+    """Print fits with a penalty on the colour of light, under coloured and under grey light."""
+    print(f"{'light':12}{'white_light_weight':>20}{'albedo':>10}{'worst':>10}{'relit':>10}{'fit':>10}")
+    for name, grey in (("as it comes", False), ("grey", True)):
+        cases = ShadowedCases.of([person(k) for k in range(8)], 63_000, grey)
+        for weight in (0.0, 1e-3, 1e-2, 0.1, 10.0):
+            made = cases.fitted(True, ImageFitOptions(white_light_weight=weight))
+            print(f"{name:12}{weight:20g}{made}", flush=True)
+
+
+def photograph_of(cases: ShadowedCases, k: int, camera: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """A picture (H, W, 3) of 8 bits before grey, of gamma 1.2, in which no skin is saturated."""
+    s = surface()
+    pixels, depth = project(camera, s.vertices)
+    raster = rasterize(pixels, -depth, s.faces, shape)
+    linear = sent(cases.faces[k], cases.received[k])
+    shown = (0.9 * linear / linear[s.seen].max()) ** (1 / 1.2)
+    inside = raster.face[..., None] >= 0
+    return np.round(255 * np.where(inside, interpolate(raster, s.faces, shown), 0.5)).astype(np.uint8)
+
+
+def print_photographs(picture: str | None) -> None:
+    """Print fits to photographs of 8 bits, from other gammas than theirs too."""
+    s, shape = surface(), (640, 640)
+    camera = look_at(CAMERA_MM, s.vertices.mean(0), focal_px=2300.0, shape=shape)
+    cases = ShadowedCases.of([person(k) for k in range(8)], 63_000)
+    photographs = [photograph_of(cases, k, camera, shape) for k in range(len(cases.faces))]
+    model = learned(60, 40)
+    print(f"{'gamma (theirs is 1.2)':24}{'albedo':>10}{'worst':>10}{'relit':>10}{'observe':>12}")
+    for gamma in (1.2, 1.0, 1.8, 2.4):
+        options = PhotographOptions(gamma=gamma)
+        start = time.process_time()
+        shots = [observe_photograph(p, camera, s.vertices, s.faces, options=options) for p in photographs]
+        used = (time.process_time() - start) / len(shots)
+        found = [fit_image(image, model).face.reflectance for image in shots]
+        print(f"{gamma:<24g}{cases.errors(found)}{used:10.2f} s", flush=True)
+    if picture:
+        write_png(picture, np.concatenate(photographs[:4], axis=1))
+
+
 def draw(path: str, face: VertexReflectance, image: ImageObservation, fit: ImageFit) -> None:
     """Draw image and fit, albedo and its estimate, weights and theirs."""
     s = surface()
@@ -191,20 +346,29 @@ def print_speed() -> None:
         print(f"{count}: learn 40 faces {learn:.2f} s, fit {used:.2f} s, {fit.iterations} steps")
 
 
-PARTS = {"lobes": print_lobes, "speed": print_speed}
+PARTS = {
+    "lobes": print_lobes,
+    "shadows": print_shadows,
+    "white": print_white_light,
+    "speed": print_speed,
+}
+ORDER = ("lobes", "fit", "shadows", "white", "photograph", "speed")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, "fit"], help="all when omitted")
+    parser.add_argument("parts", nargs="*", choices=ORDER, help="all when omitted")
     parser.add_argument("--picture", help="PNG of one fit: image, albedo, weights; truth above, fit below")
+    parser.add_argument("--photographs", help="PNG of four photographs")
     arguments = parser.parse_args()
-    for part in arguments.parts or ("lobes", "fit", "speed"):
+    for part in arguments.parts or ORDER:
         print(f"\n{part}")
         if part == "fit":
             print_fits(arguments.picture)
+        elif part == "photograph":
+            print_photographs(arguments.photographs)
         else:
             PARTS[part]()
 

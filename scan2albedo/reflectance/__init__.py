@@ -2,7 +2,7 @@
 
 from scan2albedo.reflectance.capture_files import CaptureFiles, read_capture, write_capture
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
-from scan2albedo.reflectance.environment_shading import EnvironmentShading, shade_environment
+from scan2albedo.reflectance.environment_shading import EnvironmentShading, LightResponse, shade_environment
 from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
@@ -11,9 +11,12 @@ from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
 from scan2albedo.reflectance.geometry_options import GeometryFitOptions
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.light_transfer import light_transfer
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
+from scan2albedo.reflectance.perceptual_term import PerceptualDistance
+from scan2albedo.reflectance.photograph import PhotographOptions, observe_photograph
 from scan2albedo.reflectance.photograph_files import PhotographFiles, read_photograph, write_photograph
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
@@ -38,6 +41,7 @@ __all__ = [
     "ImageFit",
     "ImageFitOptions",
     "ImageObservation",
+    "LightResponse",
     "LightingModel",
     "MeshReflectance",
     "ModelReflectance",
@@ -45,7 +49,9 @@ __all__ = [
     "MorphableShapeModel",
     "OlatImages",
     "OlatOptions",
+    "PerceptualDistance",
     "PhotographFiles",
+    "PhotographOptions",
     "Projection",
     "ReflectanceFit",
     "ReflectanceFitOptions",
@@ -59,7 +65,9 @@ __all__ = [
     "fit_image",
     "fit_reflectance",
     "generated_environment",
+    "light_transfer",
     "lobe_weights_of_phong",
+    "observe_photograph",
     "point_light_lobes",
     "point_light_radiance",
     "read_capture",

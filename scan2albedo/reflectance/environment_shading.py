@@ -79,7 +79,7 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
     -----
     Memory: 2.6 kB a vertex.
     """
-    n, v = _unit(normals, "normals"), _unit(toward_camera, "toward_camera")
+    n, v = unit_vectors(normals, "normals"), unit_vectors(toward_camera, "toward_camera")
     if n.shape != v.shape:
         raise ValueError(f"normals are {n.shape} and toward_camera {v.shape}, expected (V, 3) both")
     specular = np.stack([_specular(lobe, s, n, v) for s in EXPONENTS], axis=1)
@@ -168,7 +168,8 @@ def _specular(lobe: Lobe, exponent: float, n: FloatArray, v: FloatArray) -> Floa
     return response[:, _DEGREES] * harmonics(mirror, ORDER)
 
 
-def _unit(vectors: ArrayLike, name: str) -> FloatArray:
+def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
+    """Return vectors (V, 3), or raise `ValueError` for the shape, `ReflectanceError` for another length."""
     unit = np.asarray(vectors, np.float64)
     if unit.ndim != 2 or unit.shape[1] != 3:
         raise ValueError(f"{name} must have shape (V, 3), got {unit.shape}")

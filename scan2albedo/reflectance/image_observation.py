@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.environment_shading import HARMONICS, LightResponse, light_response
+from scan2albedo.reflectance.lobe_coefficients import Lobe
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -25,11 +27,15 @@ class ImageObservation:
         Unit vectors in one frame, the one that light is wanted in; unused where not seen.
     seen : (V,) array_like of bool
         Vertices that count: not occluded, skin, not saturated.
+    transfer : LightResponse, optional
+        Of the V vertices with the shadows that the surface casts on itself, from `light_transfer`; none are
+        cast when omitted. Unused where not seen.
 
     Raises
     ------
     ReflectanceError
-        When a seen vertex has no finite colour or no unit vectors, nothing is seen, or it is black there.
+        When a seen vertex has no finite colour or no unit vectors, nothing is seen, it is black there, or
+        its transfer is not finite or lets no light come.
     ValueError
         When shapes disagree.
     """
@@ -38,6 +44,7 @@ class ImageObservation:
     normals: ArrayLike
     toward_camera: ArrayLike
     seen: ArrayLike
+    transfer: LightResponse | None = None
 
     def __post_init__(self) -> None:
         seen = np.asarray(self.seen)
@@ -70,8 +77,46 @@ class ImageObservation:
             raise ReflectanceError(
                 f"the image is black where the face is (mean {self.brightness}); check exposure and pose"
             )
+        if self.transfer is not None:
+            _check_transfer(self.transfer, seen)
 
     @property
     def brightness(self) -> float:
         """Mean colour of what is seen."""
         return float(np.asarray(self.observed_linear)[np.asarray(self.seen)].mean())
+
+    def response(self, used: ArrayLike, lobe: Lobe = "tilted") -> LightResponse:
+        """Return how vertices `used` (U,) answer to light: the transfer's rows, or those without shadows.
+
+        Parameters
+        ----------
+        used : (U,) array_like of int
+            Seen vertices.
+        lobe : {"tilted", "tabulated", "clipped", "full"}
+            See `light_response`; a transfer was made with one already.
+        """
+        rows = np.asarray(used)
+        if self.transfer is not None:
+            return LightResponse(self.transfer.diffuse[rows], self.transfer.specular[rows])
+        return light_response(np.asarray(self.normals)[rows], np.asarray(self.toward_camera)[rows], lobe=lobe)
+
+
+def _check_transfer(transfer: LightResponse, seen: BoolArray) -> None:
+    shapes = (len(seen), HARMONICS), (len(seen), 3, HARMONICS)
+    if (transfer.diffuse.shape, transfer.specular.shape) != shapes:
+        raise ValueError(
+            f"transfer has shapes {transfer.diffuse.shape} and {transfer.specular.shape}, expected "
+            f"{shapes[0]} and {shapes[1]}"
+        )
+    rows = np.concatenate([transfer.diffuse[seen], transfer.specular[seen].reshape(seen.sum(), -1)], axis=1)
+    bad = ~np.isfinite(rows).all(1)
+    if bad.any():
+        raise ReflectanceError(
+            f"the transfer of vertex {int(np.flatnonzero(seen)[bad][0])} holds NaN or infinite values "
+            f"({bad.sum()} vertices); take such vertices out of `seen`"
+        )
+    if not rows.any():
+        raise ReflectanceError(
+            "the transfer lets no light reach any vertex that is seen; check that normals point out of the "
+            "surface and that no other surface encloses it"
+        )

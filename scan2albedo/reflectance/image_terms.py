@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.reflectance.environment_shading import LightResponse, light_response
+from scan2albedo.reflectance.environment_shading import LightResponse
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.lobe_coefficients import Lobe
@@ -65,7 +65,6 @@ class ImageTerms:
     ) -> ImageTerms:
         """Gather what an image's terms need."""
         used = np.flatnonzero(np.asarray(observation.seen) & model.known)
-        normals, view = np.asarray(observation.normals), np.asarray(observation.toward_camera)
         last = [
             np.ascontiguousarray(np.moveaxis(basis[:, used], 0, -1))
             for basis in (model.diffuse_basis, model.sum_basis, model.share_basis)
@@ -73,7 +72,7 @@ class ImageTerms:
         return cls(
             used,
             np.asarray(observation.observed_linear)[used],
-            light_response(normals[used], view[used], lobe=lobe),
+            observation.response(used, lobe),
             (model.diffuse_mean[used], model.sum_mean[used], model.share_mean[used]),
             (last[0], last[1], last[2]),
             lighting,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.geometry.mesh import adjacency
-from scan2albedo.reflectance.environment_shading import light_response
 from scan2albedo.reflectance.image_fit import ImageFit
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lobe_coefficients import Lobe
@@ -155,8 +154,7 @@ def _image_rows(
     Rows that are not used are zero with variance 1, so that they say nothing.
     """
     used = np.flatnonzero(np.asarray(observation.seen) & model.known)
-    normals, view = np.asarray(observation.normals), np.asarray(observation.toward_camera)
-    response = light_response(normals[used], view[used], lobe=lobe)
+    response = observation.response(used, lobe)
     b = fit.face.coefficients
     share = model.share_mean[used] + np.tensordot(b, model.share_basis[:, used], 1)
     diffuse = response.diffuse @ fit.light

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.picture_values import linear_values, picture_values
 
 FloatArray = NDArray[np.float64]
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
@@ -162,11 +163,11 @@ def extract_olat(
     saturated, valid = np.zeros(shape, bool), np.zeros(shape, bool)
     diagnostics: list[CaptureDiagnostic] = []
     for j in range(shape[0]):
-        lit = _values(pictures[j], f"flash picture {j}", options)
-        ambient = _values(rooms[j % len(rooms)], f"room picture {j}", options)
+        lit = picture_values(pictures[j], f"flash picture {j}", options.saturation)
+        ambient = picture_values(rooms[j % len(rooms)], f"room picture {j}", options.saturation)
         finite = np.isfinite(lit) & np.isfinite(ambient)
         lit, ambient = np.where(finite, lit, 0.0), np.where(finite, ambient, 0.0)
-        difference = _light(lit, options.gamma) - _light(ambient, options.gamma)
+        difference = linear_values(lit, options.gamma) - linear_values(ambient, options.gamma)
         deviation = np.sqrt(_variance(lit, options) + _variance(ambient, options))
         saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
@@ -200,28 +201,6 @@ def _shape(flash: list[NDArray[Any]], room: list[NDArray[Any]]) -> tuple[int, in
     if channels != 3 or 0 in (height, width):
         raise ValueError(f"pictures are {flash[0].shape}, expected (H, W, 3)")
     return len(flash), height, width, channels
-
-
-def _values(picture: NDArray[Any], name: str, options: OlatOptions) -> FloatArray:
-    """Return (H, W, 3) values, white = 1."""
-    array = np.asarray(picture)
-    if array.dtype in (np.uint8, np.uint16):
-        return array / float(np.iinfo(array.dtype).max)
-    if not np.issubdtype(array.dtype, np.floating):
-        raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
-    values = array.astype(np.float64)
-    largest = float(np.max(values, where=np.isfinite(values), initial=0.0))
-    if largest > 2 * options.saturation:
-        raise ReflectanceError(
-            f"{name} reaches {largest:.4g}, expected values with white = 1: divide by the largest value the "
-            "camera can give, or set OlatOptions.saturation for pictures beyond white"
-        )
-    return values
-
-
-def _light(values: FloatArray, gamma: float) -> FloatArray:
-    """Odd, so that noise around 0 keeps its mean."""
-    return np.copysign(np.abs(values) ** gamma, values)
 
 
 def _variance(values: FloatArray, options: OlatOptions) -> FloatArray:

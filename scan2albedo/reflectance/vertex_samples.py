@@ -6,21 +6,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance.capture_rig import CaptureRig
 from scan2albedo.reflectance.olat import OlatImages
+from scan2albedo.reflectance.picture_samples import bilinear_samples, checked_mesh, checked_normals
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 FloatArray = NDArray[np.float64]
 
-_UNIT = 1e-3
-"""How far a normal's length may be from 1."""
 _LEAST_SIGMA = 1e-100
 """Its square's inverse must be a number."""
 
@@ -193,12 +190,10 @@ def sample_vertices(
     -----
     Rays are cast once for each camera and each flash, not for each picture.
     """
-    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
-        raise ValueError(f"vertices is {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)")
+    xyz, index = checked_mesh(vertices, faces)
     if len(rig) != len(olat):
         raise ReflectanceError(f"there are {len(olat)} pictures but {len(rig)} cameras in the rig")
-    normal = _checked_normals(xyz, index, normals)
+    normal = checked_normals(xyz, index, normals)
     positions = rig.camera_positions
     lobes = point_light_lobes(
         xyz, normal, positions, rig.light_positions, reference_distance_mm=options.reference_distance_mm
@@ -221,74 +216,10 @@ def sample_vertices(
         usable = seen[key] & lit[light_key]
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
         spread = options.position_sigma_px**2
-        _bilinear(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
+        bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
     return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light)
 
 
 def _facing(xyz: FloatArray, normal: FloatArray, light: FloatArray, cosine: float) -> NDArray[np.bool_]:
     toward = light - xyz
     return np.einsum("vc,vc->v", normal, toward) > cosine * np.linalg.norm(toward, axis=1)
-
-
-def _checked_normals(xyz: FloatArray, faces: NDArray[np.int64], normals: ArrayLike | None) -> FloatArray:
-    if not np.isfinite(xyz).all():
-        raise ReflectanceError("vertices are not all finite")
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(xyz):
-        raise ReflectanceError(f"faces hold no triangles, or others than of the {len(xyz)} vertices")
-    if normals is None:
-        return vertex_normals(xyz, faces)
-    given = np.ascontiguousarray(normals, np.float64)
-    if given.shape != xyz.shape:
-        raise ValueError(f"normals is {given.shape}, expected {xyz.shape} as vertices")
-    length = np.linalg.norm(given, axis=1)
-    off = ~((np.abs(length - 1) < _UNIT) | (length == 0))
-    if off.any():
-        first = int(np.flatnonzero(off)[0])
-        raise ReflectanceError(
-            f"the normal of vertex {first} has length {length[first]:.4g}, expected 1 (or 0)"
-        )
-    return given
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _bilinear(picture, sigma, valid, pixels, usable, spread, value, variance, found):  # type: ignore[no-untyped-def]
-    """Fill value, variance (V, 3) and found (V, 3) of the `usable` vertices at pixels (V, 2).
-
-    `spread` is the variance of a vertex's position, px^2.
-    """
-    height, width = picture.shape[:2]
-    for i in range(len(pixels)):
-        x, y = pixels[i, 0], pixels[i, 1]
-        if not usable[i] or not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
-            continue
-        left, top = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
-        fx, fy = x - left, y - top
-        for k in range(3):
-            if not (
-                valid[top, left, k]
-                and valid[top, right, k]
-                and valid[bottom, left, k]
-                and valid[bottom, right, k]
-            ):
-                continue
-            a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-            p, q = picture[top, left, k], picture[top, right, k]
-            r, s = picture[bottom, left, k], picture[bottom, right, k]
-            value[i, k] = a * p + b * q + c * r + d * s
-            across, down = (q - p + s - r) / 2, (r - p + s - q) / 2
-            # Each slope's own noise has this variance.
-            noise = (
-                sigma[top, left, k] ** 2
-                + sigma[top, right, k] ** 2
-                + sigma[bottom, left, k] ** 2
-                + sigma[bottom, right, k] ** 2
-            ) / 4
-            variance[i, k] = (
-                (a * sigma[top, left, k]) ** 2
-                + (b * sigma[top, right, k]) ** 2
-                + (c * sigma[bottom, left, k]) ** 2
-                + (d * sigma[bottom, right, k]) ** 2
-                + spread * max(across * across + down * down - 2 * noise, 0.0)
-            )
-            found[i, k] = True

@@ -1,0 +1,121 @@
+"""Light with cast shadows: closed forms, sums with shadows known exactly, units, gaps, bad input."""
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.reflectance import EXPONENTS, generated_environment, light_transfer
+from scan2albedo.reflectance.environment_shading import light_response
+
+BALL = distant_directions(1500)
+FACES = ConvexHull(BALL).simplices.astype(np.int64)
+VIEW = np.tile([0.0, 0.0, 1.0], (len(BALL), 1))
+
+
+def brute_force(point, n, v, hidden, count=10_000):
+    """Sum visibility times lobes times harmonics over many directions; `hidden` tells it of directions."""
+    toward = distant_directions(count) @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    free = ~hidden(point, toward) & (toward @ n > 0)
+    half = toward + v
+    n_h = np.maximum(half @ n, 0) / np.maximum(np.linalg.norm(half, axis=1), 1e-12)
+    lobes = [np.maximum(toward @ n, 0) / np.pi] + [(s + 2) / (8 * np.pi) * n_h**s for s in EXPONENTS]
+    basis = harmonics(toward) * (4 * np.pi / count)
+    return np.stack([(free * lobe) @ basis for lobe in lobes])
+
+
+def test_a_convex_surface_has_no_shadows():
+    transfer = light_transfer(80 * BALL, FACES, BALL, VIEW)
+    np.testing.assert_allclose(transfer.diffuse, light_response(BALL, VIEW).diffuse, atol=1e-12)
+    for vertex in (10, 700, 760):
+        expected = brute_force(
+            None, BALL[vertex], VIEW[vertex], lambda point, toward: np.zeros(len(toward), bool)
+        )
+        expected[1:] *= BALL[vertex, 2] > 0
+        np.testing.assert_allclose(transfer.specular[vertex], expected[1:], atol=0.015)
+    assert (transfer.specular[BALL[:, 2] < 0] == 0).all()
+
+
+def test_inside_a_closed_surface_there_is_no_light():
+    transfer = light_transfer(80 * BALL, FACES, -BALL, VIEW)
+    assert (transfer.diffuse == 0).all()
+    assert (transfer.specular == 0).all()
+
+
+def test_shadows_of_a_ball_are_those_of_the_formula():
+    """Vertices of a floor under a ball; where rays meet the ball is known exactly."""
+    x, z = (grid.ravel() for grid in np.meshgrid(np.linspace(-60, 60, 4), np.linspace(-60, 60, 4)))
+    floor = np.stack([x, np.zeros_like(x), z], 1)
+    dense = distant_directions(3000)
+    centre, radius = np.array([10.0, 45.0, 5.0]), 30.0
+    vertices = np.vstack([floor, centre + radius * dense])
+    n = np.vstack([np.tile([0.0, 1.0, 0.0], (16, 1)), dense])
+    v = np.tile(np.array([0.6, 0.8, 0.0]), (len(n), 1))
+    transfer = light_transfer(vertices, len(floor) + ConvexHull(dense).simplices, n, v, offset_mm=1e-9)
+
+    def hidden(point, toward):
+        along = toward @ (centre - point)
+        return (along > 0) & (np.sum((centre - point) ** 2) - along**2 < radius**2)
+
+    lights = np.stack([project_environment(generated_environment(k)) for k in range(5)], 1).reshape(81, -1)
+    off, size, shadow = np.zeros(4), np.zeros(4), np.zeros(4)
+    for vertex in range(16):
+        truth = brute_force(floor[vertex], n[vertex], v[vertex], hidden) @ lights
+        free = (
+            brute_force(floor[vertex], n[vertex], v[vertex], lambda point, toward: toward[:, 0] > 9) @ lights
+        )
+        found = np.vstack([transfer.diffuse[vertex], transfer.specular[vertex]]) @ lights
+        off += np.sum((found - truth) ** 2, 1)
+        size += np.sum(truth**2, 1)
+        shadow += np.sum((free - truth) ** 2, 1)
+    assert (np.sqrt(off / size) < [0.02, 0.03, 0.02, 0.03]).all()
+    assert (np.sqrt(shadow / size) > 0.1).all()
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_neither_unit_nor_place_matters(unit):
+    cup = BALL * np.where(BALL[:, 2:] > 0.3, -0.5, 1.0) * [80, 80, 80]
+    here, there = (
+        light_transfer(scale * cup + shift, FACES, BALL, VIEW, directions=256, offset_mm=scale * 0.2)
+        for scale, shift in ((1.0, 0.0), (unit, unit * np.array([500.0, -300, 200])))
+    )
+    assert not np.array_equal(here.diffuse, light_response(BALL, VIEW).diffuse)
+    differs = np.abs(here.diffuse - there.diffuse).max(1) > 1e-9
+    assert differs.mean() < 0.02
+
+
+def test_the_same_input_gives_the_same_bits():
+    cup = BALL * np.where(BALL[:, 2:] > 0.3, -40.0, 80.0)
+    one, two = (light_transfer(cup, FACES, BALL, VIEW, directions=200) for _ in range(2))
+    np.testing.assert_array_equal(one.diffuse, two.diffuse)
+    np.testing.assert_array_equal(one.specular, two.specular)
+
+
+def test_vertices_without_a_surface_receive_nothing():
+    normals, view = BALL.copy(), VIEW.copy()
+    normals[3], view[3] = 0.0, np.nan
+    transfer = light_transfer(80 * BALL, FACES, normals, view, directions=64)
+    assert (transfer.diffuse[3] == 0).all()
+    assert (transfer.specular[3] == 0).all()
+    assert np.isfinite(transfer.diffuse).all()
+    assert np.isfinite(transfer.specular).all()
+
+
+def test_what_is_no_surface_is_refused():
+    with pytest.raises(ValueError, match="directions"):
+        light_transfer(BALL, FACES, BALL, VIEW, directions=63)
+    with pytest.raises(ReflectanceError, match="no triangles"):
+        light_transfer(BALL, np.zeros((0, 3), int), BALL, VIEW)
+    with pytest.raises(ReflectanceError, match="finite"):
+        light_transfer(BALL * np.nan, FACES, BALL, VIEW)
+    with pytest.raises(ReflectanceError, match="length 2"):
+        light_transfer(BALL, FACES, 2 * BALL, VIEW)
+    with pytest.raises(ReflectanceError, match="toward_camera of vertex 0"):
+        light_transfer(BALL, FACES, BALL, 2 * VIEW)
+    with pytest.raises(ValueError, match="normals"):
+        light_transfer(BALL, FACES, BALL[:5], VIEW)
+    with pytest.raises(ValueError, match="toward_camera"):
+        light_transfer(BALL, FACES, BALL, VIEW[:5])

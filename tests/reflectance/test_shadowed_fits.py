@@ -1,0 +1,45 @@
+"""Fits to pictures with ray-traced shadows, as the benchmark makes them, are better than the mean face."""
+
+import numpy as np
+import pytest
+from bench_reflectance_model import (
+    LightingModel,
+    ShadowedCases,
+    albedo_error,
+    fit_image,
+    learned,
+    people_of_the_model,
+    person,
+)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def lighting():
+    return LightingModel.default()
+
+
+def albedo_errors(cases, lighting, with_transfer):
+    fits = [fit_image(cases.picture(k, with_transfer), learned(60, 40), lighting) for k in range(4)]
+    pairs = zip(fits, cases.faces, strict=True)
+    return np.mean([albedo_error(fit.face.reflectance.diffuse_linear, face) for fit, face in pairs])
+
+
+def of_mean(cases):
+    return np.mean([albedo_error(learned(60, 40).diffuse_mean, face) for face in cases.faces])
+
+
+def test_faces_of_the_model_are_found_in_shadow(lighting):
+    cases = ShadowedCases.of(people_of_the_model(30)[:4], 70_000)
+    with_it = albedo_errors(cases, lighting, True)
+    assert with_it < 0.03
+    assert with_it < 0.6 * albedo_errors(cases, lighting, False)
+    assert with_it < 0.4 * of_mean(cases)
+
+
+def test_new_faces_are_found_better_than_by_the_mean(lighting):
+    cases = ShadowedCases.of([person(400 + k) for k in range(4)], 71_000)
+    with_it = albedo_errors(cases, lighting, True)
+    assert with_it < of_mean(cases)
+    assert with_it < albedo_errors(cases, lighting, False)
