@@ -238,6 +238,34 @@ def finetune(
     _summarise(figures, out, json_summary)
 
 
+@app.command()
+def demo(
+    out: OutOption = Path("reflectance_demo"),
+    people: Annotated[int, typer.Option(help="From whom the model is learned.", min=2)] = 8,
+    photographs: Annotated[
+        int, typer.Option(help="Of others, to fine-tune with; half are held out.", min=2)
+    ] = 12,
+    seed: SeedOption = 0,
+    json_summary: JsonOption = False,
+) -> None:
+    """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
+    with _work("demo", out) as progress:
+        from scan2albedo.reflectance_demo import run_reflectance_demo
+
+        report = run_reflectance_demo(
+            out,
+            people=people,
+            photographs=photographs,
+            seed=seed,
+            on_progress=progress.update,
+            say=lambda line: progress.say(f"demo: {line}"),
+        )
+    if json_summary:
+        echo_json({"out": str(out), **report.figures()})
+    else:
+        typer.echo("\n".join(report.lines()))
+
+
 @contextmanager
 def _work(name: str, out: Path) -> Iterator[ProgressLines]:
     """Give progress lines for work that writes into `out`."""

@@ -1,90 +1,236 @@
-"""Synthetic captures as the files that a person with cameras and flashes would bring."""
+"""The demo of reflectance: synthetic people photographed, fitted, modelled, and compared with the truth."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.io.atomic import make_folder
-from scan2albedo.io.images import write_png
-from scan2albedo.reflectance.capture_files import FlashCaptureFile, PairEntry, PoseEntry, write_capture
-from scan2albedo.staging import publish, staging_folder, telling_where
-from scan2albedo.synthetic import FlashCapture
+from scan2albedo.io.atomic import make_folder, write_text
+from scan2albedo.optimization import ProgressCallback
+from scan2albedo.reflectance import (
+    ReflectanceFitOptions,
+    VertexReflectance,
+    generated_environment,
+    read_capture,
+    read_photograph,
+)
+from scan2albedo.reflectance_capture_run import fit_capture, write_fit, write_olat
+from scan2albedo.reflectance_image_run import (
+    FittedPhotograph,
+    fit_photograph,
+    tune_model,
+    write_fitted_photograph,
+    write_tuned_model,
+)
+from scan2albedo.reflectance_model_run import (
+    ModelFolder,
+    build_model,
+    read_model_folder,
+    write_model_folder,
+    write_samples,
+)
+from scan2albedo.reflectance_synthetic_files import write_synthetic_capture, write_synthetic_photograph
+from scan2albedo.synthetic import (
+    FacePhotograph,
+    FacePhotographOptions,
+    FlashCapture,
+    FlashCaptureOptions,
+    face_photograph,
+    flash_capture,
+)
 
-CAPTURE_FILE = "capture.json"
-_MESH = "face.ply"
+FloatArray = NDArray[np.float64]
+
+_CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, hair=False)
+_PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
+"""Without hair, whose shadows on the brow are not the mesh's: a model would learn them as skin."""
+_LEAST_PAIRS = 3
+_NEW_PEOPLE = 1000
+"""Seeds of people that the model was not learned from begin here."""
+_AZIMUTHS_DEG = (0.0, 20.0, -20.0)
 
 
-def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
-    """Write pictures, mesh and capture file of a synthetic capture; return the file's path.
+@dataclass(frozen=True)
+class ReflectanceDemoReport:
+    """Errors against the truth; of albedos as relative RMSE, of those of photographs at the best scale."""
 
-    Raises
-    ------
-    ValueError
-        When the capture has no integers for pictures.
-    OutputError
-        Naming the folder and the cause.
-    """
-    if capture.options.bits is None:
-        raise ValueError("a capture without bits cannot be written as PNG pictures; take 8 or 16")
-    with telling_where(folder), staging_folder(make_folder(folder), "capture") as staging:
-        _write_mesh(staging / _MESH, capture.vertices, capture.faces)
-        pairs = []
-        for j, (view, light) in enumerate(zip(capture.view, capture.light, strict=True)):
-            flash, room = f"flash_{view:02d}_{light:02d}.png", f"room_{view:02d}.png"
-            write_png(staging / flash, capture.flash[j])
-            if light == 0:
-                write_png(staging / room, capture.room[j])
-                write_png(staging / _mask(view), _white_where(capture.skin[j]))
-            pairs.append(
-                PairEntry(camera=_name(view), flash=_name(light), flash_image=flash, room_image=room)
-            )
-        write_capture(staging / CAPTURE_FILE, _content(capture, tuple(pairs)))
-        publish(staging, make_folder(folder), CAPTURE_FILE)
-    return folder / CAPTURE_FILE
+    people: int
+    diffuse_error: tuple[float, ...]
+    """Of each person's fit to flash pictures, over known vertices."""
+    diffuse_median_error: tuple[float, ...]
+    """The median of the relative differences instead."""
+    held_out_error: tuple[float, ...]
+    """Of pictures left out of each fit, as foretold."""
+    mesh_known_error: float
+    """Of a new person's albedo from one photograph, the mesh being known."""
+    landmarks_error: float
+    """The same from landmarks alone."""
+    mean_face_error: float
+    """Of the model's mean in its place."""
+    nearest_error: float
+    """Of the model's reflectance whose albedo is nearest, which no fit can beat by much."""
+    shape_error_mm: float
+    """Of the shape from landmarks, mean over vertices after rigid alignment."""
+    mean_shape_error_mm: float
+    """Of the mean shape in its place."""
+    tuning_before: float
+    tuning_after: float
+    accepted_steps: int
 
-
-def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptureFile:
-    options = capture.options
-    poses = [
-        {
-            "name": _name(k),
-            "rotation": rotation.tolist(),
-            "translation": translation.tolist(),
-            "mask": _mask(k) if k < options.views else None,
-        }
-        for k, (rotation, translation) in enumerate(
-            zip(capture.head_rotations, capture.head_translations, strict=True)
+    def lines(self) -> list[str]:
+        """Return the report as text."""
+        diffuse, median, relit = (
+            100 * float(np.mean(values))
+            for values in (self.diffuse_error, self.diffuse_median_error, self.held_out_error)
         )
+        return [
+            f"error against the ground truth, {self.people} people with 35 pairs of pictures each:",
+            f"  albedo of vertices        relative RMSE {diffuse:.1f} %, median {median:.1f} %",
+            f"  pictures left out         relative RMSE {relit:.1f} %",
+            "a person whom the model does not know, from one photograph in unknown light:",
+            f"  albedo, mesh known        relative RMSE {100 * self.mesh_known_error:.1f} %",
+            f"  albedo, from landmarks    relative RMSE {100 * self.landmarks_error:.1f} %",
+            f"  the model's mean instead  relative RMSE {100 * self.mean_face_error:.1f} %",
+            f"  the model's nearest face  relative RMSE {100 * self.nearest_error:.1f} %",
+            f"  shape from landmarks      {self.shape_error_mm:.2f} mm mean, of the mean shape "
+            f"{self.mean_shape_error_mm:.2f} mm",
+            f"fine-tuning: {self.accepted_steps} changes accepted, held-out objective "
+            f"{self.tuning_before:.4g} -> {self.tuning_after:.4g}",
+        ]
+
+    def figures(self) -> dict[str, Any]:
+        """Return the numbers by name."""
+        return dict(vars(self))
+
+
+def run_reflectance_demo(
+    out: Path,
+    *,
+    people: int = 8,
+    photographs: int = 12,
+    seed: int = 0,
+    on_progress: ProgressCallback | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> ReflectanceDemoReport:
+    """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
+
+    Everything goes through files, as with real pictures: ``captures``, ``fits``, ``model``, ``samples``,
+    ``photographs``, ``fit_image`` and ``tuned`` in `out`.
+
+    Parameters
+    ----------
+    out : Path
+    people : int
+        From whom the model is learned; 2 or more.
+    photographs : int
+        Of other people, to fine-tune with, half of them held out; 2 or more.
+    seed : int
+        Of all people, lights and noise.
+    on_progress, say : callable, optional
+        Called with every `TraceRow`, and with lines.
+    """
+    fits, errors = [], []
+    for number in range(people):
+        say(f"person {number + 1} of {people}: taking and fitting pictures")
+        capture = flash_capture(seed + number, options=_CAPTURE)
+        file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
+        if number == 0:
+            write_olat(read_capture(file), out / "olat")
+        options = ReflectanceFitOptions(least_pairs=_LEAST_PAIRS)
+        done = fit_capture(read_capture(file), options=options, on_progress=on_progress)
+        fits.append(out / "fits" / f"person_{number:02d}")
+        write_fit(done, fits[-1], {"least_pairs": _LEAST_PAIRS})
+        assert done.error is not None
+        errors.append((*_capture_errors(capture, done.fit.reflectance), done.error.relative_rmse))
+    landmark_file = out / "captures" / "landmark_vertices.json"
+    _write_landmark_vertices(landmark_file, capture)
+    write_model_folder(build_model(fits, landmark_vertices=landmark_file), out / "model", {})
+    write_samples(out / "model", out / "samples", count=6, seed=seed)
+    models = read_model_folder(out / "model")
+    say("fitting a photograph of another person")
+    taken = _photograph(seed + _NEW_PEOPLE, 0)
+    known, marked = (_fit_photograph(taken, models, out, name, on_progress) for name in ("mesh", "landmarks"))
+    say("fine-tuning")
+    files = [
+        write_synthetic_photograph(
+            _photograph(seed + _NEW_PEOPLE + 1 + number, number + 1), out / "photographs" / f"{number:02d}"
+        )
+        for number in range(photographs)
     ]
-    return FlashCaptureFile(
-        mesh=_MESH,
-        gamma=options.gamma,
-        noise=max(options.noise, 0.5 / 255),
-        saturation=0.98,
-        falloff_distance=options.distance_mm if options.falloff else None,
-        flash_strength=capture.exposure,
-        intrinsics=capture.intrinsics.tolist(),
-        poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
-        pictures=pairs,
+    tuned = tune_model(models, files[::2], files[1::2], on_progress=on_progress)
+    write_tuned_model(tuned, out / "tuned")
+    truth = taken.diffuse_linear
+    seen = np.asarray(known.observation.seen)
+    return ReflectanceDemoReport(
+        people=people,
+        diffuse_error=tuple(one[0] for one in errors),
+        diffuse_median_error=tuple(one[1] for one in errors),
+        held_out_error=tuple(one[2] for one in errors),
+        mesh_known_error=_scaled_error(known.fit.face.reflectance, truth, seen),
+        landmarks_error=_scaled_error(marked.fit.face.reflectance, truth, seen),
+        mean_face_error=_scaled_error(models.mean.reflectance, truth, seen),
+        nearest_error=_scaled_error(_nearest(models, taken), truth, seen),
+        mean_shape_error_mm=_shape_error_mm(models.mean.vertices, taken.vertices, seen),
+        shape_error_mm=_shape_error_mm(marked.vertices, taken.vertices, seen),
+        tuning_before=tuned.tuning.held_out_before,
+        tuning_after=tuned.tuning.held_out_after,
+        accepted_steps=len(tuned.tuning.accepted_steps),
     )
 
 
-def _name(number: int) -> str:
-    return f"place_{number:02d}"
+def _photograph(seed: int, number: int) -> FacePhotograph:
+    options = replace(_PHOTOGRAPH, azimuth_deg=_AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)])
+    return face_photograph(seed, generated_environment(seed), options=options)
 
 
-def _mask(number: int) -> str:
-    return f"skin_{number:02d}.png"
+def _fit_photograph(
+    taken: FacePhotograph,
+    models: ModelFolder,
+    out: Path,
+    name: str,
+    on_progress: ProgressCallback | None,
+) -> FittedPhotograph:
+    file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
+    done = fit_photograph(read_photograph(file), models, on_progress=on_progress)
+    write_fitted_photograph(done, models, out / "fit_image" / name)
+    return done
 
 
-def _white_where(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    return np.repeat(np.where(mask, 255, 0).astype(np.uint8)[..., None], 3, axis=2)
+def _write_landmark_vertices(path: Path, capture: FlashCapture) -> None:
+    distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
+    make_folder(path.parent)
+    write_text(path, json.dumps(distance.argmin(1).tolist()) + "\n")
 
 
-def _write_mesh(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-    import trimesh
+def _capture_errors(capture: FlashCapture, found: VertexReflectance) -> tuple[float, float]:
+    """Return relative RMSE and median relative difference of the albedo; its scale is known."""
+    known = found.known
+    off = found.diffuse_linear[known] - capture.diffuse_linear[known]
+    truth = capture.diffuse_linear[known]
+    return float(np.sqrt(np.mean(off**2) / np.mean(truth**2))), float(np.median(np.abs(off / truth)))
 
-    trimesh.Trimesh(vertices, faces, process=False).export(path)
+
+def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: NDArray[np.bool_]) -> float:
+    """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
+    used = seen & found.known
+    a, b = found.diffuse_linear[used], truth[used]
+    return float(np.sqrt(np.mean((a * (np.sum(a * b) / np.sum(a * a)) - b) ** 2) / np.mean(b**2)))
+
+
+def _nearest(models: ModelFolder, taken: FacePhotograph) -> VertexReflectance:
+    every = np.ones(len(taken.vertices), bool)
+    truth = VertexReflectance(taken.diffuse_linear, taken.weights, every)
+    return models.model.project(truth).nearest.reflectance
+
+
+def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: NDArray[np.bool_]) -> float:
+    from scan2albedo.geometry.rigid import procrustes, transform_points
+
+    a, b = found[seen], truth[seen]
+    return float(np.linalg.norm(transform_points(procrustes(a, b), a) - b, axis=1).mean())

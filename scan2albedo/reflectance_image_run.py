@@ -68,8 +68,8 @@ class FittedPhotograph:
 
     @property
     def trace(self) -> Trace:
-        """Of the shape and of the last fit."""
-        return self.fit.trace
+        """Of the shape, where there was one to find, and of the fit; each begins at 0 seconds."""
+        return self.fit.trace if self.geometry is None else self.geometry.trace + self.fit.trace
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
@@ -246,7 +246,13 @@ def tune_model(
 
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
-        return fit_photograph(read_photograph(path), models, lighting=lighting).observation
+        photograph = read_photograph(path)
+        if photograph.vertices is None:
+            return fit_photograph(photograph, models, lighting=lighting).observation
+        try:
+            return observe(photograph, _checked_vertices(photograph, models), models.mean.faces)
+        except ReflectanceError as error:
+            raise ReflectanceError(f"photograph {path}: {error}") from error
 
     tuning = finetune(
         models.model,

@@ -10,9 +10,14 @@ from scan2albedo.cli import app
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.reflectance_json import ReflectanceRecord
 from scan2albedo.io.result_json import read_record
-from scan2albedo.reflectance import MorphableReflectanceModel, read_reflectance
-from scan2albedo.reflectance_demo import write_synthetic_capture
-from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
+from scan2albedo.reflectance import MorphableReflectanceModel, generated_environment, read_reflectance
+from scan2albedo.reflectance_synthetic_files import write_synthetic_capture, write_synthetic_photograph
+from scan2albedo.synthetic import (
+    FacePhotographOptions,
+    FlashCaptureOptions,
+    face_photograph,
+    flash_capture,
+)
 
 OPTIONS = FlashCaptureOptions(views=3, flashes=4, picture_size=96, levels=1)
 
@@ -79,6 +84,107 @@ def test_build_and_sample(people, tmp_path):
     assert files == ["reflectance.json", "sample_000.npz", "sample_001.npz", "samples.png"]
     one, again = (read_reflectance(tmp_path / out / "sample_001.npz") for out in ("a", "b"))
     assert np.array_equal(one.reflectance.weights, again.reflectance.weights, equal_nan=True)
+
+
+@pytest.fixture(scope="module")
+def model(people, captures):
+    """Folder of a model of two people, with shapes."""
+    capture = captures[0]
+    distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
+    (people / "landmarks.json").write_text(json.dumps(distance.argmin(1).tolist()))
+    fits = (people / "fit_0", people / "fit_1")
+    landmarks = ("--landmark-vertices", people / "landmarks.json")
+    done = run("build", *fits, "-o", people / "model", *landmarks)
+    assert done.exit_code == 0, done.output
+    return people / "model"
+
+
+@pytest.fixture(scope="module")
+def photographs(people):
+    """Photograph files of three others; the last without a mesh."""
+    options = FacePhotographOptions(picture_size=96, lights=24)
+    return [
+        write_synthetic_photograph(
+            face_photograph(10 + k, generated_environment(k), options=options),
+            people / f"photograph_{k}",
+            mesh=k < 2,
+        )
+        for k in range(3)
+    ]
+
+
+def test_fit_image_with_a_mesh(model, photographs, tmp_path):
+    done = run("fit-image", photographs[0], "--model", model, "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert 0 < figures["relative_rmse"] < 0.4
+    assert len(figures["light_harmonics"]) == 81
+    assert "geometry" not in figures
+    record = read_record(tmp_path / "out" / "reflectance.json", ReflectanceRecord)
+    assert set(record.files) == {path.name for path in (tmp_path / "out").iterdir()}
+    assert read_reflectance(tmp_path / "out" / "reflectance.npz").reflectance.known.any()
+
+
+def test_fit_image_from_landmarks(model, photographs, tmp_path):
+    done = run("fit-image", photographs[2], "--model", model, "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    geometry = json.loads(done.stdout)["geometry"]
+    assert 0 < geometry["landmark_rmse_px"] < 8
+    trace = (tmp_path / "out" / "trace.csv").read_text()
+    assert "reflectance.geometry.landmarks" in trace
+    assert "reflectance.image" in trace
+
+
+def test_landmarks_without_a_shape_model_are_refused(people, model, photographs, tmp_path):
+    run("build", people / "fit_0", people / "fit_1", "-o", tmp_path / "flat")
+    done = run("fit-image", photographs[2], "--model", tmp_path / "flat", "-o", tmp_path / "out")
+    assert "holds no shape_model.npz" in str(done.exception)
+    assert "photograph.json" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_finetune_writes_a_model_that_is_not_worse(model, photographs, tmp_path):
+    done = run(
+        "finetune", model, photographs[0], "--held-out", photographs[1], "-o", tmp_path / "out", "--json"
+    )
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert figures["held_out_after"] <= figures["held_out_before"]
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"reflectance_model.npz", "mean.npz", "shape_model.npz", "trace.csv"} <= files
+    assert run("sample", tmp_path / "out", "-o", tmp_path / "samples", "--count", "1").exit_code == 0
+
+
+def test_finetune_refuses_one_photograph_for_both(model, photographs, tmp_path):
+    both = run("finetune", model, photographs[0], "--held-out", photographs[0], "-o", tmp_path / "out")
+    assert "held out and tuned with" in str(both.exception)
+    few = run("finetune", model, photographs[0], "-o", tmp_path / "out")
+    assert "0 held out" in str(few.exception)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [("[1, 2]", "68 integers"), ("{", "cannot be read"), (json.dumps([10**6] * 68), "has 3663")],
+)
+def test_landmark_vertices_that_do_not_fit_are_refused(people, tmp_path, content, told):
+    (tmp_path / "marks.json").write_text(content)
+    marks = ("--landmark-vertices", tmp_path / "marks.json")
+    done = run("build", people / "fit_0", people / "fit_1", "-o", tmp_path / "out", *marks)
+    assert told in str(done.exception)
+    assert "marks.json" in str(done.exception)
+
+
+@pytest.mark.slow
+def test_demo_compares_with_the_truth(tmp_path):
+    done = run("demo", "-o", tmp_path / "out", "--people", "3", "--photographs", "2", "--json")
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert max(figures["diffuse_median_error"]) < 0.04
+    assert max(figures["held_out_error"]) < 0.1
+    assert figures["mesh_known_error"] < 0.2
+    assert figures["tuning_after"] <= figures["tuning_before"]
+    for name in ("olat", "model", "samples", "fit_image/mesh", "fit_image/landmarks", "tuned"):
+        assert (tmp_path / "out" / name / "reflectance.json").is_file()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,87 @@
+"""Photographs as files: what is written is read again, and what is wrong is named."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from scan2albedo.errors import ReflectanceError, ScanError
+from scan2albedo.reflectance import read_photograph
+from scan2albedo.reflectance_synthetic_files import write_synthetic_photograph
+from scan2albedo.synthetic import FacePhotographOptions, face_photograph
+
+
+@pytest.fixture(scope="module")
+def taken():
+    options = FacePhotographOptions(picture_size=64, lights=4, azimuth_deg=30)
+    return face_photograph(1, np.ones((4, 8, 3)), options=options)
+
+
+@pytest.fixture(scope="module")
+def written(taken, tmp_path_factory):
+    return write_synthetic_photograph(taken, tmp_path_factory.mktemp("photograph"))
+
+
+@pytest.fixture
+def folder(written, tmp_path):
+    shutil.copytree(written.parent, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def test_what_is_written_is_read_again(taken, written):
+    read = read_photograph(written)
+    assert np.array_equal(read.image, taken.image)
+    assert np.array_equal(read.mask, taken.skin)
+    assert np.allclose(read.camera, taken.camera)
+    assert np.allclose(read.vertices, taken.vertices, atol=1e-4)
+    assert np.allclose(read.landmarks_px, taken.landmarks_px, equal_nan=True)
+    assert np.isnan(read.landmarks_px).any()
+
+
+def test_without_a_mesh_landmarks_remain(taken, tmp_path):
+    read = read_photograph(write_synthetic_photograph(taken, tmp_path / "marked", mesh=False))
+    assert read.vertices is None
+    assert not (tmp_path / "marked" / "face.ply").exists()
+
+
+def test_camera_and_mesh_follow_the_unit(folder, taken):
+    file = folder / "photograph.json"
+    content = json.loads(file.read_text())
+    content["unit"] = "cm"
+    file.write_text(json.dumps(content))
+    read = read_photograph(file)
+    assert np.allclose(read.vertices, 10 * taken.vertices, atol=1e-3)
+    assert np.allclose(read.camera[:, :3], taken.camera[:, :3] / 10)
+    assert np.allclose(read.camera[:, 3], taken.camera[:, 3])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: c.pop("image"), "image: Field required"),
+        (lambda c: c.update(mesh=None, landmarks=None), "neither a mesh nor landmarks"),
+        (lambda c: c.update(landmarks=[[1, 2]]), "there are 1 landmarks, expected 68"),
+        (lambda c: c.update(camera=[[1, 0, 0, 0]]), "camera"),
+        (lambda c: c.update(gamma=0), "gamma"),
+        (lambda c: c.update(iso=100), "iso"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused_by_name(folder, change, told):
+    file = folder / "photograph.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+    with pytest.raises(ReflectanceError, match=told) as raised:
+        read_photograph(file)
+    assert "photograph.json" in str(raised.value)
+
+
+def test_missing_pictures_and_wrong_masks_are_named(folder):
+    cv2.imwrite(str(folder / "skin.png"), np.zeros((8, 9, 3), np.uint8))
+    with pytest.raises(ReflectanceError, match=r"skin\.png is 9 x 8 pixels"):
+        read_photograph(folder / "photograph.json")
+    (folder / "image.png").unlink()
+    with pytest.raises(ScanError, match=r"image\.png"):
+        read_photograph(folder / "photograph.json")

@@ -1,0 +1,86 @@
+"""Photographs of synthetic people in plain light hold what they say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.geometry.pinhole import project
+from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.reflectance import (
+    PhotographOptions,
+    VertexReflectance,
+    generated_environment,
+    observe_photograph,
+)
+from scan2albedo.synthetic import FacePhotographOptions, face_photograph
+
+OPTIONS = FacePhotographOptions(
+    azimuth_deg=15, picture_size=160, lights=200, noise=0.0, bits=None, saturated_part=0.0, hair=False
+)
+
+
+@pytest.fixture(scope="module")
+def environment():
+    return generated_environment(3)
+
+
+@pytest.fixture(scope="module")
+def taken(environment):
+    return face_photograph(2, environment, options=replace(OPTIONS, landmark_noise_px=0.0))
+
+
+def test_colours_at_vertices_are_those_of_harmonics_with_shadows(taken, environment):
+    """Rays to 200 lights against harmonics of order 8 with the transfer of the mesh: code of two kinds."""
+    seen = observe_photograph(
+        taken.image,
+        taken.camera,
+        taken.vertices,
+        taken.faces,
+        normals=taken.normals,
+        mask=taken.skin,
+        options=PhotographOptions(gamma=taken.options.gamma, saturation=2.0),
+    )
+    truth = VertexReflectance(taken.diffuse_linear, taken.weights, np.ones(len(taken.vertices), bool))
+    shaded = seen.transfer.shade(truth, project_environment(environment)).radiance_linear
+    used = np.asarray(seen.seen)
+    error = np.abs(np.asarray(seen.observed_linear) / taken.exposure - shaded)[used]
+    scale = float(np.sqrt(np.mean(shaded[used] ** 2)))
+    assert used.sum() > 2000
+    assert np.median(error) < 0.02 * scale
+    assert np.percentile(error, 90) < 0.1 * scale
+
+
+def test_labels_are_where_the_landmarks_are(taken):
+    pixels, _ = project(taken.camera, taken.landmarks)
+    seen = np.isfinite(taken.landmarks_px).all(1)
+    assert 40 < seen.sum() < 68
+    assert np.allclose(taken.landmarks_px[seen], pixels[seen])
+
+
+def test_the_sensor_stores_eight_bits_with_noise(environment):
+    options = replace(OPTIONS, bits=8, noise=0.02, lights=8, picture_size=64, saturated_part=0.05)
+    taken = face_photograph(2, environment, options=options)
+    assert taken.image.dtype == np.uint8
+    assert 0.01 < (taken.image[taken.skin] == 255).any(-1).mean() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"lights": 0}, "lights is 0"),
+        ({"bits": 4}, "bits is 4"),
+        ({"elevation_deg": 90.0}, "nowhere"),
+        ({"noise": float("nan")}, "noise"),
+        ({"saturated_part": -0.1}, "saturated_part"),
+        ({"reach_mm": 0.0}, "reach_mm"),
+    ],
+)
+def test_options_out_of_range_are_refused(change, told):
+    with pytest.raises(ValueError, match=told):
+        replace(OPTIONS, **change)
+
+
+def test_maps_that_are_none_are_refused():
+    with pytest.raises(ValueError, match="environment"):
+        face_photograph(0, np.full((4, 8, 3), np.nan), options=OPTIONS)
