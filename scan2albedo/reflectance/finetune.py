@@ -39,8 +39,9 @@ class FineTuneOptions:
     """A change that does not help is halved down to this share of it, then given up."""
     least_gain: float = 1e-3
     """Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
-    significance: float = 2.0
-    """Standard errors by which the held-out images' mean relative fall must exceed 0. One image has none."""
+    significance_level: float = 0.025
+    """Probability that a change which does nothing to images like the held-out ones passes for one that
+    helps; 0.5 asks for their mean alone. One image cannot be tested."""
     fit: ImageFitOptions = ImageFitOptions()
     """Of the images."""
 
@@ -48,16 +49,13 @@ class FineTuneOptions:
         for name in ("mean_change", "smallest_step"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in (
-            "rounds",
-            "basis_change",
-            "smoothing_mm",
-            "smoothing_steps",
-            "least_gain",
-            "significance",
-        ):
+        for name in ("rounds", "basis_change", "smoothing_mm", "smoothing_steps", "least_gain"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not 0 < self.significance_level <= 0.5:
+            raise ValueError(
+                f"significance_level must be above 0 and at most 0.5, got {self.significance_level}"
+            )
 
 
 @dataclass(frozen=True)
@@ -224,11 +222,17 @@ def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], opti
     """Tell whether errors (n, E) of n held-out images fell, of each kind and by more than by chance.
 
     Their mean must fall by `least_gain`, and so must the mean m of the relative falls of single images, which
-    must also exceed `significance` times its standard error s / sqrt(n), as in a paired test.
+    must also exceed t s / sqrt(n): Student's paired test, t for n - 1 degrees of freedom and the
+    `significance_level`.
     """
+    from scipy.special import stdtrit
+
     gains = 1 - after / np.maximum(before, 1e-300)
-    chance = gains.std(axis=0, ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
-    enough = np.maximum(options.least_gain, options.significance * chance)
+    count = len(gains)
+    enough = np.full(gains.shape[1], options.least_gain)
+    if count > 1:
+        chance = stdtrit(count - 1, 1 - options.significance_level) * gains.std(axis=0, ddof=1)
+        enough = np.maximum(enough, chance / np.sqrt(count))
     falls = after.mean(0) < (1 - options.least_gain) * before.mean(0)
     return bool((falls & (gains.mean(0) > enough)).all())
 
