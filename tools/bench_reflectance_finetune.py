@@ -242,10 +242,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parts", nargs="*", choices=PARTS, help="all when omitted")
+    parser.add_argument("parts", nargs="*", default="all", choices=[*PARTS, "all"])
     parser.add_argument("--seeds", type=int, nargs="+", help="those of each part when omitted")
     arguments = parser.parse_args()
-    for part in arguments.parts or PARTS:
+    for part in PARTS if "all" in arguments.parts else arguments.parts:
         show, seeds = PARTS[part]
         print(f"\n{part}")
         show(arguments.seeds or list(seeds))
