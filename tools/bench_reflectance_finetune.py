@@ -183,12 +183,12 @@ def print_table(seeds: list[int]) -> None:
 def print_guards(seeds: list[int]) -> None:
     """Print what tuning does without anchors and without smoothing."""
     plain = FineTuneOptions(rounds=2)
-    unanchored = {"mean_change": 10.0, "basis_change": 1.0}
+    free = replace(plain, mean_change=10.0, basis_changes=(1.0,))
     for title, options in {
         "as it is": plain,
         "not smoothed": replace(plain, smoothing_mm=0.0),
-        "not anchored": replace(plain, **unanchored),
-        "neither anchored nor smoothed": replace(plain, smoothing_mm=0.0, **unanchored),
+        "not anchored": free,
+        "neither anchored nor smoothed": replace(free, smoothing_mm=0.0),
     }.items():
         print(title)
         for name in list(SCENARIOS)[::3]:
@@ -242,10 +242,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parts", nargs="*", choices=PARTS, help="all when omitted")
+    parser.add_argument("parts", nargs="*", default="all", choices=[*PARTS, "all"])
     parser.add_argument("--seeds", type=int, nargs="+", help="those of each part when omitted")
     arguments = parser.parse_args()
-    for part in arguments.parts or PARTS:
+    for part in PARTS if "all" in arguments.parts else arguments.parts:
         show, seeds = PARTS[part]
         print(f"\n{part}")
         show(arguments.seeds or list(seeds))

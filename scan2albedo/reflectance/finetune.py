@@ -28,8 +28,8 @@ class FineTuneOptions:
     mean_change: float = 0.1
     """What anchors the means: standard deviation of how far they may be off, as a share of the mean albedo
     (the mean sum of weights)."""
-    basis_change: float = 0.3
-    """The same of the directions, as a share of the means'."""
+    basis_changes: tuple[float, ...] = (0.1, 0.3)
+    """The same of the directions, as a share of the means'. The held-out images choose among several."""
     smoothing_mm: float = 6.0
     """Standard deviation, along the surface, of the bump to which a peak of what is added spreads. Needs the
     positions of the vertices."""
@@ -39,8 +39,9 @@ class FineTuneOptions:
     """A change that does not help is halved down to this share of it, then given up."""
     least_gain: float = 1e-3
     """Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
-    significance: float = 2.0
-    """Standard errors by which the held-out images' mean relative fall must exceed 0. One image has none."""
+    significance_level: float = 0.025
+    """Probability that a change which does nothing to images like the held-out ones passes for one that
+    helps; 0.5 asks for their mean alone. One image cannot be tested."""
     fit: ImageFitOptions = ImageFitOptions()
     """Of the images."""
 
@@ -48,16 +49,17 @@ class FineTuneOptions:
         for name in ("mean_change", "smallest_step"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in (
-            "rounds",
-            "basis_change",
-            "smoothing_mm",
-            "smoothing_steps",
-            "least_gain",
-            "significance",
-        ):
+        for name in ("rounds", "smoothing_mm", "smoothing_steps", "least_gain"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not self.basis_changes or not min(self.basis_changes) >= 0:
+            raise ValueError(
+                f"basis_changes must be one or more numbers of 0 or more, got {self.basis_changes}"
+            )
+        if not 0 < self.significance_level <= 0.5:
+            raise ValueError(
+                f"significance_level must be above 0 and at most 0.5, got {self.significance_level}"
+            )
 
 
 @dataclass(frozen=True)
@@ -91,10 +93,11 @@ def finetune(
 ) -> FineTuning:
     """Move the models of c and s so that images of faces it was not learned from are explained better.
 
-    Each round fits all images (`fit_image`), finds the most probable change of means and directions
-    (`best_change`), smooths it over the mesh, and takes it, or a half or quarter of it, if objectives and
-    RMSE of the held-out images fall by more than by chance (`is_improvement`). Changes are counted from the
-    model given, so rounds do not add up to a drift. The shares w' stay.
+    Each round fits all images (`fit_image`), finds the most probable changes of means and directions under
+    several anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of
+    it, with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
+    chance (`is_improvement`). Changes are counted from the model given, so rounds do not add up to a drift.
+    The shares w' stay.
 
     Parameters
     ----------
@@ -151,15 +154,18 @@ def finetune(
         if meter.exhausted:
             break
         fits = tuning.fitted(observations)
-        change = best_change(
-            model,
-            observations,
-            fits,
-            mean_change=options.mean_change,
-            basis_change=options.basis_change,
-            lobe=options.fit.lobe,
-        )
-        if not tuning.try_steps(change.smoothed(smooth)):
+        changes = [
+            best_change(
+                model,
+                observations,
+                fits,
+                mean_change=options.mean_change,
+                basis_change=basis_change,
+                lobe=options.fit.lobe,
+            ).smoothed(smooth)
+            for basis_change in options.basis_changes
+        ]
+        if not tuning.try_steps(changes):
             converged = not meter.exhausted
             break
     return FineTuning(tuning.current, tuple(tuning.steps), before, tuning.error, converged, meter.trace)
@@ -192,20 +198,25 @@ class _Tuning:
         """Fit images with the current model."""
         return [self._fit(observation, self.current) for observation in observations]
 
-    def try_steps(self, change: ModelChange) -> bool:
-        """Go as far towards a change as helps, and tell whether any step of it does."""
+    def try_steps(self, changes: Sequence[ModelChange]) -> bool:
+        """Go as far towards one of the changes as helps, and tell whether any step does."""
         step = 1.0
         while step >= self.options.smallest_step and not self.meter.exhausted:
-            part = self.change.toward(change, step)
-            candidate = part.applied(self.initial)
-            errors = self._held_out_errors(candidate)
-            if is_improvement(self.errors, errors, self.options):
-                self.current, self.change, self.errors = candidate, part, errors
+            trials = [self._trial(change, step) for change in changes]
+            helping = [trial for trial in trials if is_improvement(self.errors, trial[1], self.options)]
+            if helping:
+                level = self.options.significance_level
+                part, errors = max(helping, key=lambda t: assured_gains(self.errors, t[1], level).min())
+                self.current, self.change, self.errors = part.applied(self.initial), part, errors
                 self.steps.append(step)
                 self.meter.record(self.error)
                 return True
             step /= 2
         return False
+
+    def _trial(self, change: ModelChange, step: float) -> tuple[ModelChange, NDArray[np.float64]]:
+        part = self.change.toward(change, step)
+        return part, self._held_out_errors(part.applied(self.initial))
 
     def _held_out_errors(self, model: MorphableReflectanceModel) -> NDArray[np.float64]:
         """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
@@ -223,14 +234,32 @@ class _Tuning:
 def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:
     """Tell whether errors (n, E) of n held-out images fell, of each kind and by more than by chance.
 
-    Their mean must fall by `least_gain`, and so must the mean m of the relative falls of single images, which
-    must also exceed `significance` times its standard error s / sqrt(n), as in a paired test.
+    Their mean and the mean of the single images' relative falls must exceed `least_gain`, and `assured_gains`
+    must be above 0.
     """
+    least = options.least_gain
+    falls = after.mean(0) < (1 - least) * before.mean(0)
+    gains = (1 - after / np.maximum(before, 1e-300)).mean(0)
+    assured = assured_gains(before, after, options.significance_level)
+    return bool((falls & (gains > least) & (assured > 0)).all())
+
+
+def assured_gains(
+    before: NDArray[np.float64], after: NDArray[np.float64], significance_level: float
+) -> NDArray[np.float64]:
+    """Return (E,) lower bounds of the mean relative fall m of errors (n, E), as in Student's paired test.
+
+    m - t s / sqrt(n), with s the standard deviation over images and t for n - 1 degrees of freedom; m itself
+    of one image.
+    """
+    from scipy.special import stdtrit
+
     gains = 1 - after / np.maximum(before, 1e-300)
-    chance = gains.std(axis=0, ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
-    enough = np.maximum(options.least_gain, options.significance * chance)
-    falls = after.mean(0) < (1 - options.least_gain) * before.mean(0)
-    return bool((falls & (gains.mean(0) > enough)).all())
+    count = len(gains)
+    if count == 1:
+        return np.asarray(gains[0])
+    chance = stdtrit(count - 1, 1 - significance_level) * gains.std(axis=0, ddof=1)
+    return np.asarray(gains.mean(0) - chance / np.sqrt(count))
 
 
 def _smoother(
