@@ -40,6 +40,7 @@ from scan2albedo.report.reflectance_views import (
     relit_panels,
 )
 
+FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Say = Callable[[str], None]
 
@@ -181,25 +182,35 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance) -> None:
 
 def relit_held_out(done: FittedCapture) -> list[Panel]:
     """Return photographs that the judged fit did not see beside its relit faces, four at most."""
-    assert done.error is not None
-    capture, reflectance = done.capture, done.error.fit.reflectance
     chosen = np.flatnonzero(done.held_out)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(_SHOWN_PAIRS, len(chosen))).astype(int)]
+    names, panels = done.capture.pair_names(), []
+    for j in chosen:
+        photograph, made, shown = relit_pair(done, j)
+        panels += relit_panels(names[j], photograph, made, shown, done.olat.valid[j])
+    return panels
+
+
+def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the light that a flash added (H, W, 3), that of the judged fit, and where the face is (H, W).
+
+    Shadows are those that the mesh casts.
+    """
+    assert done.error is not None
+    capture = done.capture
     normals = vertex_normals(capture.vertices, capture.faces)
     visibility = VertexVisibility(capture.vertices, capture.faces, normals, SamplingOptions().offset_mm)
-    names, panels = capture.pair_names(), []
-    for j in chosen:
-        radiance = point_light_radiance(reflectance, done.samples.lobes[j : j + 1])[0]
-        lit = visibility.reached(capture.rig.light_positions[j])
-        made, shown = draw_in_camera(
-            capture.rig.cameras[j],
-            done.olat.linear.shape[1:3],
-            capture.vertices,
-            capture.faces,
-            radiance * lit[:, None],
-        )
-        panels += relit_panels(names[j], done.olat.linear[j], made, shown, done.olat.valid[j])
-    return panels
+    radiance = point_light_radiance(done.error.fit.reflectance, done.samples.lobes[pair : pair + 1])[0]
+    lit = visibility.reached(capture.rig.light_positions[pair])
+    linear = done.olat.linear[pair].astype(np.float64)
+    made, shown = draw_in_camera(
+        capture.rig.cameras[pair],
+        linear.shape[:2],
+        capture.vertices,
+        capture.faces,
+        radiance * lit[:, None],
+    )
+    return linear, made, shown
 
 
 def _held_out(pairs: int, every: int) -> BoolArray:

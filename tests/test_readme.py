@@ -24,13 +24,21 @@ def test_commands_exist():
     from scan2albedo.cli import app
 
     commands = {command.name or command.callback.__name__ for command in app.registered_commands}
-    named = set(re.findall(r"(?<!import )scan2albedo ([a-z][a-z-]+)", README)) - {"glasses", "experiment"}
+    named = set(re.findall(r"(?<!import )scan2albedo ([a-z][a-z-]+)", README)) - {
+        "glasses",
+        "experiment",
+        "reflectance",
+    }
     assert {"process", "relight", "identify", "personal-model"} <= named
     assert named <= commands
     from scan2albedo.glasses_cli import app as glasses
 
     commands = {command.name or command.callback.__name__ for command in glasses.registered_commands}
     assert set(re.findall(r"scan2albedo glasses (\w+)", README)) <= commands
+    from scan2albedo.reflectance_cli import app as reflectance
+
+    commands = {command.name or command.callback.__name__ for command in reflectance.registered_commands}
+    assert set(re.findall(r"scan2albedo reflectance ([\w-]+)", README)) == commands
     from scan2albedo.experiments_cli import app as experiments
 
     commands = {command.name or command.callback.__name__ for command in experiments.registered_commands}

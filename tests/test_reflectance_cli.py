@@ -125,6 +125,7 @@ def test_fit_image_with_a_mesh(model, photographs, tmp_path):
     assert read_reflectance(tmp_path / "out" / "reflectance.npz").reflectance.known.any()
 
 
+@pytest.mark.slow
 def test_fit_image_from_landmarks(model, photographs, tmp_path):
     done = run("fit-image", photographs[2], "--model", model, "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
@@ -143,6 +144,7 @@ def test_landmarks_without_a_shape_model_are_refused(people, model, photographs,
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_finetune_writes_a_model_that_is_not_worse(model, photographs, tmp_path):
     done = run(
         "finetune", model, photographs[0], "--held-out", photographs[1], "-o", tmp_path / "out", "--json"

@@ -334,11 +334,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parts", nargs="*", choices=list(PARTS), help="all when omitted")
+    parser.add_argument("parts", nargs="*", default="all", choices=[*PARTS, "all"])
     parser.add_argument("--people", type=int, default=6)
     parser.add_argument("--picture", help="PNG: normals of one face, and its errors (green 0, red 3 mm)")
     arguments = parser.parse_args()
-    for part in arguments.parts or PARTS:
+    for part in PARTS if "all" in arguments.parts else arguments.parts:
         PARTS[part](arguments.people, arguments.picture)
 
 

@@ -359,11 +359,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parts", nargs="*", choices=ORDER, help="all when omitted")
+    parser.add_argument("parts", nargs="*", default="all", choices=[*ORDER, "all"])
     parser.add_argument("--picture", help="PNG of one fit: image, albedo, weights; truth above, fit below")
     parser.add_argument("--photographs", help="PNG of four photographs")
     arguments = parser.parse_args()
-    for part in arguments.parts or ORDER:
+    for part in ORDER if "all" in arguments.parts else arguments.parts:
         print(f"\n{part}")
         if part == "fit":
             print_fits(arguments.picture)

@@ -11,6 +11,7 @@ from PIL import Image
 
 from scan2albedo.applications import load_result
 from scan2albedo.recognition import read_templates
+from scan2albedo.reflectance import read_reflectance
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -85,3 +86,13 @@ def test_examples_stand_on_public_names(path):
     ours = {module for module in modules if module.startswith("scan2albedo")}
     assert all(module.count(".") <= 1 for module in ours), ours
     assert f'run("{path.stem}"' in Path(__file__).read_text(encoding="utf-8")
+
+
+def test_reflectance_is_found_from_flashes(tmp_path, capsys):
+    run("reflectance_from_flashes", tmp_path)
+    assert read_reflectance(tmp_path / "reflectance.npz").reflectance.known.sum() > 2500
+    assert "vertices known" in capsys.readouterr().out
+    one, other = (trimesh.load(tmp_path / f"lamp_{k}.ply", process=False) for k in (0, 2))
+    left = one.vertices[:, 0] < -30
+    brightness = [mesh.visual.vertex_colors[:, :3].mean(1) for mesh in (one, other)]
+    assert brightness[0][left].mean() > 2 * brightness[1][left].mean()
