@@ -60,22 +60,22 @@ PRIOR = 1 / np.array([2.5, 2.5, 2.5, 0.25, 0.25, 0.25]) ** 2
 
 def normal_equations(samples: VertexSamples) -> FloatArray:
     """Return (V, 3, 14)."""
-    count = samples.observed.shape[1]
+    count = samples.observed_linear.shape[1]
     normal = np.empty((count, 3, 14))
     precision = np.where(samples.valid, 1 / samples.sigma**2, 0.0)
-    weight = np.ones(samples.observed.shape[:2])
+    weight = np.ones(samples.observed_linear.shape[:2])
     for start in range(0, count, 128):
         rows = np.arange(start, min(start + 128, count))
         add_normal_equations(
-            samples.observed, precision, samples.lobes, weight, rows, normal[rows[0] : rows[-1] + 1]
+            samples.observed_linear, precision, samples.lobes, weight, rows, normal[rows[0] : rows[-1] + 1]
         )
     return normal
 
 
 def design(samples: VertexSamples, vertex: int) -> tuple[FloatArray, FloatArray]:
     """Return all rows of a vertex, whitened, those of the prior last: (3 J + 6, 6) and (3 J + 6,)."""
-    count = len(samples.observed)
-    rows, right = np.zeros((count, 3, 6)), samples.observed[:, vertex] / samples.sigma[:, vertex]
+    count = len(samples.observed_linear)
+    rows, right = np.zeros((count, 3, 6)), samples.observed_linear[:, vertex] / samples.sigma[:, vertex]
     for k in range(3):
         rows[:, k, k] = samples.lobes[:, vertex, 0]
         rows[:, k, 3:] = samples.lobes[:, vertex, 1:]
@@ -144,7 +144,7 @@ def end_to_end_cpu_s(capture: Capture) -> float:
 
     def work() -> None:
         lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.lights)
-        fit_reflectance(VertexSamples(given.observed, given.sigma, given.valid, lobes, given.light))
+        fit_reflectance(VertexSamples(given.observed_linear, given.sigma, given.valid, lobes, given.light))
 
     return cpu_of(work, 2)
 

@@ -96,10 +96,10 @@ def relighting_error(
         raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")
     of_picture = np.full(len(left_out), np.nan)
     of_picture[left_out] = [
-        _relative(unseen.observed[j][told[j]], foretold[j][told[j]]) if told[j].any() else np.nan
+        _relative(unseen.observed_linear[j][told[j]], foretold[j][told[j]]) if told[j].any() else np.nan
         for j in range(len(told))
     ]
-    observed = unseen.observed[told]
+    observed = unseen.observed_linear[told]
     return RelightingError(
         _relative(observed, foretold[told]),
         _psnr(observed, foretold[told], gamma),

@@ -88,10 +88,10 @@ def fit_reflectance(
     """
     meter = Meter("reflectance", "loss per observation", Budget.of(budget), on_progress)
     rows = _known_rows(samples, options)
-    precision = np.zeros(samples.observed.shape)
+    precision = np.zeros(samples.observed_linear.shape)
     np.divide(1.0, samples.sigma**2, out=precision, where=samples.valid)
-    level = options.prior.level or _level(samples.observed, precision, samples.lobes, rows)
-    data = Observations(samples.observed, precision, samples.lobes, *_gaussian(options.prior, level))
+    level = options.prior.level or _level(samples.observed_linear, precision, samples.lobes, rows)
+    data = Observations(samples.observed_linear, precision, samples.lobes, *_gaussian(options.prior, level))
     gain, gains_settled = _unit_gain(samples, rows), True
     if options.light_gains:
         gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
@@ -102,14 +102,15 @@ def fit_reflectance(
 
 def _known_rows(samples: VertexSamples, options: ReflectanceFitOptions) -> IntArray:
     """Return the vertices with enough pictures of every channel."""
-    if len(samples.observed) == 0:
+    if len(samples.observed_linear) == 0:
         raise ReflectanceError("there are no pictures, give one pair at least")
     facing = samples.valid & (samples.lobes[..., :1] > 0)
     rows = np.flatnonzero((facing.sum(0) >= options.least_pairs).all(-1))
     if len(rows) == 0:
+        pictures, count = samples.observed_linear.shape[:2]
         raise ReflectanceError(
-            f"none of {samples.observed.shape[1]} vertices is seen in {options.least_pairs} or more of "
-            f"{len(samples.observed)} pictures: do cameras, flashes and mesh share one frame and unit (mm)?"
+            f"none of {count} vertices is seen in {options.least_pairs} or more of {pictures} pictures: do "
+            "cameras, flashes and mesh share one frame and unit (mm)?"
         )
     return rows
 
@@ -148,7 +149,7 @@ def _result(
     gains_settled: bool,
     meter: Meter,
 ) -> ReflectanceFit:
-    count = samples.observed.shape[1]
+    count = samples.observed_linear.shape[1]
     known = np.zeros(count, bool)
     known[rows] = True
     estimate = _spread(fitted.estimate, rows, count)

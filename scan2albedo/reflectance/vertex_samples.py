@@ -78,7 +78,7 @@ class VertexSamples:
 
     Parameters
     ----------
-    observed : (J, V, 3) float64
+    observed_linear : (J, V, 3) float64
         Linear, negative where noise made it so; 0 where not valid.
     sigma : (J, V, 3) float64
         Standard deviation, > 0 where valid.
@@ -95,27 +95,27 @@ class VertexSamples:
         When shapes disagree, or a valid observation is not finite or has no sigma.
     """
 
-    observed: FloatArray
+    observed_linear: FloatArray
     sigma: FloatArray
     valid: NDArray[np.bool_]
     lobes: FloatArray
     light: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        observed, sigma = np.asarray(self.observed, np.float64), np.asarray(self.sigma, np.float64)
+        observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
         valid, lobes, light = (
             np.asarray(self.valid),
             np.asarray(self.lobes, np.float64),
             np.asarray(self.light),
         )
         if observed.ndim != 3 or observed.shape[2] != 3:
-            raise ReflectanceError(f"observed is {observed.shape}, expected (J, V, 3)")
+            raise ReflectanceError(f"observed_linear is {observed.shape}, expected (J, V, 3)")
         expected = (observed.shape, observed.shape, (*observed.shape[:2], 4), observed.shape[:1])
         for name, array, shape in zip(
             ("sigma", "valid", "lobes", "light"), (sigma, valid, lobes, light), expected, strict=True
         ):
             if array.shape != shape:
-                raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed says")
+                raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed_linear says")
         if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
             raise ReflectanceError(
                 f"valid is {valid.dtype} and light {light.dtype}, expected bool, integers >= 0"
@@ -128,7 +128,7 @@ class VertexSamples:
                 f"vertex {vertex} is said to be valid in picture {pair}, but observation, sigma or lobes are "
                 f"not finite or sigma is not above 0: {observed[pair, vertex]}, {sigma[pair, vertex]}"
             )
-        object.__setattr__(self, "observed", np.where(valid, observed, 0.0))
+        object.__setattr__(self, "observed_linear", np.where(valid, observed, 0.0))
         object.__setattr__(self, "sigma", sigma)
         object.__setattr__(self, "valid", valid)
         object.__setattr__(self, "lobes", np.ascontiguousarray(lobes))
@@ -143,7 +143,7 @@ class VertexSamples:
         """Return the samples of some pictures: indices, or a mask (J,)."""
         keep = np.asarray(pairs)
         return VertexSamples(
-            self.observed[keep], self.sigma[keep], self.valid[keep], self.lobes[keep], self.light[keep]
+            self.observed_linear[keep], self.sigma[keep], self.valid[keep], self.lobes[keep], self.light[keep]
         )
 
 

@@ -28,8 +28,10 @@ def gain():
 def lit_by(capture, gain, **how):
     """Samples under flashes of that strength, with the noise of the camera."""
     samples = samples_of(capture, **how)
-    clean = samples_of(capture, said_noise=1e-9).observed
-    return replace(samples, observed=samples.observed + clean * (gain[samples.light][:, None] - 1))
+    clean = samples_of(capture, said_noise=1e-9).observed_linear
+    return replace(
+        samples, observed_linear=samples.observed_linear + clean * (gain[samples.light][:, None] - 1)
+    )
 
 
 @pytest.mark.parametrize("shadowed", [0.0, 0.03])

@@ -29,13 +29,13 @@ def test_noise_is_all_that_is_left(samples):
 
 def test_a_shadow_in_the_pictures_left_out_shows(samples):
     darker = np.where(HELD_OUT[:, None, None], 0.8, 1.0)
-    error = relighting_error(replace(samples, observed=darker * samples.observed), HELD_OUT)
+    error = relighting_error(replace(samples, observed_linear=darker * samples.observed_linear), HELD_OUT)
     assert error.relative_rmse == pytest.approx(0.25, abs=0.02)
 
 
 def test_gains_of_flashes_go_along(samples):
     gain = np.linspace(0.8, 1.2, 11)[samples.light][:, None, None]
-    stronger = replace(samples, observed=gain * samples.observed)
+    stronger = replace(samples, observed_linear=gain * samples.observed_linear)
     plain = relighting_error(stronger, HELD_OUT)
     with_gains = relighting_error(stronger, HELD_OUT, options=ReflectanceFitOptions(light_gains=True))
     assert with_gains.relative_rmse < 0.5 * plain.relative_rmse

@@ -126,7 +126,7 @@ def test_charbonnier_stands_between(capture):
 
 
 def test_pictures_twice_as_bright_give_twice_the_reflectance(noisy, fit):
-    brighter = replace(noisy, observed=2 * noisy.observed, sigma=2 * noisy.sigma)
+    brighter = replace(noisy, observed_linear=2 * noisy.observed_linear, sigma=2 * noisy.sigma)
     twice = fit_reflectance(brighter)
     np.testing.assert_allclose(twice.parameters, 2 * fit.parameters, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(twice.std, 2 * fit.std, rtol=1e-6)
@@ -139,7 +139,7 @@ def test_order_of_pictures_and_company_of_vertices_do_not_matter(noisy, fit):
     order, few = rng.permutation(99), rng.choice(1500, 200, replace=False)
     samples = noisy.of_pairs(order)
     part = VertexSamples(
-        samples.observed[:, few],
+        samples.observed_linear[:, few],
         samples.sigma[:, few],
         samples.valid[:, few],
         samples.lobes[:, few],
@@ -307,7 +307,7 @@ def test_all_black_faces_are_black(capture):
     night = replace(
         capture, truth=replace(capture.truth, diffuse_linear=np.zeros((1500, 3)), weights=np.zeros((1500, 3)))
     )
-    samples = replace(samples_of(capture, noise=0.01), observed=np.zeros((99, 1500, 3)))
+    samples = replace(samples_of(capture, noise=0.01), observed_linear=np.zeros((99, 1500, 3)))
     fit = fit_reflectance(samples)
     assert_sound(fit)
     assert fit.level == 1
@@ -341,8 +341,8 @@ def test_normals_that_are_off(capture, angle, ceiling):
 def test_the_wrong_gamma(capture):
     """Pictures decoded as linear: the fit stays sound, and the misfit tells."""
     samples = samples_of(capture, noise=0.002)
-    bent = np.copysign(np.abs(samples.observed) ** (1 / 1.2), samples.observed)
-    right, wrong = fit_reflectance(samples), fit_reflectance(replace(samples, observed=bent))
+    bent = np.copysign(np.abs(samples.observed_linear) ** (1 / 1.2), samples.observed_linear)
+    right, wrong = fit_reflectance(samples), fit_reflectance(replace(samples, observed_linear=bent))
     assert_sound(wrong)
     assert np.nanmedian(wrong.misfit) > 2 * np.nanmedian(right.misfit)
 

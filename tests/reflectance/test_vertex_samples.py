@@ -71,7 +71,7 @@ def test_observations_are_the_radiance_there(scene, samples):
     for j in range(len(scene.rig)):
         expected = radiance_at(points, normals, scene.rig.camera_positions[j], scene.rig.light_positions[j])
         here = found[j, scene.head]
-        error = np.abs(samples.observed[j, scene.head][here] - expected[here])
+        error = np.abs(samples.observed_linear[j, scene.head][here] - expected[here])
         assert np.median(error) < 2e-4
         assert error.max() < 0.02
 
@@ -85,7 +85,7 @@ def test_the_margin_keeps_edges_out(scene, olat):
             olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals, options=options
         )
         errors = [
-            np.abs(found.observed[j] - radiance_at(scene.vertices, scene.normals, camera, light))[
+            np.abs(found.observed_linear[j] - radiance_at(scene.vertices, scene.normals, camera, light))[
                 found.valid[j].all(-1) & scene.head
             ].max()
             for j, (camera, light) in enumerate(
@@ -116,7 +116,7 @@ def test_sampling_is_the_same_far_from_the_origin(scene, olat, samples):
     moved = sample_vertices(olat, rig, scene.vertices + shift, scene.faces, normals=scene.normals)
     assert (moved.valid == samples.valid).mean() > 0.9999
     both = moved.valid & samples.valid
-    np.testing.assert_allclose(moved.observed[both], samples.observed[both], atol=1e-6)
+    np.testing.assert_allclose(moved.observed_linear[both], samples.observed_linear[both], atol=1e-6)
 
 
 def test_a_bad_pixel_takes_its_neighbours_channel_only(scene, olat, samples):
@@ -129,7 +129,7 @@ def test_a_bad_pixel_takes_its_neighbours_channel_only(scene, olat, samples):
     lost = samples.valid & ~found.valid
     assert 0 < lost.sum() < 300
     assert not lost[..., [0, 2]].any()
-    assert (found.observed[lost] == 0).all()
+    assert (found.observed_linear[lost] == 0).all()
 
 
 def test_sigma_follows_the_weights_of_pixels_where_the_position_is_known(scene, olat):
@@ -245,18 +245,18 @@ def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("observed", np.full((2, 3, 3), np.nan), "vertex 0 is said to be valid in picture 0"),
+        ("observed_linear", np.full((2, 3, 3), np.nan), "vertex 0 is said to be valid in picture 0"),
         ("sigma", np.zeros((2, 3, 3)), "sigma is not above 0"),
         ("lobes", np.full((2, 3, 4), np.inf), "lobes are not finite"),
         ("sigma", np.ones((2, 3)), "sigma is \\(2, 3\\)"),
-        ("observed", np.ones((2, 3)), "expected \\(J, V, 3\\)"),
+        ("observed_linear", np.ones((2, 3)), "expected \\(J, V, 3\\)"),
         ("valid", np.ones((2, 3, 3)), "expected bool"),
         ("light", np.array([0, -1]), "integers >= 0"),
     ],
 )
 def test_samples_that_do_not_fit_are_refused(name, value, message):
     good = {
-        "observed": np.ones((2, 3, 3)),
+        "observed_linear": np.ones((2, 3, 3)),
         "sigma": np.ones((2, 3, 3)),
         "valid": np.ones((2, 3, 3), bool),
         "lobes": np.ones((2, 3, 4)),

@@ -89,7 +89,7 @@ def test_colours_at_vertices_are_what_the_lobes_say(clean):
         lobes[..., :1] * clean.diffuse_linear
         + np.einsum("jvs,vs->jv", lobes[..., 1:], clean.weights)[..., None]
     )
-    error = np.abs(samples.observed / clean.exposure - foretold)[samples.valid]
+    error = np.abs(samples.observed_linear / clean.exposure - foretold)[samples.valid]
     scale = float(np.sqrt(np.mean(foretold[samples.valid] ** 2)))
     assert np.median(error) < 0.015 * scale
     assert np.percentile(error, 90) < 0.09 * scale
