@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,9 +50,14 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
     they are in; numba has crashed on that.
     """
 
+    there = out is None or out.exists()
+
     def stop(signum: int, frame: object) -> None:
         if out is not None:
             remove_unfinished(out)
+            if not there:
+                with suppress(OSError):  # it holds something, or was not made yet
+                    out.rmdir()
         show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
         complaint = f"{show_cursor}scan2albedo: interrupted; nothing half-written was left behind"
         print(complaint, file=sys.stderr, flush=True)

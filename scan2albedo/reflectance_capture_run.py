@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,6 @@ from scan2albedo.report.reflectance_views import (
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-Say = Callable[[str], None]
 
 HELD_OUT_EVERY = 10
 """One of so many pairs is left out of the fit that is judged by it."""
@@ -61,6 +61,7 @@ class FittedCapture:
     fit: ReflectanceFit
     held_out: BoolArray
     error: RelightingError | None
+    notes: tuple[str, ...] = ()
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
@@ -99,7 +100,8 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     dict
         Figures as in `reflectance.json`.
     """
-    olat = capture.extract_olat()
+    with _naming(capture):
+        olat = capture.extract_olat()
     names = capture.pair_names()
     figures = {
         "pairs": len(olat),
@@ -141,17 +143,42 @@ def fit_capture(
     ReflectanceError, ScanError
         As `CaptureFiles.extract_olat`, `sample_vertices` and `fit_reflectance`.
     """
+    with _naming(capture):
+        return _fitted(capture, options, held_out_every, budget, on_progress)
+
+
+@contextmanager
+def _naming(capture: CaptureFiles) -> Iterator[None]:
+    """Name the capture in errors that do not."""
+    try:
+        yield
+    except ReflectanceError as error:
+        if str(capture.path) in str(error):
+            raise
+        raise ReflectanceError(f"capture {capture.path}: {error}") from error
+
+
+def _fitted(
+    capture: CaptureFiles,
+    options: ReflectanceFitOptions,
+    held_out_every: int,
+    budget: Budget | float | None,
+    on_progress: ProgressCallback | None,
+) -> FittedCapture:
     olat = capture.extract_olat()
     sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
     samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
     samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
-    try:
-        fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
-    except ReflectanceError as cause:
-        raise ReflectanceError(f"capture {capture.path}: {cause}") from cause
-    held_out = _held_out(len(samples.light), held_out_every)
-    error = relighting_error(samples, held_out, options=options) if held_out.any() else None
-    return FittedCapture(capture, olat, samples, fit, held_out, error)
+    fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
+    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
+    held_out = _held_out(np.asarray(samples.valid.any((1, 2))), held_out_every)
+    error = None
+    if held_out.any():
+        try:
+            error = relighting_error(samples, held_out, options=options)
+        except ReflectanceError as cause:
+            notes += (f"the fit was not judged by pictures left out: {cause}",)
+    return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
 
 
 def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -167,7 +194,8 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         if done.error is not None:
             results.figure("relit.png", overview_figure(_relit_title(done.error), relit_held_out(done), 6))
         write_colored_mesh(results.folder / "face.ply", mesh)
-        results.finish(figures, options=options, notes=_notes(done.olat, capture.pair_names()))
+        notes = (*done.notes, *_notes(done.olat, capture.pair_names()))
+        results.finish(figures, options=options, notes=notes)
     return figures
 
 
@@ -213,12 +241,13 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     return linear, made, shown
 
 
-def _held_out(pairs: int, every: int) -> BoolArray:
-    """Return (J,) pairs to leave out: none where too few would remain."""
-    if every == 0 or pairs < _LEAST_FOR_HELD_OUT:
-        return np.zeros(pairs, bool)
-    step = min(every, pairs)
-    return np.arange(pairs) % step == step // 2
+def _held_out(usable: BoolArray, every: int) -> BoolArray:
+    """Return (J,) pairs to leave out of those that can be used: none where too few would remain."""
+    pairs, chosen = np.flatnonzero(usable), np.zeros(len(usable), bool)
+    if every > 0 and len(pairs) >= _LEAST_FOR_HELD_OUT:
+        step = min(every, len(pairs))
+        chosen[pairs[step // 2 :: step]] = True
+    return chosen
 
 
 def _notes(olat: OlatImages, names: tuple[str, ...]) -> tuple[str, ...]:

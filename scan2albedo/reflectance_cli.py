@@ -98,6 +98,7 @@ def fit(
                 "loss": loss,
                 "held_out_every": held_out_every,
                 "least_pairs": least_pairs,
+                "budget": budget,
             },
         )
         _tell_notes(progress, "fit", out)
@@ -191,7 +192,8 @@ def fit_image(
 
         models = read_model_folder(model)
         done = fit_photograph(read_photograph(photograph), models, budget=spend, on_progress=progress.update)
-        figures = write_fitted_photograph(done, models, out)
+        figures = write_fitted_photograph(done, models, out, {"budget": budget})
+        _tell_notes(progress, "fit-image", out)
         progress.say(
             f"fit-image: relative RMSE {100 * figures['relative_rmse']:.1f} % over "
             f"{figures['seen_vertices']} vertices; files in {out}"
@@ -229,7 +231,8 @@ def finetune(
             on_progress=progress.update,
             say=lambda line: progress.say(f"finetune: {line}"),
         )
-        figures = write_tuned_model(done, out)
+        figures = write_tuned_model(done, out, {"budget": budget})
+        _tell_notes(progress, "finetune", out)
         before, after = figures["held_out_before"], figures["held_out_after"]
         progress.say(
             f"finetune: {len(figures['accepted_steps'])} changes accepted, held-out {before:.4g} -> "

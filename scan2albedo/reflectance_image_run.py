@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,8 +40,8 @@ from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_pan
 
 FloatArray = NDArray[np.float64]
 
-HELD_OUT_EVERY = 3
-"""Without held-out photographs, one of so many is held out."""
+_ONE_HELD_OUT_OF = 3
+"""Photographs, when none is given to be held out."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class FittedPhotograph:
     fit : ImageFit
     geometry : GeometryFit or None
         Where landmarks told the shape.
+    trace : Trace
+        Of all fits, one after the other; each begins at 0 seconds.
     """
 
     photograph: PhotographFiles
@@ -65,11 +68,16 @@ class FittedPhotograph:
     observation: ImageObservation
     fit: ImageFit
     geometry: GeometryFit | None
+    trace: Trace
 
-    @property
-    def trace(self) -> Trace:
-        """Of the shape, where there was one to find, and of the fit; each begins at 0 seconds."""
-        return self.fit.trace if self.geometry is None else self.geometry.trace + self.fit.trace
+    def notes(self) -> tuple[str, ...]:
+        """Return what a reader of the figures has to know."""
+        parts = {"shape": self.geometry, "reflectance and light": self.fit}
+        return tuple(
+            f"the fit of {name} stopped before it had converged"
+            for name, part in parts.items()
+            if part is not None and not part.converged
+        )
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
@@ -133,13 +141,19 @@ def fit_photograph(
 
     def fitted(vertices: FloatArray) -> tuple[ImageObservation, ImageFit]:
         observation = observe(photograph, vertices, models.mean.faces)
-        fit = fit_image(observation, models.model, lighting, budget=budget, on_progress=on_progress)
+        with warnings.catch_warnings():
+            # `FittedPhotograph.notes` says so.
+            warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+            fit = fit_image(observation, models.model, lighting, budget=budget, on_progress=on_progress)
         return observation, fit
 
     try:
         if photograph.vertices is not None:
             vertices = _checked_vertices(photograph, models)
-            return FittedPhotograph(photograph, vertices, models.mean.faces, *fitted(vertices), None)
+            observation, fit = fitted(vertices)
+            return FittedPhotograph(
+                photograph, vertices, models.mean.faces, observation, fit, None, fit.trace
+            )
         shape = _shape_model(photograph, models)
         first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
         _, skin = fitted(first.vertices)
@@ -155,7 +169,8 @@ def fit_photograph(
             initial_expression=first.expression,
         )
         last = fitted(refined.vertices)
-        return FittedPhotograph(photograph, refined.vertices, models.mean.faces, *last, refined)
+        trace = first.trace + skin.trace + refined.trace + last[1].trace
+        return FittedPhotograph(photograph, refined.vertices, models.mean.faces, *last, refined, trace)
     except ReflectanceError as error:
         raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
 
@@ -169,7 +184,9 @@ def observe(photograph: PhotographFiles, vertices: FloatArray, faces: NDArray[np
     )
 
 
-def write_fitted_photograph(done: FittedPhotograph, models: ModelFolder, out: Path) -> dict[str, Any]:
+def write_fitted_photograph(
+    done: FittedPhotograph, models: ModelFolder, out: Path, options: dict[str, Any]
+) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
     figures = done.metrics()
     mesh = MeshReflectance(done.vertices, done.faces, done.fit.face.reflectance)
@@ -187,7 +204,7 @@ def write_fitted_photograph(done: FittedPhotograph, models: ModelFolder, out: Pa
         panels = relit_panels("face", np.nan_to_num(linear), made, shown, valid)
         title = f"relative RMSE {100 * done.fit.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
-        results.finish(figures, options={})
+        results.finish(figures, options=options, notes=done.notes())
     return figures
 
 
@@ -271,7 +288,7 @@ def tune_model(
     return TunedModel(better, tuning, tuple(tuned_with), tuple(judged_by))
 
 
-def write_tuned_model(done: TunedModel, out: Path) -> dict[str, Any]:
+def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
     """Write the model's folder anew; return figures as in `reflectance.json`."""
     figures = done.metrics()
     models = done.models
@@ -282,21 +299,23 @@ def write_tuned_model(done: TunedModel, out: Path) -> dict[str, Any]:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
         done.tuning.trace.to_csv(results.folder / "trace.csv")
         results.figure("error_vs_time.png", done.tuning.trace.plot())
-        results.finish(figures, options={})
+        ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
+        results.finish(figures, options=options, notes=ended)
     return figures
 
 
 def _parted(photographs: list[Path], held_out: list[Path]) -> tuple[list[Path], list[Path]]:
     """Return photographs to tune with and to judge by."""
-    if both := set(photographs) & set(held_out):
+    tuned_with, judged_by = ({path.resolve() for path in paths} for paths in (photographs, held_out))
+    if both := tuned_with & judged_by:
         raise ReflectanceError(f"{min(both)} is held out and tuned with; give it once")
     if not held_out:
-        held_out = photographs[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]
+        held_out = photographs[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]
         photographs = [path for path in photographs if path not in held_out]
     if not photographs or not held_out:
         raise ReflectanceError(
             f"{len(photographs)} photographs to tune with and {len(held_out)} held out; give one or more of "
-            f"each, or {HELD_OUT_EVERY} or more in all"
+            f"each, or {_ONE_HELD_OUT_OF} or more in all"
         )
     return photographs, held_out
 
@@ -307,6 +326,12 @@ def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> Float
         raise ReflectanceError(
             f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and the model in "
             f"{models.folder} {len(models.mean.vertices)}; give a mesh in the model's topology"
+        )
+    faces = photograph.faces
+    if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
+        raise ReflectanceError(
+            f"its mesh {photograph.content.mesh} has other triangles than the model in {models.folder}, so "
+            "that vertices do not correspond; give a mesh in the model's topology"
         )
     return photograph.vertices
 
@@ -322,14 +347,16 @@ def _shape_model(photograph: PhotographFiles, models: ModelFolder) -> MorphableS
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
     assert photograph.landmarks_px is not None
-    return refine_geometry(
-        _linear(photograph),
-        photograph.camera,
-        photograph.landmarks_px,
-        shape,
-        mask=photograph.mask,
-        **options,
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+        return refine_geometry(
+            _linear(photograph),
+            photograph.camera,
+            photograph.landmarks_px,
+            shape,
+            mask=photograph.mask,
+            **options,
+        )
 
 
 def _linear(photograph: PhotographFiles) -> FloatArray:

@@ -34,6 +34,7 @@ _SHOWN_DIRECTIONS = 4
 _SPREAD = 2.0
 """Standard deviations that directions are shown at."""
 _SIZE = 300
+_LEAST_DISTINCT = 51
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,10 @@ def _read_landmark_vertices(path: Path, count: int) -> NDArray[np.int64]:
         ) from error
     if numbers.shape != (68,) or not np.issubdtype(numbers.dtype, np.integer):
         raise ReflectanceError(f"landmark vertices {path}: expected a list of 68 integers")
+    if len(np.unique(numbers)) < len(numbers):
+        raise ReflectanceError(
+            f"landmark vertices {path}: two landmarks have one vertex; give 68 different ones"
+        )
     if numbers.min() < 0 or numbers.max() >= count:
         raise ReflectanceError(
             f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} "

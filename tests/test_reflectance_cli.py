@@ -1,9 +1,13 @@
 """The commands for reflectance, from pictures to samples of a model."""
 
 import json
+import shutil
+from contextlib import suppress
 
+import cv2
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from scan2albedo.cli import app
@@ -113,6 +117,7 @@ def photographs(people):
     ]
 
 
+@pytest.mark.slow
 def test_fit_image_with_a_mesh(model, photographs, tmp_path):
     done = run("fit-image", photographs[0], "--model", model, "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
@@ -166,7 +171,11 @@ def test_finetune_refuses_one_photograph_for_both(model, photographs, tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "told"),
-    [("[1, 2]", "68 integers"), ("{", "cannot be read"), (json.dumps([10**6] * 68), "has 3663")],
+    [
+        ("[1, 2]", "68 integers"),
+        ("{", "cannot be read"),
+        (json.dumps(list(range(10**6, 10**6 + 68))), "has 3663"),
+    ],
 )
 def test_landmark_vertices_that_do_not_fit_are_refused(people, tmp_path, content, told):
     (tmp_path / "marks.json").write_text(content)
@@ -234,3 +243,115 @@ def test_faces_of_other_topology_make_no_model(people, captures, tmp_path):
     write_reflectance(tmp_path / "other.npz", MeshReflectance(other.vertices, other.faces[:-1], one))
     with pytest.raises(ReflectanceError, match=r"other\.npz has other triangles"):
         build_model([people / "fit_0", tmp_path / "other.npz"])
+
+
+def spoiled(people, tmp_path, change):
+    """Path of a copy of capture 0 whose file is changed."""
+    shutil.copytree(people / "capture_0", tmp_path / "spoiled")
+    file = tmp_path / "spoiled" / "capture.json"
+    content = json.loads(file.read_text())
+    change(content, file.parent)
+    file.write_text(json.dumps(content))
+    return file
+
+
+def overexpose(numbers):
+    def change(content, folder):
+        for number in numbers:
+            name = f"white_{number}.png"
+            cv2.imwrite(str(folder / name), np.full((96, 96, 3), 255, np.uint8))
+            content["pictures"][number]["flash_image"] = name
+
+    return change
+
+
+def test_overexposed_pairs_do_not_judge_a_fit(people, tmp_path):
+    file = spoiled(people, tmp_path, overexpose([5]))  # the one that would be held out
+    done = run("fit", file, "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["held_out"]["relative_rmse"] < 0.3
+
+
+def test_saturation_everywhere_is_told(people, tmp_path):
+    done = run("fit", spoiled(people, tmp_path, overexpose(range(12))), "-o", tmp_path / "out")
+    assert "capture.json" in str(done.exception)
+    assert "saturated" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_flashes_that_did_not_fire_are_told(people, tmp_path):
+    def change(content, folder):
+        for pair in content["pictures"]:
+            pair["flash_image"] = pair["room_image"]
+        kept = {}
+        for pair in content["pictures"]:
+            kept[pair["camera"], pair["flash"]] = pair
+        content["pictures"] = list(kept.values())
+
+    for command in ("fit", "olat"):
+        file = spoiled(people, tmp_path / command, change)
+        done = run(command, file, "-o", tmp_path / "out")
+        assert "did the flashes fire" in str(done.exception)
+        assert "capture.json" in str(done.exception)
+        assert not (tmp_path / "out").exists()
+
+
+def test_one_pair_listed_twice_is_refused(people, tmp_path):
+    file = spoiled(people, tmp_path, lambda c, _: c["pictures"].append(c["pictures"][0]))
+    assert "listed twice" in str(run("fit", file, "-o", tmp_path / "out").exception)
+
+
+def test_a_result_is_not_written_over_its_input(people, model):
+    done = run("sample", model, "-o", people / "fit_0" / ".." / "model")
+    assert "is where sample reads from" in str(done.exception)
+    assert read_record(model / "reflectance.json", ReflectanceRecord).command == "build"
+
+
+def test_a_later_fit_leaves_no_file_of_an_earlier_one(people, tmp_path):
+    capture = people / "capture_0" / "capture.json"
+    assert run("fit", capture, "-o", tmp_path / "out").exit_code == 0
+    assert (tmp_path / "out" / "relit.png").is_file()
+    (tmp_path / "out" / "mine.txt").write_text("kept")
+    assert run("fit", capture, "-o", tmp_path / "out", "--held-out-every", "0").exit_code == 0
+    assert not (tmp_path / "out" / "relit.png").exists()
+    assert (tmp_path / "out" / "mine.txt").is_file()
+
+
+def test_a_mesh_of_other_triangles_is_refused(model, photographs, tmp_path):
+    shutil.copytree(photographs[0].parent, tmp_path / "other")
+    mesh = trimesh.load(tmp_path / "other" / "face.ply", process=False)
+    order = np.random.default_rng(0).permutation(len(mesh.vertices))
+    trimesh.Trimesh(mesh.vertices[order], np.argsort(order)[mesh.faces], process=False).export(
+        tmp_path / "other" / "face.ply"
+    )
+    file = tmp_path / "other" / "photograph.json"
+    done = run("fit-image", file, "--model", model, "-o", tmp_path / "out")
+    assert "other triangles" in str(done.exception)
+    tuned = run("finetune", model, file, "--held-out", photographs[1], "-o", tmp_path / "out")
+    assert "other triangles" in str(tuned.exception)
+
+
+def test_the_same_photograph_by_another_path_is_found_out(model, photographs, tmp_path):
+    again = photographs[0].parent / ".." / photographs[0].parent.name / photographs[0].name
+    done = run("finetune", model, photographs[0], "--held-out", again, "-o", tmp_path / "out")
+    assert "held out and tuned with" in str(done.exception)
+
+
+def test_flipped_bits_are_damage_and_no_traceback(people, tmp_path):
+    data = bytearray((people / "fit_0" / "reflectance.npz").read_bytes())
+    rng, file = np.random.default_rng(0), tmp_path / "flipped.npz"
+    for place in rng.integers(0, 400, 150):
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        file.write_bytes(damaged)
+        # Some bits do not matter; nothing but this error may come of the others.
+        with suppress(ReflectanceError):
+            read_reflectance(file)
+
+
+def test_an_early_end_is_noted(people, tmp_path):
+    done = run("fit", people / "capture_0" / "capture.json", "-o", tmp_path / "out", "--budget", "1e-9")
+    assert done.exit_code == 0, done.output
+    record = read_record(tmp_path / "out" / "reflectance.json", ReflectanceRecord)
+    assert "stopped before it had converged" in record.notes[0]
+    assert record.options["budget"] == 1e-9

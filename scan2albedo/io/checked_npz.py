@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import struct
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,6 +20,22 @@ from scan2albedo.io.atomic import atomic_path
 
 Header = TypeVar("Header", bound=BaseModel)
 Arrays = dict[str, NDArray[Any]]
+
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    TypeError,
+    SyntaxError,
+    RuntimeError,  # NotImplementedError is one
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    tokenize.TokenError,
+)
+"""What zip, NumPy's header and its parser raise of bytes that are not what was written."""
 
 
 def write_checked_npz(
@@ -74,7 +93,7 @@ def read_checked_npz(
     try:
         with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
             found = {name: file[name] for name in ("header", *arrays)}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as cause:
+    except _DAMAGE as cause:
         raise error(
             f"{what} {path} cannot be read ({' '.join(str(cause).split())}); give a file that {writer} wrote"
         ) from cause

@@ -22,6 +22,8 @@ from scan2albedo.reflectance.photograph_files import read_skin_mask
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+_SIGMAS = 6.0
+"""Brighter than noise, of millions of pixels."""
 Row = tuple[float, float, float]
 Matrix = tuple[Row, Row, Row]
 
@@ -65,14 +67,17 @@ class FlashCaptureFile(_Part):
     mesh: str = Field(
         description="OBJ, PLY, GLB, STL or OFF; relative to this file; vertices keep their order."
     )
-    gamma: float = Field(1.2, gt=0, description="Light is value^gamma.")
-    noise: float = Field(0.01, gt=0, description="Standard deviation of the values, white = 1.")
+    gamma: float = Field(1.2, ge=0.1, le=10, description="Light is value^gamma.")
+    noise: float = Field(0.01, ge=1e-6, le=1, description="Standard deviation of the values, white = 1.")
     saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
     falloff_distance: float | None = Field(
         None, gt=0, description="Flashes fall off with the square of their distance, to 1 here; null: not."
     )
     flash_strength: float = Field(
-        1.0, gt=0, description="Light of value 1 comes of reflectance 1 / this; 1 leaves the scale unknown."
+        1.0,
+        ge=1e-9,
+        le=1e9,
+        description="Light of value 1 comes of reflectance 1 / this; 1 leaves the scale unknown.",
     )
     intrinsics: Matrix | None = Field(
         None, description="Pixels (column, row), centres at integers, from camera coordinates."
@@ -89,6 +94,10 @@ class FlashCaptureFile(_Part):
             for key in ("camera", "flash"):
                 if getattr(pair, key) not in names:
                     raise ValueError(f"pictures.{number}: its {key} {getattr(pair, key)!r} is no pose's name")
+        seen = [(pair.camera, pair.flash, pair.flash_image) for pair in self.pictures]
+        if len(set(seen)) < len(seen):
+            twice = next(pair for pair in seen if seen.count(pair) > 1)
+            raise ValueError(f"{twice[2]} is listed twice for {twice[0]} lit by {twice[1]}; list it once")
         lacking = [pose.name for pose in self.poses if (pose.intrinsics or self.intrinsics) is None]
         if lacking:
             raise ValueError(f"pose {lacking[0]!r} has no intrinsics; give them there or for all")
@@ -134,7 +143,7 @@ class CaptureFiles:
         ScanError
             When a picture is missing or damaged; names it.
         ReflectanceError
-            As `reflectance.extract_olat`, and when pictures differ in size.
+            As `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
         folder = self.path.parent
         rooms: dict[str, NDArray[np.generic]] = {}
@@ -146,8 +155,13 @@ class CaptureFiles:
         self._refuse_sizes(flashes, lit_by_room)
         content = self.content
         options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
-        olat = extract_olat(flashes, lit_by_room, options=options)
-        return self._masked(olat)
+        olat = self._masked(extract_olat(flashes, lit_by_room, options=options))
+        if olat.valid.any() and not (olat.linear > _SIGMAS * olat.sigma).any(where=olat.valid):
+            raise ReflectanceError(
+                f"capture {self.path}: no pixel of any pair is brighter with its flash by more than noise: did "
+                "the flashes fire, do the names of the files say so, is `noise` right?"
+            )
+        return olat
 
     def _masked(self, olat: OlatImages) -> OlatImages:
         poses = {pose.name: pose for pose in self.content.poses}

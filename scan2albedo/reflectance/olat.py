@@ -214,10 +214,10 @@ def _diagnostics(
     found = []
     missing, clipped = 1 - float(finite.all(-1).mean()), float(saturated.any(-1).mean())
     if missing > 0:
-        text = f"pair {pair}: {100 * missing:.2g} % of the pixels have no number and are left out"
+        text = f"pair {pair}: {100 * missing:.3g} % of the pixels have no number and are left out"
         found.append(CaptureDiagnostic("not_finite", pair, missing, missing == 1, text))
     if clipped > 0:
-        text = f"pair {pair}: {100 * clipped:.2g} % of the pixels are saturated and their channels left out"
+        text = f"pair {pair}: {100 * clipped:.3g} % of the pixels are saturated and their channels left out"
         found.append(CaptureDiagnostic("saturated", pair, clipped, False, text))
     return found
 
@@ -232,7 +232,7 @@ def _room_diagnostics(
         "left out, were the pictures exchanged?" if swapped else "did head or exposure change between them?"
     )
     text = (
-        f"pair {pair}: {100 * part:.2g} % of the pixels are brighter in the room's light than "
+        f"pair {pair}: {100 * part:.3g} % of the pixels are brighter in the room's light than "
         f"with the flash: {advice}"
     )
     return [CaptureDiagnostic("room_brighter_than_flash", pair, part, swapped, text)]

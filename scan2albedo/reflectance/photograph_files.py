@@ -36,7 +36,7 @@ class FacePhotographFile(BaseModel):
     unit: Literal["mm", "cm", "m"] = "mm"
     image: str = Field(description="Relative to this file.")
     mask: str | None = Field(None, description="Image, bright on skin; null: no mask. Relative to this file.")
-    gamma: float = Field(1.2, gt=0, description="Light is value^gamma.")
+    gamma: float = Field(1.2, ge=0.1, le=10, description="Light is value^gamma.")
     saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
     camera: tuple[_Row, _Row, _Row] = Field(
         description="Row-major 3x4: pixels (column, row), centres at integers, from points in `unit`."
@@ -75,6 +75,8 @@ class PhotographFiles:
         From points in mm.
     vertices : (V, 3) float64 or None
         Of the mesh, mm.
+    faces : (F, 3) int64 or None
+        Of the mesh; empty for points alone.
     landmarks_px : (68, 2) float64 or None
         NaN for what is hidden.
     """
@@ -85,6 +87,7 @@ class PhotographFiles:
     mask: NDArray[np.bool_] | None
     camera: FloatArray
     vertices: FloatArray | None
+    faces: NDArray[np.int64] | None
     landmarks_px: FloatArray | None
 
 
@@ -111,14 +114,15 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     image = read_image_values(folder / content.image)
     camera = np.array(content.camera, np.float64)
     camera[:, :3] /= scale
-    vertices = None
+    vertices, faces = None, None
     if content.mesh is not None:
-        vertices = np.asarray(read_mesh_file(folder / content.mesh).vertices, np.float64) * scale
+        mesh = read_mesh_file(folder / content.mesh)
+        vertices, faces = np.asarray(mesh.vertices, np.float64) * scale, mesh.faces
     landmarks = None
     if content.landmarks is not None:
         landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], np.float64)
     mask = None if content.mask is None else _read_mask(file, content.mask, image.shape[:2])
-    return PhotographFiles(file, content, image, mask, camera, vertices, landmarks)
+    return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
 
 
 def write_photograph(path: str | Path, content: FacePhotographFile) -> None:

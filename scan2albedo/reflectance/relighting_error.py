@@ -16,6 +16,9 @@ from scan2albedo.reflectance.vertex_samples import VertexSamples
 
 FloatArray = NDArray[np.float64]
 
+_BLACK = 1e-30
+"""Mean square below which light is rounding."""
+
 
 @dataclass(frozen=True)
 class RelightingError:
@@ -100,6 +103,10 @@ def relighting_error(
         for j in range(len(told))
     ]
     observed = unseen.observed_linear[told]
+    if not float(np.mean(observed**2)) > _BLACK:
+        raise ReflectanceError(
+            "the pictures held out are black where the face is: there is nothing to foretell"
+        )
     return RelightingError(
         _relative(observed, foretold[told]),
         _psnr(observed, foretold[told], gamma),

@@ -105,12 +105,19 @@ def _known_rows(samples: VertexSamples, options: ReflectanceFitOptions) -> IntAr
     if len(samples.observed_linear) == 0:
         raise ReflectanceError("there are no pictures, give one pair at least")
     facing = samples.valid & (samples.lobes[..., :1] > 0)
-    rows = np.flatnonzero((facing.sum(0) >= options.least_pairs).all(-1))
-    if len(rows) == 0:
-        pictures, count = samples.observed_linear.shape[:2]
+    pictures, count = samples.observed_linear.shape[:2]
+    if options.least_pairs > pictures:
         raise ReflectanceError(
-            f"none of {count} vertices is seen in {options.least_pairs} or more of {pictures} pictures: do "
-            "cameras, flashes and mesh share one frame and unit (mm)?"
+            f"there are {pictures} pictures, but a vertex shall be seen in {options.least_pairs}: take more, "
+            "or give a smaller least_pairs"
+        )
+    seen = facing.sum(0).min(-1)
+    rows = np.flatnonzero(seen >= options.least_pairs)
+    if len(rows) == 0:
+        raise ReflectanceError(
+            f"none of {count} vertices is seen in {options.least_pairs} or more of {pictures} pictures (at "
+            f"most in {seen.max(initial=0)}): do cameras, flashes and mesh share one frame and unit (mm), do "
+            "masks show the face, are pictures saturated or missing?"
         )
     return rows
 

@@ -84,6 +84,7 @@ def test_the_prediction_is_the_shading_of_the_model(model):
     np.testing.assert_allclose(terms.predict(p).color, expected[terms.used], rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_faces_not_seen_before_are_found_whatever_the_exposure(model):
     errors, of_mean = [], []
     for seed, face in enumerate(people(5, 99)):
@@ -112,6 +113,7 @@ def test_the_fit_tells_colours_of_what_it_used_and_its_descent(model):
     np.testing.assert_array_equal(again.face.coefficients, fit.face.coefficients)
 
 
+@pytest.mark.slow
 def test_exposure_moves_the_scale_and_nothing_else(model):
     face = people(1, 4)[0]
     one, ten = (fit_image(picture(face, 9, exposure)[0], model) for exposure in (1.0, 10.0))
@@ -119,6 +121,7 @@ def test_exposure_moves_the_scale_and_nothing_else(model):
     np.testing.assert_allclose(ten.face.coefficients, one.face.coefficients, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_specks_hardly_move_the_face(model):
     face = people(1, 6)[0]
     observation, _ = picture(face, 20, noise=0.01)
@@ -197,6 +200,7 @@ def test_what_is_no_image_of_the_face_is_refused(model):
         ImageFitOptions(softness=0)
 
 
+@pytest.mark.slow
 def test_numbers_that_are_not_seen_do_not_matter(model):
     observation, _ = picture(people(1, 3)[0], 8)
     color, normals = observation.observed_linear.copy(), NORMALS.copy()

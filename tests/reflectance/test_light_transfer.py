@@ -45,6 +45,7 @@ def test_inside_a_closed_surface_there_is_no_light():
     assert (transfer.specular == 0).all()
 
 
+@pytest.mark.slow
 def test_shadows_of_a_ball_are_those_of_the_formula():
     """Vertices of a floor under a ball; where rays meet the ball is known exactly."""
     x, z = (grid.ravel() for grid in np.meshgrid(np.linspace(-60, 60, 4), np.linspace(-60, 60, 4)))

@@ -30,6 +30,7 @@ def taken(environment):
     return face_photograph(2, environment, options=replace(OPTIONS, landmark_noise_px=0.0))
 
 
+@pytest.mark.slow
 def test_colours_at_vertices_are_those_of_harmonics_with_shadows(taken, environment):
     """Rays to 200 lights against harmonics of order 8 with the transfer of the mesh: code of two kinds."""
     seen = observe_photograph(

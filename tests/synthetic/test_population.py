@@ -57,6 +57,7 @@ def test_less_individuality_makes_people_more_alike():
     assert unlike(0.25) == pytest.approx(0.25 * unlike(1.0), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_same_seed_same_scan_and_another_population_is_another(first):
     scan, _ = first
     same, _ = scanned(0, 0)
