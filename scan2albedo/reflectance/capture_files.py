@@ -158,8 +158,8 @@ class CaptureFiles:
         olat = self._masked(extract_olat(flashes, lit_by_room, options=options))
         if olat.valid.any() and not (olat.linear > _SIGMAS * olat.sigma).any(where=olat.valid):
             raise ReflectanceError(
-                f"capture {self.path}: no pixel of any pair is brighter with its flash by more than noise: did "
-                "the flashes fire, do the names of the files say so, is `noise` right?"
+                f"capture {self.path}: no pixel of any pair is brighter with its flash by more than noise: "
+                "did the flashes fire, do the names of the files say so, is `noise` right?"
             )
         return olat
 
