@@ -123,6 +123,7 @@ def test_every_iterative_stage_leaves_a_trace_that_ends_no_worse_than_it_began(r
         assert all(a.evaluations <= b.evaluations for a, b in pairwise(rows))
 
 
+@pytest.mark.slow
 def test_same_input_and_seed_give_the_same_bits(case, result):
     again = s2a.process(case[0], size=SIZE)
     np.testing.assert_array_equal(again.registration.model_from_scan, result.registration.model_from_scan)

@@ -307,6 +307,7 @@ def test_a_result_is_not_written_over_its_input(people, model):
     assert read_record(model / "reflectance.json", ReflectanceRecord).command == "build"
 
 
+@pytest.mark.slow
 def test_a_later_fit_leaves_no_file_of_an_earlier_one(people, tmp_path):
     capture = people / "capture_0" / "capture.json"
     assert run("fit", capture, "-o", tmp_path / "out").exit_code == 0

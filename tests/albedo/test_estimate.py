@@ -93,6 +93,7 @@ def test_noise_does_not_lead_the_light_astray(scenes):
     assert _error(estimate, scene).mse_percent < 0.09
 
 
+@pytest.mark.slow
 def test_saturated_texels_get_an_albedo_but_no_vote(scenes):
     scene = scenes.scene("hemisphere", "skin", [(20, 10, 2.0, FAR)], size=96, peak=1.3)
     clipped = scene.image.mask & (scene.image.texture_linear.max(-1) >= 0.995)

@@ -186,6 +186,7 @@ def test_one_light_from_the_front_of_a_symmetric_surface_is_not(texture):
     assert not uncertainty.ambiguous
 
 
+@pytest.mark.slow
 def test_a_pair_of_close_lights_on_a_face_is_found():
     pair = [light_at(-12, 0, intensity=1.5), light_at(12, 0, intensity=1.5)]
     scene = face(texture="skin", lights=pair, seed=1)

@@ -56,6 +56,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "texture", "grain", "gloss"), CASES)
 def test_highlights_are_filled_with_less_than_half_the_error_of_leaving_them(make, texture, grain, gloss):
     scene = _scene(make, texture=texture, grain=grain, gloss=gloss, exposure=1.8)

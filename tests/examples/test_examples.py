@@ -34,6 +34,7 @@ def test_a_raw_scan_is_processed(tmp_path, capsys):
     assert "nose tip at" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_face_is_relit(tmp_path):
     run("relight_sweep", tmp_path, "--frames", 2, "--size", 48)
     assert size_of(tmp_path / "portrait.png") == size_of(tmp_path / "sky.png") == (48, 48)
@@ -56,6 +57,7 @@ def test_faces_are_swapped_and_blended(tmp_path):
     assert (again / "middle" / "application.json").is_file()
 
 
+@pytest.mark.slow
 def test_a_smile_is_transferred(tmp_path, capsys):
     run("transfer_expression", tmp_path, "--size", 48)
     assert size_of(tmp_path / "expressions.png") == (5 * 48, 48)
@@ -88,6 +90,7 @@ def test_examples_stand_on_public_names(path):
     assert f'run("{path.stem}"' in Path(__file__).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_reflectance_is_found_from_flashes(tmp_path, capsys):
     run("reflectance_from_flashes", tmp_path)
     assert read_reflectance(tmp_path / "reflectance.npz").reflectance.known.sum() > 2500

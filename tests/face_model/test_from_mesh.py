@@ -239,6 +239,7 @@ def test_surface_frames_are_orthonormal_and_finite_on_zero_area():
     assert np.isfinite(surface_frames(np.zeros((1, 3, 3)))).all()
 
 
+@pytest.mark.slow
 def test_the_468_vertex_mask(shared_data):
     vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
     model = AnnotatedFaceModel.from_mesh(vertices, faces, name="mask of 468")

@@ -21,6 +21,7 @@ def obj(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_order_and_chart_are_the_files(obj):
     made, default = model_from_file(obj), AnnotatedFaceModel.default()
     assert made.name == "mine"

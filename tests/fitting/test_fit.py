@@ -177,6 +177,7 @@ def test_error_ceilings_on_raw_like_scans(ict, name):
     assert fitted.metrics["flipped_faces"] == 0
 
 
+@pytest.mark.slow
 def test_the_pose_given_may_be_off_by_ten_degrees_and_ten_millimetres(ict):
     shape = ict.shapes["person1"]
     scan, scan_from_shape = raw_like(shape, ict.faces, 1, options=RawLikeOptions(spacing_mm=4.0))

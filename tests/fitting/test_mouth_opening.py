@@ -51,6 +51,7 @@ def test_the_search_finds_the_angle_of_an_opened_model(ict, angle):
     assert gap < 1e-6
 
 
+@pytest.mark.slow
 def test_an_open_mouth_is_followed_only_with_the_search(ict):
     model = ict.model
     vertices, faces = opened_scan(model, 16.0)
@@ -87,6 +88,7 @@ def test_the_default_model_opens_along_its_film(default_model, angle):
     assert np.abs(opened - model.landmarks)[list(STILL)].max() < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "ceiling_mm"),
     [("generic_jawOpen0.7", 4.5), ("person3_browInnerUp_L_browInnerUp_R_jawOpen0.5", 4.5)],

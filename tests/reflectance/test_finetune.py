@@ -185,6 +185,7 @@ def test_smoothing_keeps_what_is_even_and_what_stands_alone(model):
     np.testing.assert_array_equal(no_change(model).smoothed(make(FACES)).diffuse_basis, 0)
 
 
+@pytest.mark.slow
 def test_what_the_model_does_not_know_stays_zero(model, lighting):
     known = POINTS[:, 1] < 0.6
     part = {"diffuse_mean": 0, "diffuse_basis": 1, "sum_mean": 0, "sum_basis": 1}

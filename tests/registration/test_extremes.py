@@ -110,6 +110,7 @@ def test_a_budget_of_a_twentieth_of_a_second(plain, model):
     )
 
 
+@pytest.mark.slow
 def test_an_inside_out_scan_is_refused_with_that_reason(ict_scan, model):
     scan = ict_scan("person1", 4).scan
     with pytest.raises(RegistrationError, match=r"inside out.*Reverse the order"):
@@ -117,6 +118,7 @@ def test_an_inside_out_scan_is_refused_with_that_reason(ict_scan, model):
 
 
 # Seen from behind, where its triangles face outward again, each of these looks somewhat like a face.
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 9, 11])
 def test_a_synthetic_person_inside_out_is_refused_with_that_reason(synthetic_scan, model, seed):
     scan = synthetic_scan(seed).scan

@@ -26,6 +26,7 @@ BOTH = ("oren-nayar", "lambert")
 FAILED = Session({}, np.zeros((128, 128), bool), "person-2-session-0: no face was found", BOTH)
 
 
+@pytest.mark.slow
 def test_scans_that_are_there_are_not_made_again(filled_cache, small_options):
     report = run_recognition_experiment(filled_cache, options=small_options)
     assert len(report.trace) == 0

@@ -289,6 +289,7 @@ def test_a_budget_in_seconds_ends_the_work(weighted):
     assert all(np.isfinite(frame.vertices).all() for frame in short.frames)
 
 
+@pytest.mark.slow
 def test_a_frame_that_cannot_be_done_need_not_take_the_others_down(weighted):
     meshes, points, weights = some_set(weighted)
     far, few = points[1].copy(), points[2].copy()
@@ -316,6 +317,7 @@ def test_a_frame_that_cannot_be_done_need_not_take_the_others_down(weighted):
         canonicalize([meshes[0]], [points[0]], weights=weights[:1], mean_keypoints=few)
 
 
+@pytest.mark.slow
 def test_the_pose_in_which_weights_are_solved_matters_little(weighted):
     glasses, weights = weighted(SMALL["wrapped"])
     turned = bounded_biharmonic_weights(

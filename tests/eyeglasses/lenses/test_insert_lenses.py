@@ -82,6 +82,7 @@ def crossings(row):
     return at + (0.5 - row[at]) / (row[at + 1] - row[at])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dioptres", "expected"), [(-8, 0.814), (8, 1.296), (-3, None), (20, None)])
 def test_a_checkerboard_is_magnified_as_optics_says(dioptres, expected):
     rank = np.add.outer(np.arange(160) // 4, np.arange(160) // 4) % 2

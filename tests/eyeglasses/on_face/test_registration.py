@@ -445,6 +445,7 @@ def test_left_and_right_exchanged_is_an_error(name, masked):
         register_on_face(frame, labels, worn.masks if masked else None, worn.cameras)
 
 
+@pytest.mark.slow
 def test_labels_that_do_not_fit_leave_nothing_observed():
     worn = person(1, SMALL)
     for labels in (worn.labels[[2, 1, 0]], worn.labels[..., ::-1]):
