@@ -51,10 +51,12 @@ _CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, h
 _PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
 """Without hair, whose shadows on the brow are not the mesh's: a model would learn them as skin."""
 _LEAST_PAIRS = 3
+"""As the command `fit` asks for."""
 _NEW_PEOPLE = 1000
 """Seeds of people that the model was not learned from begin here."""
 _ALTERNATIONS = 30
 _RIDGE = 1e-9
+"""Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
 _AZIMUTHS_DEG = (0.0, 20.0, -20.0)
 
 

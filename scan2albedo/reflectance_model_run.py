@@ -20,9 +20,10 @@ from scan2albedo.reflectance import (
     read_reflectance,
     write_reflectance,
 )
+from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.reflectance_output import folder_of_results
 from scan2albedo.report.overview import Panel, overview_figure
-from scan2albedo.report.reflectance_views import albedo_colors
+from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
 from scan2albedo.report.rendering import View, render_mesh
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +36,7 @@ _SPREAD = 2.0
 """Standard deviations that directions are shown at."""
 _SIZE = 300
 _LEAST_DISTINCT = 51
+"""Vertices of landmarks: on coarse meshes neighbours share theirs, a list of one number is a mistake."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +142,8 @@ def _read_landmark_vertices(path: Path, count: int) -> NDArray[np.int64]:
         raise ReflectanceError(
             f"landmark vertices {path} cannot be read ({error}); give a JSON list"
         ) from error
-    if numbers.shape != (68,) or not np.issubdtype(numbers.dtype, np.integer):
-        raise ReflectanceError(f"landmark vertices {path}: expected a list of 68 integers")
+    if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise ReflectanceError(f"landmark vertices {path}: expected a list of {LANDMARKS} integers")
     if len(np.unique(numbers)) < len(numbers):
         raise ReflectanceError(
             f"landmark vertices {path}: two landmarks have one vertex; give 68 different ones"
@@ -219,7 +221,7 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
         "clipped_share": [one.clipped_share for one in drawn],
     }
     with folder_of_results(out, "sample", (folder,)) as results:
-        white = _white(mean.reflectance.diffuse_linear)
+        white = albedo_white(mean.reflectance.diffuse_linear)
         panels = []
         for number, one in enumerate(drawn):
             mesh = MeshReflectance(mean.vertices, mean.faces, one.reflectance)
@@ -233,7 +235,7 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
 def model_panels(built: BuiltModel) -> list[Panel]:
     """Return panels of the mean, and of the first directions two deviations to each side."""
     model, mean = built.model, built.mean
-    white = _white(mean.reflectance.diffuse_linear)
+    white = albedo_white(mean.reflectance.diffuse_linear)
     panels = [Panel("mean", _face(mean, white))]
     for number in range(min(_SHOWN_DIRECTIONS, model.components)):
         for side in (-_SPREAD, _SPREAD):
@@ -251,11 +253,6 @@ def _face(mesh: MeshReflectance, white: float) -> NDArray[np.uint8]:
     return render_mesh(
         mesh.vertices, mesh.faces, vertex_color_srgb=colors, view=view, size=_SIZE, shaded=False
     )
-
-
-def _white(diffuse_linear: FloatArray) -> float:
-    finite = diffuse_linear[np.isfinite(diffuse_linear)]
-    return float(np.percentile(finite, 99)) if finite.size else 1.0
 
 
 def _title(model: MorphableReflectanceModel) -> str:

@@ -16,12 +16,11 @@ from scan2albedo.io.checked_json import read_checked
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
 from scan2albedo.io.units import MM_PER_UNIT
+from scan2albedo.reflectance.shape_model import LANDMARKS
 
 FloatArray = NDArray[np.float64]
 _Row = tuple[float, float, float, float]
 _Pixel = tuple[float, float]
-
-LANDMARKS = 68
 
 
 class FacePhotographFile(BaseModel):

@@ -55,10 +55,15 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
 
 def albedo_colors(diffuse_linear: FloatArray, *, white: float | None = None) -> FloatArray:
     """Return (V, 3) sRGB colours of albedos (V, 3), brightened so that `white` is 0.8; NaN is grey."""
-    finite = diffuse_linear[np.isfinite(diffuse_linear)]
-    level = white or (float(np.percentile(finite, 99)) if finite.size else 1.0)
+    level = albedo_white(diffuse_linear) if white is None else white
     shown = linear_to_srgb(np.clip(np.nan_to_num(diffuse_linear) * (_BRIGHT / max(level, 1e-12)), 0, 1))
     return np.where(np.isfinite(diffuse_linear), shown, 0.6)
+
+
+def albedo_white(diffuse_linear: FloatArray) -> float:
+    """Return the 99th percentile of known albedos (V, 3); 1 where none is known."""
+    finite = diffuse_linear[np.isfinite(diffuse_linear)]
+    return float(np.percentile(finite, 99)) if finite.size else 1.0
 
 
 def relit_panels(

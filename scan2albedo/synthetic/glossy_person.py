@@ -179,8 +179,8 @@ def _weights(sitter: Sitter, uv: FloatArray) -> FloatArray:
     mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
     patches = np.exp(0.25 * np.stack([smooth_noise(uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
     face = sitter.face
-    scale, faces = np.zeros(len(uv)), np.zeros(len(uv))
+    scale, touching = np.zeros(len(uv)), np.zeros(len(uv))
     of_face = sitter.model.region_values("specular_scale")[face.region]
     np.add.at(scale, face.faces.ravel(), np.repeat(of_face, 3))
-    np.add.at(faces, face.faces.ravel(), 1.0)
-    return mean * patches * (scale / np.maximum(faces, 1))[:, None]
+    np.add.at(touching, face.faces.ravel(), 1.0)
+    return mean * patches * (scale / np.maximum(touching, 1))[:, None]
