@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from scan2albedo.optimization import Budget, Trace
     from scan2albedo.pipeline import process
     from scan2albedo.process_result import ProcessResult
+    from scan2albedo.quality import Quality
     from scan2albedo.registration import Registration, register
     from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
@@ -38,6 +39,7 @@ _HOMES = {
     "GeometryImage": "io",
     "PointLight": "lighting",
     "ProcessResult": "process_result",
+    "Quality": "quality",
     "RawScan": "io",
     "Region": "face_model",
     "Registration": "registration",
@@ -63,6 +65,7 @@ __all__ = [
     "GeometryImage",
     "PointLight",
     "ProcessResult",
+    "Quality",
     "RawScan",
     "Region",
     "Registration",

@@ -41,6 +41,11 @@ app.command()(identify)
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
 SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
+PresetSizeOption = Annotated[
+    int | None,
+    typer.Option(help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8),
+]
+QualityOption = Annotated[str, typer.Option(help="draft, standard or best: what every stage spends.")]
 
 
 @app.callback()
@@ -58,12 +63,13 @@ def process(
             help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face."
         ),
     ] = "default",
-    size: SizeOption = 512,
+    size: PresetSizeOption = None,
     lights: Annotated[str, typer.Option(help="'auto', or how many.")] = "auto",
     brdf: Annotated[
         str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")
     ] = "oren-nayar",
     unit: Annotated[str, typer.Option(help="auto, mm, cm or m.")] = "auto",
+    quality: QualityOption = "standard",
     budget: Annotated[float | None, typer.Option(help="Seconds a scan may take.")] = None,
     seed: SeedOption = 0,
     skip: Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")] = None,
@@ -83,10 +89,12 @@ def process(
     from scan2albedo.pipeline import chosen_model
     from scan2albedo.pipeline import process as run
     from scan2albedo.progress import ProgressLines
+    from scan2albedo.quality import quality_of
 
     try:
         check_stage_names(skip or (), force or ())
-        check_choices(size, light_choice, brdf, unit)
+        preset = quality_of(quality)
+        check_choices(size or preset.size, light_choice, brdf, unit)
         spend = Budget.of(budget)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
@@ -107,6 +115,7 @@ def process(
                     lights=light_choice,
                     brdf=brdf,
                     unit=unit,
+                    quality=preset,
                     budget=spend,
                     seed=seed,
                     skip=tuple(skip or ()),
@@ -132,16 +141,22 @@ def process(
 def demo(
     out: OutOption = Path("demo_out"),
     seed: SeedOption = 0,
-    size: SizeOption = 512,
+    size: PresetSizeOption = None,
+    quality: QualityOption = "standard",
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.demo import run_demo
     from scan2albedo.progress import ProgressLines
+    from scan2albedo.quality import quality_of
 
+    try:
+        preset = quality_of(quality)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
     with ProgressLines("demo") as progress:
-        report = run_demo(out, seed=seed, size=size, on_progress=progress.update)
+        report = run_demo(out, seed=seed, size=size, quality=preset, on_progress=progress.update)
         progress.say(report.result.summary())
     if json_summary:
         echo_json(report.figures())

@@ -20,6 +20,7 @@ from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.io import GeometryImage, RawScan, load_scan
 from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.process_result import ProcessResult
+from scan2albedo.quality import Quality, quality_of
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
@@ -32,10 +33,11 @@ def process(
     out: str | Path | None = None,
     *,
     model: AnnotatedFaceModel | str | Path | None = None,
-    size: int = 512,
+    size: int | None = None,
     lights: int | str = "auto",
     brdf: str = "oren-nayar",
     unit: str = "auto",
+    quality: Quality | str = "standard",
     budget: Budget | float | None = None,
     seed: int = 0,
     skip: Sequence[str] = (),
@@ -54,14 +56,16 @@ def process(
         The template, from a model's JSON file or a mesh (`AnnotatedFaceModel.from_mesh`); the default
         model when omitted. "none" processes any object without a face: xatlas charts, no registration,
         no fit.
-    size : int
-        Height and width of the geometry image.
+    size : int, optional
+        Height and width of the geometry image; that of `quality` when omitted, 512 for "standard".
     lights : "auto" or int
         How many lights; "auto" decides by evidence.
     brdf : str
         "oren-nayar", "lambert", "minnaert" or "spherical-harmonics".
     unit : str
         "auto", "mm", "cm" or "m".
+    quality : str or Quality
+        "draft", "standard" or "best", or the options of every stage.
     budget : Budget or float, optional
         Seconds for the whole run, or a Budget whose evaluations hold for each stage.
     seed : int
@@ -84,12 +88,14 @@ def process(
         With one clear message: the scan cannot be read, holds no face, cannot be fitted, or the
         results cannot be written.
     ValueError
-        For an unknown stage, BRDF or unit name, a stage that cannot be skipped or forced, or is both, a
+        For an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced, or is both, a
         size or number of lights out of range.
     """
     check_stage_names(skip, force)
+    chosen = quality_of(quality)
+    size = chosen.size if size is None else size
     check_choices(size, lights, brdf, unit)
-    run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), seed, on_progress)
+    run = _Run(Budget.of(budget), chosen, frozenset(skip), frozenset(force), seed, on_progress)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         from scan2albedo.result_files import check_writable
@@ -153,6 +159,7 @@ class _Run:
     """The state of one run: clock, plan and trace."""
 
     budget: Budget
+    quality: Quality
     skip: frozenset[str]
     force: frozenset[str]
     seed: int
@@ -190,6 +197,7 @@ class _Run:
             "lights": lights,
             "brdf": brdf,
             "unit": unit,
+            "quality": self.quality.name,
             "skip": sorted(self.skip),
             "force": sorted(self.force),
             "budget_seconds": self.budget.seconds,
@@ -234,7 +242,14 @@ class _Run:
         registration = self.registration(scan, model)
         pose = np.eye(4) if registration is None else registration.model_from_scan
         with self.timed("fit"):
-            fitted = fit(scan, model, pose, self.share("fit"), on_progress=self.on_progress)
+            fitted = fit(
+                scan,
+                model,
+                pose,
+                self.share("fit"),
+                options=self.quality.fit,
+                on_progress=self.on_progress,
+            )
         self.trace += fitted.trace
         self.note(
             "fit",
@@ -295,22 +310,28 @@ class _Run:
         return estimate
 
     def registration_options(self) -> RegistrationOptions:
+        options = self.quality.registration
         if "register.depth_annealing" in self.skip:
-            return RegistrationOptions(annealing_evaluations=0)
-        return RegistrationOptions(force_annealing="register.depth_annealing" in self.force)
-
-    def estimate_options(self) -> EstimateOptions:
-        return EstimateOptions(
-            shadows=self.choice("albedo.shadows"),
-            near_light=self.choice("albedo.near_light"),
-            roughness=self.choice("albedo.roughness"),
-            specular=self.choice("albedo.specular"),
-            rectification=self.choice("albedo.rectification"),
-            inpainting=self.choice("albedo.inpainting"),
+            return replace(options, annealing_evaluations=0)
+        return replace(
+            options, force_annealing=options.force_annealing or "register.depth_annealing" in self.force
         )
 
-    def choice(self, stage: str) -> bool | None:
-        """Return False when skipped, True when forced, None when the evidence decides."""
+    def estimate_options(self) -> EstimateOptions:
+        """Return the preset's options with the steps that the caller skips or forces."""
+        options = self.quality.albedo
+        return replace(
+            options,
+            shadows=self.choice("albedo.shadows", options.shadows),
+            near_light=self.choice("albedo.near_light", options.near_light),
+            roughness=self.choice("albedo.roughness", options.roughness),
+            specular=self.choice("albedo.specular", options.specular),
+            rectification=self.choice("albedo.rectification", options.rectification),
+            inpainting=self.choice("albedo.inpainting", options.inpainting),
+        )
+
+    def choice(self, stage: str, preset: bool | None) -> bool | None:
+        """Return False when skipped, True when forced, else the preset's: None lets the evidence decide."""
         if stage in self.skip:
             return False
-        return True if stage in self.force else None
+        return True if stage in self.force else preset
