@@ -42,6 +42,8 @@ def process(
     seed: int = 0,
     skip: Sequence[str] = (),
     force: Sequence[str] = (),
+    pictures: bool = True,
+    name: str | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> ProcessResult:
     """Take one raw scan through every stage it needs.
@@ -75,6 +77,10 @@ def process(
     force : sequence of str
         Names from `choices.FORCEABLE`: steps to carry out whatever the evidence says, where there is
         anything to do (a shadow's outline to rectify, a saturated texel to inpaint).
+    pictures : bool
+        Whether overview.png and error_vs_time.png are drawn among the files.
+    name : str, optional
+        Name of the scan and of its folder; the file's stem, or that of the `RawScan`, when omitted.
     on_progress : callable, optional
         Called with every `TraceRow`.
 
@@ -101,12 +107,12 @@ def process(
         from scan2albedo.result_files import check_writable
 
         check_writable(Path(out))
-    result = run.result(source, model, size=size, lights=lights, brdf=brdf, unit=unit)
+    result = run.result(source, model, name, size=size, lights=lights, brdf=brdf, unit=unit)
     if out is None:
         return result
     from scan2albedo.result_files import write_result
 
-    return replace(result, out=write_result(result, Path(out)))
+    return replace(result, out=write_result(result, Path(out), pictures=pictures))
 
 
 @contextmanager
@@ -121,6 +127,12 @@ def _kept_messages() -> Iterator[list[str]]:
             messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+
+
+def _scan(source: str | Path | RawScan, unit: str, name: str | None) -> RawScan:
+    if not isinstance(source, RawScan):
+        return load_scan(source, unit=unit, name=name)
+    return source if name is None else replace(source, name=name)
 
 
 def _evenness(image: GeometryImage) -> str:
@@ -179,6 +191,7 @@ class _Run:
         self,
         source: str | Path | RawScan,
         model: AnnotatedFaceModel | str | Path | None,
+        name: str | None,
         *,
         size: int,
         lights: int | str,
@@ -187,7 +200,7 @@ class _Run:
     ) -> ProcessResult:
         """Take the scan through the stages; no file is written."""
         with self.timed("load"):
-            scan = source if isinstance(source, RawScan) else load_scan(source, unit=unit)
+            scan = _scan(source, unit, name)
             template = chosen_model(model)
         with _kept_messages() as messages:
             registration, fitted, image = self.geometry(scan, template, size)
