@@ -3,7 +3,7 @@
     python tools/bench_left_out.py [--size 256] [--seeds 2]
 
 Every scene is processed twice: as the evidence decides, and with every optional step forced. Errors are of
-the albedo (100 x MSE after the best single scale); "change" is how much of the forced run's error the plan adds
+the albedo (100 x MSE after the best single scale); "change" is what the plan adds to the forced error
 (negative: leaving out is better). CPU seconds of warm code, best of `REPEATS`.
 """
 
