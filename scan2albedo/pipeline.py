@@ -25,7 +25,9 @@ from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
-"""Share of the seconds still left that each stage may take."""
+"""Share of the seconds still left for searching that each stage may take."""
+SAMPLING_S, DIVISION_S = 3e-6, 2e-6
+"""Seconds a texel that a geometry image and the removal of its light take, whatever the budget."""
 
 
 def process(
@@ -101,13 +103,13 @@ def process(
     chosen = quality_of(quality)
     size = chosen.size if size is None else size
     check_choices(size, lights, brdf, unit)
-    run = _Run(Budget.of(budget), chosen, frozenset(skip), frozenset(force), seed, on_progress)
+    run = _Run(Budget.of(budget), chosen, frozenset(skip), frozenset(force), seed, size, on_progress)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         from scan2albedo.result_files import check_writable
 
         check_writable(Path(out))
-    result = run.result(source, model, name, size=size, lights=lights, brdf=brdf, unit=unit)
+    result = run.result(source, model, name, lights=lights, brdf=brdf, unit=unit)
     if out is None:
         return result
     from scan2albedo.result_files import write_result
@@ -175,6 +177,7 @@ class _Run:
     skip: frozenset[str]
     force: frozenset[str]
     seed: int
+    size: int
     on_progress: ProgressCallback | None
     plan: Plan = field(default_factory=Plan)
     trace: Trace = field(default_factory=Trace)
@@ -193,7 +196,6 @@ class _Run:
         model: AnnotatedFaceModel | str | Path | None,
         name: str | None,
         *,
-        size: int,
         lights: int | str,
         brdf: str,
         unit: str,
@@ -203,10 +205,10 @@ class _Run:
             scan = _scan(source, unit, name)
             template = chosen_model(model)
         with _kept_messages() as messages:
-            registration, fitted, image = self.geometry(scan, template, size)
+            registration, fitted, image = self.geometry(scan, template)
             estimate = self.albedo(image, scan, lights, brdf)
         options = {
-            "size": size,
+            "size": self.size,
             "lights": lights,
             "brdf": brdf,
             "unit": unit,
@@ -236,20 +238,21 @@ class _Run:
         """Return the stage's part of what is left of the budget."""
         if self.budget.seconds is None:
             return self.budget
-        left = self.budget.seconds - (time.perf_counter() - self.start)
+        texel_s = DIVISION_S if stage == "albedo" else SAMPLING_S + DIVISION_S
+        left = self.budget.seconds - (time.perf_counter() - self.start) - texel_s * self.size**2
         return replace(self.budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
     def note(self, stage: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.plan += Plan((PlanStep(stage, ran, reason, evidence),))
 
     def geometry(
-        self, scan: RawScan, model: AnnotatedFaceModel | None, size: int
+        self, scan: RawScan, model: AnnotatedFaceModel | None
     ) -> tuple[Registration | None, FittedFace | None, GeometryImage]:
         if model is None:
             for stage in ("register", "fit"):
                 self.note(stage, False, "no model was asked for")
             with self.timed("geometry_image"):
-                image = geometry_image_of_scan(scan, size)
+                image = geometry_image_of_scan(scan, self.size)
             self.note("geometry_image", True, "charts cut by xatlas", _evenness(image))
             return None, None, image
         registration = self.registration(scan, model)
@@ -271,7 +274,7 @@ class _Run:
             f"{np.nanmean(fitted.residual_mm):.3f} mm mean",
         )
         with self.timed("geometry_image"):
-            image = geometry_image(fitted, scan, size)
+            image = geometry_image(fitted, scan, self.size)
         evidence = _evenness(image)
         if scan.has_color:
             evidence += f", texture seen in {image.figures()['seen']:.1%} of them"
