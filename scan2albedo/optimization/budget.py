@@ -60,6 +60,10 @@ class Meter:
         Limits that `exhausted` checks.
     on_progress : callable, optional
         Called with every recorded `TraceRow`.
+    evaluations : int
+        Spent so far.
+    rows : list of TraceRow
+        Recorded so far.
     """
 
     stage: str

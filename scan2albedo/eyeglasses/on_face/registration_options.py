@@ -46,3 +46,4 @@ class FaceRegistrationOptions:
     outlines: int = 10
     """Most times that the outline is traced anew."""
     weights: WeightOptions = WeightOptions()
+    """How weights are solved, where the glasses bring none."""
