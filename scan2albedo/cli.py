@@ -24,6 +24,7 @@ from scan2albedo.experiments_cli import app as experiments_app
 from scan2albedo.glasses_cli import app as glasses_app
 from scan2albedo.identification_cli import identify
 from scan2albedo.reflectance_cli import app as reflectance_app
+from scan2albedo.report_cli import report
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -37,6 +38,7 @@ app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
+app.command()(report)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]

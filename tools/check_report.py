@@ -2,8 +2,9 @@
 
     python tools/check_report.py OUT [-o FOLDER]
 
-OUT is what `scan2albedo report` takes, or a page that it wrote. Prints the size of the page and everything that the
-browser complains about; the exit status is 1 when it complains, or when the page asks for anything beside itself.
+OUT is what `scan2albedo report` takes, or a page that it wrote. Prints the size of the page and everything
+that the browser complains about; the exit status is 1 when it complains, or when the page asks for anything
+beside itself.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from pathlib import Path
 from devtools import Browser
 
 WIDE, NARROW = (1400, 1000), (400, 860)
-AWAKE = "[...scan2albedo.viewers.values()].every(v => !v.seen || v.painter || v.root.classList.contains('failed'))"
+AWAKE = (
+    "[...scan2albedo.viewers.values()]"
+    ".every(v => !v.seen || v.painter || v.root.classList.contains('failed'))"
+)
 
 
 def pictures(page: Path, folder: Path) -> list[str]:

@@ -52,9 +52,9 @@ class Browser:
         self._profile = tempfile.mkdtemp(prefix="chromium-")
         flags = [
             "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--no-first-run",
-            "--enable-unsafe-swiftshader", "--hide-scrollbars", "--disable-dev-shm-usage", "--disable-extensions",
+            "--enable-unsafe-swiftshader", "--hide-scrollbars", "--disable-dev-shm-usage",
             "--disable-background-networking", f"--user-data-dir={self._profile}", "--remote-debugging-pipe",
-            "about:blank",
+            "--disable-extensions", "about:blank",
         ]  # fmt: skip
         there, self._out = os.pipe()
         self._in, back = os.pipe()
@@ -178,7 +178,7 @@ class Browser:
         return data
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
-        """Move, press, release or turn the wheel: "mouseMoved", "mousePressed", "mouseReleased", "mouseWheel"."""
+        """Do "mouseMoved", "mousePressed", "mouseReleased" or "mouseWheel" at a place."""
         held = (
             {"button": "left", "buttons": 1, "clickCount": 1}
             if kind in ("mousePressed", "mouseReleased")

@@ -6,6 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+_ROOM = 0.04
+"""Beyond the outermost values, in parts of their span."""
+_LEAST_SPAN = 0.002
+"""Of an axis, in parts of its greatest value."""
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
@@ -20,21 +24,14 @@ class Axis:
     log: bool = False
 
     @classmethod
-    def of(
-        cls,
-        values: Sequence[float],
-        start: float,
-        end: float,
-        *,
-        log_from: float = math.inf,
-        room: float = 0.04,
-    ) -> Axis:
+    def of(cls, values: Sequence[float], start: float, end: float, *, log_from: float = math.inf) -> Axis:
         """Return the axis that holds all values, with some room; logarithmic from a ratio of `log_from`."""
         low, high = min(values), max(values)
         if low > 0 and high / low >= log_from:
-            margin = (high / low) ** room
+            margin = (high / low) ** _ROOM
             return cls(low / margin, high * margin, start, end, True)
-        margin = room * (high - low) or 0.05 * abs(high) or 1.0
+        # What hardly changes is drawn as a line that hardly rises.
+        margin = max(_ROOM * (high - low), (_LEAST_SPAN * abs(high) - (high - low)) / 2) or 1.0
         return cls(low - margin, high + margin, start, end)
 
     def place(self, value: float) -> float:

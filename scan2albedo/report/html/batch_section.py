@@ -215,7 +215,7 @@ def _facts(rows: Sequence[ScanRow]) -> tuple[tuple[str, str], ...]:
 
 
 def _span_seconds(rows: Sequence[ScanRow]) -> float | None:
-    """Return the seconds from the first scan's start to the last one's end, where the catalogue tells both."""
+    """Return the seconds from the first start to the last end, where the catalogue tells both."""
     ends, starts = [], []
     for row in rows:
         end, seconds = _timestamp(row.values.get("finished_at")), row.number("seconds")

@@ -47,7 +47,7 @@ def _table(file: Path) -> Any:
     except (OSError, pyarrow.ArrowException) as error:
         first = " ".join(str(error).split())[:200]
         raise Scan2AlbedoError(
-            f"{file}: cannot be read as Parquet ({first}); finish the batch again, or remove the file so that "
+            f"{file}: cannot be read as Parquet ({first}); run the batch again, or remove the file so that "
             "the table is made of the result.json files"
         ) from error
 

@@ -66,15 +66,19 @@ def histogram(column: str, values: Sequence[float | None]) -> Histogram | None:
         for low, high, count in zip(edges[:-1], edges[1:], counts, strict=True)
     ]
     low, median, high = (float(v) for v in np.percentile(known, (5, 50, 95)))
+    summary = f"median {number_text(median)}, 90 % within {number_text(low)} … {number_text(high)}"
+    if known.min() == known.max():
+        summary = f"all {number_text(median)}"
+    ticks = [value for value in axis.ticks(4) if not whole or value == int(value)]
     return Histogram(
         column,
         label_of(column),
         unit,
         tuple(bars),
-        tuple((axis.place(value), tick_text(value)) for value in axis.ticks(4)),
+        tuple((axis.place(value), tick_text(value)) for value in ticks),
         tuple((upward.place(v), tick_text(v)) for v in upward.ticks(3) if v == int(v)),
         axis.place(median),
-        f"median {number_text(median)}, 90 % within {number_text(low)} … {number_text(high)}",
+        summary,
         len(values) - len(known),
     )
 

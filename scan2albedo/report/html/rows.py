@@ -46,7 +46,7 @@ class ScanRow:
 
 
 def result_folders(out: Path) -> list[Path]:
-    """Return the folders in `out` that hold a result.json, in the order of their names; hidden ones do not count."""
+    """Return the folders in `out` that hold a result.json, by name; hidden ones do not count."""
     try:
         inside = sorted(path for path in out.iterdir() if path.is_dir() and not path.name.startswith("."))
     except OSError as error:

@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.result_json import ResultRecord
+from scan2albedo.report.html.light_rows import LightRow, alternative_lights, angles_text, light_rows
 from scan2albedo.report.html.mesh_data import Topologies
 from scan2albedo.report.html.residual import Residual, residual_of_result
 from scan2albedo.report.html.rows import flattened
-from scan2albedo.report.html.texts import label_of, number_text, seconds_text, size_text, unit_of, value_text
+from scan2albedo.report.html.texts import (
+    label_of,
+    number_text,
+    seconds_text,
+    size_text,
+    unit_of,
+    value_text,
+)
 from scan2albedo.report.html.textures import TextureStyle, picture_url
 from scan2albedo.report.html.trace_chart import StageChart, read_trace, stage_charts
 from scan2albedo.report.html.viewer_data import viewed_face, viewer_entry
 
+UNCERTAIN_ALBEDO = 0.1
+"""Relative deviation of the albedo from which the page warns."""
 _OVERVIEW_WIDTH, _BATCH_OVERVIEW_WIDTH = 1800, 1000
 
 
@@ -57,6 +67,7 @@ class ScanSection:
     """One scan as the template shows it."""
 
     anchor: str
+    name: str
     record: ResultRecord
     headline: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -65,18 +76,27 @@ class ScanSection:
     residual_note: str
     overview: tuple[str, int, int] | None
     charts: tuple[StageChart, ...]
+    single_points: tuple[StageChart, ...]
+    """Stages of which a single row was recorded: told in words."""
     trace_missing: str
     times: tuple[TimeBar, ...]
     seconds: str
     figures: Mapping[str, list[tuple[str, str, str]]]
-    lights: tuple[tuple[str, ...], ...]
+    lights: tuple[LightRow, ...]
     alternatives: tuple[tuple[str, str], ...]
     files: tuple[tuple[str, str, str], ...]
-    options: tuple[tuple[str, str], ...] = field(default=())
+    options: tuple[tuple[str, str], ...]
 
 
 def scan_section(
-    folder: Path, record: ResultRecord, page: Path, anchor: str, topologies: Topologies, style: SectionStyle
+    folder: Path,
+    record: ResultRecord,
+    page: Path,
+    topologies: Topologies,
+    style: SectionStyle,
+    *,
+    anchor: str,
+    name: str,
 ) -> ScanSection:
     """Return what the page at `page` tells of the result in `folder`.
 
@@ -87,6 +107,7 @@ def scan_section(
     total = sum(record.timings_s.values())
     return ScanSection(
         anchor=anchor,
+        name=name,
         record=record,
         headline=_headline(record, total),
         warnings=_warnings(record),
@@ -94,13 +115,14 @@ def scan_section(
         viewer_missing=missing,
         residual_note=residual.source,
         overview=picture_url(folder / "overview.png", style.overview_width, style.overview_quality),
-        charts=tuple(trace),
+        charts=tuple(chart for chart in trace if chart.drawn),
+        single_points=tuple(chart for chart in trace if not chart.drawn),
         trace_missing=trace_missing,
         times=_times(record, total),
         seconds=seconds_text(total),
         figures=_figures(record),
-        lights=_lights(record),
-        alternatives=_alternatives(record),
+        lights=light_rows(record),
+        alternatives=alternative_lights(record),
         files=file_links(folder, record.files, page),
         options=tuple((label_of(key), _option_text(value)) for key, value in record.options.items()),
     )
@@ -133,9 +155,7 @@ def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
     if residual is not None:
         parts.append(f"fit {number_text(residual)} mm mean")
     if record.lights:
-        where = ", ".join(
-            f"({light.azimuth_deg:.0f}°, {light.elevation_deg:.0f}°)" for light in record.lights
-        )
+        where = angles_text((light.azimuth_deg, light.elevation_deg) for light in record.lights)
         parts.append(f"{len(record.lights)} light{'s' if len(record.lights) > 1 else ''} at {where}")
     elif record.parameters.get("brdf") == "spherical-harmonics":
         parts.append("light as spherical harmonics")
@@ -148,12 +168,20 @@ def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
 
 
 def _warnings(record: ResultRecord) -> tuple[str, ...]:
+    """Return what a person should know before using the result."""
     found = [
         f"{stage.replace('_', ' ')} did not converge: its budget ended, or it stopped improving"
         for stage, figures in record.metrics.items()
         if isinstance(figures, Mapping) and figures.get("converged") is False
     ]
-    return (*found, *record.notes)
+    figures = flattened(record.metrics, "metrics")
+    deviation = figures.get("metrics_albedo_uncertainty_albedo_deviation")
+    if deviation is not None and deviation > UNCERTAIN_ALBEDO:
+        found.append(
+            f"the light is known badly: that alone makes the albedo uncertain by "
+            f"{number_text(100 * deviation, 2)} %"
+        )
+    return tuple(found)
 
 
 def _times(record: ResultRecord, total: float) -> tuple[TimeBar, ...]:
@@ -184,53 +212,6 @@ def _figures(record: ResultRecord) -> dict[str, list[tuple[str, str, str]]]:
     if reflectance:
         groups["reflectance"] = reflectance
     return groups
-
-
-def _lights(record: ResultRecord) -> tuple[tuple[str, ...], ...]:
-    sure = _uncertainty(record)
-    directions, intensities = (
-        sure.get(name) if isinstance(sure.get(name), list) else []
-        for name in ("direction_deviation_deg", "intensity_deviation")
-    )
-    rows = []
-    for k, light in enumerate(record.lights):
-        distance = "distant" if light.distance_mm is None else f"{light.distance_mm:.0f} mm"
-        direction = f"± {number_text(directions[k], 2)}°" if k < len(directions or ()) else "–"  # type: ignore[index]
-        strength = f"± {number_text(100 * intensities[k], 2)} %" if k < len(intensities or ()) else "–"  # type: ignore[index]
-        rows.append(
-            (
-                str(k + 1),
-                f"{light.azimuth_deg:.1f}°",
-                f"{light.elevation_deg:.1f}°",
-                direction,
-                distance,
-                number_text(light.intensity),
-                strength,
-            )
-        )
-    return tuple(rows)
-
-
-def _uncertainty(record: ResultRecord) -> Mapping[str, Any]:
-    albedo = record.metrics.get("albedo")
-    sure = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
-    return sure if isinstance(sure, Mapping) else {}
-
-
-def _alternatives(record: ResultRecord) -> tuple[tuple[str, str], ...]:
-    """Return other lights that explain the image nearly as well: where they are, and their excess cost."""
-    others = _uncertainty(record).get("alternatives")
-    rows = []
-    for other in others if isinstance(others, list) else []:
-        if not isinstance(other, Mapping):
-            continue
-        where = ", ".join(
-            f"({azimuth:.0f}°, {elevation:.0f}°)" for azimuth, elevation in other.get("lights_deg", ())
-        )
-        rows.append(
-            (where or "no directed light", f"{number_text(100 * float(other.get('excess', 0)), 2)} %")
-        )
-    return tuple(rows)
 
 
 def _option_text(value: Any) -> str:

@@ -41,7 +41,7 @@ def selected_rows(rows: Sequence[ScanRow], count: int) -> Selection:
     if count < 4 or len(known) < count:
         chosen = ranked[:count]
         return Selection(tuple(chosen), f"the {count} scans of {len(there)} with the greatest {what}")
-    compared = [known_k for known_k in (ranked[len(known) // 2], ranked[len(known) - 1])]
+    compared = (ranked[len(known) // 2], ranked[len(known) - 1])
     worst = [k for k in ranked if k not in compared][: count - 2]
     text = f"the {count - 2} scans of {len(there)} with the greatest {what}, then the median and the best one"
     return Selection((*worst, *compared), text)

@@ -17,7 +17,7 @@ _NAMES = {
     "metrics_fit_residual_p95_mm": "fit, 95 %",
     "metrics_fit_coverage": "fit coverage",
     "metrics_fit_converged": "fit converged",
-    "metrics_registration_rmse_mm": "registration",
+    "metrics_registration_rmse_mm": "registration error",
     "metrics_registration_confidence": "confidence",
     "metrics_registration_converged": "registration converged",
     "metrics_geometry_image_seen": "texture seen",
@@ -96,14 +96,26 @@ def value_text(column: str, value: Any) -> str:
     return str(value)
 
 
+def angle_text(angle_deg: float, digits: int = 0) -> str:
+    """Return an angle in degrees, with a minus sign and no negative zero.
+
+    >>> angle_text(-32.12), angle_text(-0.2), angle_text(16.63, 1)
+    ('−32°', '0°', '16.6°')
+    """
+    rounded = round(angle_deg, digits) + 0.0
+    return f"{rounded:.{digits}f}°".replace("-", "−")
+
+
 def seconds_text(seconds: float | None) -> str:
     """Return a duration.
 
-    >>> [seconds_text(s) for s in (0.25, 37.67, 754.0, 12345.0)]
-    ['0.25 s', '37.7 s', '12 min 34 s', '3 h 26 min']
+    >>> [seconds_text(s) for s in (1e-5, 0.25, 37.67, 754.0, 12345.0)]
+    ['0 s', '0.25 s', '37.7 s', '12 min 34 s', '3 h 26 min']
     """
     if seconds is None:
         return "–"
+    if seconds < 0.005:
+        return "0 s"
     if seconds < 120:
         return f"{number_text(seconds)} s"
     minutes, rest = divmod(round(seconds), 60)

@@ -28,7 +28,7 @@ class TextureStyle:
 
 
 def texture_entry(
-    linear: FloatArray, mask: NDArray[np.bool_], style: TextureStyle, *, factor: float | None = None
+    linear: NDArray[np.floating], mask: NDArray[np.bool_], style: TextureStyle, *, factor: float | None = None
 ) -> dict[str, Any]:
     """Return a linear texture as 8-bit sRGB for the viewer, carried on beyond the mask.
 
@@ -73,7 +73,7 @@ def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, A
 
 
 def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | None:
-    """Return a picture file as a data URL of a JPEG at most `width` wide, with its size; None if unreadable."""
+    """Return a picture file as the data URL of a JPEG at most `width` wide, and its size; None if damaged."""
     from PIL import Image
 
     try:
@@ -90,7 +90,7 @@ def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | 
 
 
 def _fitted(values: FloatArray, size: int) -> FloatArray:
-    """Return an image (H, W, C) at most `size` texels wide and high, texels being means of what they cover."""
+    """Return an image (H, W, C) at most `size` texels wide and high, each the mean of what it covers."""
     height, width = values.shape[:2]
     if max(height, width) <= size:
         return values

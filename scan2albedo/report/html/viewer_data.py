@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +49,7 @@ def viewed_face(folder: Path, record: ResultRecord) -> ViewedFace:
     face = ProcessedFace.of(record.name, image, grey, model_name=model)
     if model == NO_MODEL:
         return ViewedFace(face, False)
-    return ViewedFace(
-        ProcessedFace(record.name, image, grey, face.reflectance, (), fitted_mesh(folder, image), model),
-        False,
-    )
+    return ViewedFace(replace(face, mesh=fitted_mesh(folder, image)), False)
 
 
 def viewer_entry(

@@ -73,7 +73,7 @@ def write_report(
 def _write_single(folder: Path, target: Path, options: ReportOptions) -> WrittenReport:
     record, topologies = read_record(folder / RESULT_FILE, ResultRecord), Topologies()
     style = SectionStyle.single(options.texture_size, options.residual)
-    section = scan_section(folder, record, target, "scan", topologies, style)
+    section = scan_section(folder, record, target, topologies, style, anchor="scan", name=record.name)
     page = Page(record.name, _now(), [section], topologies.of_key)
     return _finish(page, target, scans=1, done=1, failed=0)
 
@@ -96,7 +96,9 @@ def _write_batch(
             not_shown.append((rows[k].name, " ".join(str(error).split())))
             continue
         anchors[k] = f"scan-{k + 1}"
-        sections.append(scan_section(where, record, target, anchors[k], topologies, style))
+        sections.append(
+            scan_section(where, record, target, topologies, style, anchor=anchors[k], name=rows[k].name)
+        )
     batch = batch_section(rows, anchors, target, options.rows)
     title = folder.resolve().name or str(folder)
     page = Page(title, _now(), sections, topologies.of_key, batch, selection.reason, not_shown)

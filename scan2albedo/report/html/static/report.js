@@ -3,7 +3,7 @@ function openSection() {
   const section = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
   if (section instanceof HTMLDetailsElement) {
     section.open = true;
-    section.scrollIntoView();
+    section.scrollIntoView({ behavior: "instant" });
   }
 }
 

@@ -1,5 +1,5 @@
 // Tables that are sorted by a click on a header, filtered by words and states, and shown page by page.
-const PAGE = 100;
+const PAGE = 25;
 
 class ScanTable {
   constructor(root) {

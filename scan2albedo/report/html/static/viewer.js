@@ -85,8 +85,8 @@ class FaceViewer {
       element("fieldset", {}, element("legend", {}, "Picture"), this.exposure.row,
         element("div", { class: "buttons" },
           element("button", { type: "button", onclick: () => this.resetView() }, "Reset view"),
-          element("button", { type: "button", onclick: () => this.turnTo(-45) }, "From its right"),
-          element("button", { type: "button", onclick: () => this.turnTo(45) }, "From its left"))));
+          element("button", { type: "button", onclick: () => this.turnTo(-45) }, "Right side"),
+          element("button", { type: "button", onclick: () => this.turnTo(45) }, "Left side"))));
   }
 
   #modeChoice() {

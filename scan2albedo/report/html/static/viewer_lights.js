@@ -6,6 +6,7 @@ const PRESETS = {
   Above: [{ azimuth: 0, elevation: 65 }],
   Below: [{ azimuth: 0, elevation: -50 }],
 };
+const SCANNED = "As scanned";
 const LAMP_INTENSITY = 2.5, MOST_DISTANCE = 3000;
 
 class LightControls {
@@ -15,6 +16,7 @@ class LightControls {
     this.changed = changed;
     this.chosen = 0;
     this.nearest = Math.ceil(face.reach * 1.05);
+    this.preset = "";
     this.pad = this.#makePad();
     this.chips = element("div", { class: "chips", role: "group", "aria-label": "Lights" });
     this.sliders = this.#makeSliders();
@@ -23,11 +25,11 @@ class LightControls {
     this.detail = element("div", { class: "light-detail" },
       element("div", { class: "row" }, element("label", { class: "check" }, this.onBox, " on"), this.remove),
       ...Object.values(this.sliders).map((made) => made.row));
-    this.presets = element("div", { class: "buttons", role: "group", "aria-label": "Light presets" },
+    this.presets = element("div", { class: "presets", role: "group", "aria-label": "Light presets" },
       ...this.#presetButtons());
     this.root = element("fieldset", { class: "lights" }, element("legend", {}, "Light"),
       this.presets, element("div", { class: "light-body" }, this.pad, element("div", {}, this.chips, this.detail)));
-    this.refresh();
+    this.refresh(face.lights.length || face.harmonics ? SCANNED : "");
   }
 
   get light() { return this.state.lights[this.chosen]; }
@@ -37,22 +39,22 @@ class LightControls {
   }
 
   #presetButtons() {
-    const button = (label, use) => element("button", { type: "button", onclick: use }, label);
-    const buttons = Object.entries(PRESETS).map(([label, lights]) => button(label, () => {
-      this.setLights(lights.map((light) => ({ distance: null, intensity: LAMP_INTENSITY, ...light, on: true })));
-    }));
+    const button = (label, lights, harmonic = false) => element("button", {
+      type: "button", "aria-pressed": "false",
+      onclick: () => { this.setLights(lights().map((light) => ({ ...light, on: true })), harmonic, label); },
+    }, label);
+    const buttons = Object.entries(PRESETS).map(([label, lights]) => button(label,
+      () => lights.map((light) => ({ distance: null, intensity: LAMP_INTENSITY, ...light }))));
     if (!this.face.lights.length && !this.face.harmonics) return buttons;
-    const asScanned = button("As scanned", () => this.setLights(LightControls.scanned(this.face), Boolean(this.face.harmonics)));
-    asScanned.classList.add("preset-scanned");
-    return [asScanned, ...buttons];
+    return [button(SCANNED, () => this.face.lights, Boolean(this.face.harmonics)), ...buttons];
   }
 
-  setLights(lights, harmonic = false) {
+  setLights(lights, harmonic = false, preset = "") {
     this.state.lights = lights;
     this.state.harmonic = harmonic;
     this.state.ambient = 1;
     this.chosen = 0;
-    this.#tell();
+    this.#tell(preset);
   }
 
   // By degrees, for the pointer and the keyboard on the face.
@@ -63,7 +65,7 @@ class LightControls {
     this.#tell();
   }
 
-  #tell() { this.refresh(); this.changed(); }
+  #tell(preset = "") { this.refresh(preset); this.changed(); }
 
   #removeChosen() {
     this.state.lights.splice(this.chosen, 1);
@@ -117,14 +119,17 @@ class LightControls {
       if (!this.light) return;
       pad.setPointerCapture(event.pointerId);
       if (!event.target.dataset.light) drag(event);
-      this.refresh();
+      this.refresh(this.preset);
     });
     pad.addEventListener("pointermove", (event) => { if (pad.hasPointerCapture(event.pointerId)) drag(event); });
     return pad;
   }
 
-  refresh() {
+  // `preset` is the name of the one whose light it is, or "" for a light of the user's own.
+  refresh(preset = "") {
     const { lights } = this.state;
+    this.preset = preset;
+    for (const button of this.presets.children) button.setAttribute("aria-pressed", String(button.textContent === preset));
     this.dots.replaceChildren(...lights.map((light, k) => {
       const [x, y, z] = directionOf(light.azimuth, light.elevation);
       const names = ["pad-dot", k === this.chosen ? "chosen" : "", z < 0 ? "behind" : "", light.on ? "" : "off"];
@@ -132,7 +137,7 @@ class LightControls {
     }));
     const chips = lights.map((light, k) => element("button", {
       type: "button", class: "chip", "aria-pressed": String(k === this.chosen),
-      onclick: () => { this.chosen = k; this.refresh(); },
+      onclick: () => { this.chosen = k; this.refresh(this.preset); },
     }, `Light ${k + 1}${light.on ? "" : " (off)"}`));
     if (lights.length < MOST_LIGHTS) {
       chips.push(element("button", { type: "button", class: "chip", onclick: () => this.#add() }, "+ Add"));
