@@ -37,12 +37,13 @@ def pictures(page: Path, folder: Path) -> list[str]:
             browser.run("new Promise(done => setTimeout(done, 300))")
             browser.wait(AWAKE)
             browser.screenshot(folder / f"{name}.png")
-            browser.screenshot(folder / f"{name}_whole.png", whole=True)
             wider = browser.run("document.documentElement.scrollWidth - innerWidth")
             if wider > 0:
                 browser.messages.append(f"{name}: the page is {wider} px wider than the window")
             if browser.run("Boolean(document.querySelector('details.scan'))"):
                 _open_first(browser, folder / f"{name}_scan.png")
+            browser.run("scrollTo(0, 0)")
+            browser.screenshot(folder / f"{name}_whole.png", whole=True)
         others = [
             url
             for url in browser.requests

@@ -161,6 +161,15 @@ class FacePainter {
     return { eye, matrix: product4(lens, lookAt(eye, middle)) };
   }
 
+  // The factor that suits what is shown: relit as the scan was, albedo as its preview, light below white.
+  #shown(state, lights) {
+    if (state.mode === "albedo") return this.face.albedoExposure;
+    if (state.mode !== "light") return 1;
+    const near = (distance) => distance ? (distance / Math.max(distance - 0.6 * this.face.reach, 0.2 * distance)) ** 2 : 1;
+    const brightest = Math.max(0, ...lights.map((light) => light.intensity * near(light.distance)));
+    return 0.8 / (state.harmonic ? 1.5 : Math.max(state.ambient + brightest, 1e-3));
+  }
+
   draw(state) {
     const gl = this.gl, place = this.main.place, face = this.face;
     const lit = state.mode === "relit" || state.mode === "light";
@@ -183,7 +192,7 @@ class FacePainter {
       u_albedo_scale: 1 / face.albedo.factor, u_gloss_scale: face.gloss ? face.gloss.scale : 1,
       u_roughness: face.reflectance.roughness, u_strength: face.reflectance.strength,
       u_exponent: face.reflectance.exponent, u_ambient: state.ambient, u_offset: face.shadowOffset,
-      u_exposure: 2 ** state.exposure * (state.mode === "albedo" ? face.albedoExposure : 1),
+      u_exposure: 2 ** state.exposure * this.#shown(state, lights),
     };
     const integers = {
       u_mode: MODES[state.mode], u_brdf: face.reflectance.brdf === "minnaert" ? 1 : 0, u_count: lights.length,

@@ -114,7 +114,7 @@ void main() {
     float r_v = min(2.0 * n_l * n_v - l_v, 1.0);
     if (gloss > 0.0 && r_v > 0.0) specular += energy * pow(r_v, u_exponent);
   }
-  if (u_mode == 3) { color = vec4(encoded(0.3 * u_exposure * light), 1.0); return; }
+  if (u_mode == 3) { color = vec4(encoded(u_exposure * light), 1.0); return; }
   color = vec4(encoded(u_exposure * (albedo * light + gloss * specular)), 1.0);
 }`;
 
