@@ -1,7 +1,7 @@
 """Folders of results, made without the pipeline: its files are what a report stands on."""
 
 import csv
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from PIL import Image
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.images import write_exr
 from scan2albedo.io.result_json import InputRecord, LightRecord, PlanRecord, ResultRecord, write_record
-from scan2albedo.synthetic import Material, face, light_at
+from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 MATERIAL = Material(0.3, 0.15, 20.0)
 LIGHTS = (light_at(35, 20, intensity=2.0), light_at(-50, 5, intensity=0.8))
@@ -19,7 +19,9 @@ TRACE = [("fit", 0.5, 0.4, 1, 2.0, "mm"), ("fit", 1.5, 1.4, 9, 0.2, "mm"), ("icp
 
 @cache
 def _scene(size):
-    return face(0, size=size, material=MATERIAL, bits=None, lights=list(LIGHTS))
+    """A face, or in few texels a hemisphere, which is made at once."""
+    make = hemisphere if size < 64 else partial(face, 0)
+    return make(size=size, material=MATERIAL, bits=None, lights=list(LIGHTS))
 
 
 def _record(name, **changes):

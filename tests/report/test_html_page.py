@@ -5,11 +5,11 @@ import os
 
 import numpy as np
 import pytest
-from tests.report.pages import check
 
 from scan2albedo import report
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.report.html.page import data_json
+from tests.report.pages import check
 
 EVIL = "<script>alert('x')</script>\"'&<!--"
 
