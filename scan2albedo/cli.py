@@ -31,6 +31,7 @@ from scan2albedo.process_flags import (
     with_process_flags,
 )
 from scan2albedo.reflectance_cli import app as reflectance_app
+from scan2albedo.report_cli import report
 
 if TYPE_CHECKING:
     from scan2albedo.process_options import ProcessOptions
@@ -47,6 +48,7 @@ app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
+app.command()(report)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 
