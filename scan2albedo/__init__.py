@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan2albedo import applications, eyeglasses, recognition, reflectance, synthetic
+    from scan2albedo import applications, batch, eyeglasses, recognition, reflectance, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
@@ -53,7 +53,7 @@ _HOMES = {
     "read_geometry_image": "io",
     "register": "registration",
 }
-_SUBPACKAGES = ("applications", "eyeglasses", "recognition", "reflectance", "synthetic")
+_SUBPACKAGES = ("applications", "batch", "eyeglasses", "recognition", "reflectance", "synthetic")
 
 __all__ = [
     "AlbedoEstimate",
@@ -71,6 +71,7 @@ __all__ = [
     "__version__",
     "albedo_error",
     "applications",
+    "batch",
     "estimate_albedo",
     "eyeglasses",
     "fit",

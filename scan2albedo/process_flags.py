@@ -79,7 +79,7 @@ def with_process_flags(command: Callable[..., None]) -> Callable[..., None]:
         options = _options_of_flags(**{name: given.pop(name) for name in flags})
         command(options=options, **given)
 
-    shown = []
+    shown: list[inspect.Parameter] = []
     for name, parameter in own.items():
         shown += flags.values() if name == "options" else [parameter]
     keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in shown]
