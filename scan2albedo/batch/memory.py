@@ -12,10 +12,10 @@ from scan2albedo.io.input_hash import files_of_scan
 
 MB = 1 << 20
 
-_BASE_MB = 700.0
-_TEXEL_BYTES = 500.0
+_BASE_MB = 450.0
+_TEXEL_BYTES = 400.0
 _MESH_BYTES_PER_BYTE = 25.0
-_PIXEL_BYTES = 70.0
+_PIXEL_BYTES = 160.0
 _KEPT_FREE = 0.1
 
 _CGROUP_FILES = (
