@@ -37,7 +37,7 @@ def run_batch(
     manifest: str | Path | BatchManifest,
     out: str | Path,
     *,
-    options: ProcessOptions = ProcessOptions(),
+    options: ProcessOptions | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     resume: bool = False,
@@ -52,7 +52,7 @@ def run_batch(
         A CSV file, a list of paths or a folder; see `read_manifest`.
     out : path
         Folder that gets a subfolder for each scan, `catalogue.parquet` and `batch.json`.
-    options : ProcessOptions
+    options : ProcessOptions, optional
         For all scans; lines of the manifest may set their own unit, model, lights and seed.
     jobs : int, optional
         Local processes; one a core when omitted, and never more than the available memory carries.
@@ -91,6 +91,7 @@ def run_batch(
         manifest = read_manifest(manifest, leave_out=layout.out)
     from scan2albedo.result_files import check_writable
 
+    options = ProcessOptions() if options is None else options
     tasks = _tasks(manifest, layout, options, timeout_s)
     check_writable(layout.out)
     with layout.locked():
