@@ -90,6 +90,10 @@ def cluster(address: str, died: Callable[[Any, str], Any]) -> Iterator[tuple[job
     class SurvivingDask(DaskDistributedBackend):
         """joblib's dask backend, which would wait for ever for a task that dask gave up."""
 
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            # Two at least: for one worker joblib would process the scans in the caller's process.
+            return max(super().effective_n_jobs(n_jobs), 2)
+
         def submit(self, func: Any, callback: Callable[[Any], None] | None = None) -> Any:
             future = super().submit(func, callback)
             task = func.items[0][1][0]

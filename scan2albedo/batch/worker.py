@@ -89,6 +89,9 @@ def begin_worker(parent: int) -> None:
 def process_task(task: ScanTask) -> BatchScanRecord:
     """Process one scan, write its files and its record, and return that; it tells of any failure."""
     layout = Layout(Path(task.out))
+    earlier = layout.row(task.name)
+    if earlier is not None and earlier.run == task.run:
+        return earlier  # a scheduler asks again when it has lost the answer
     with _ONE_AT_A_TIME, _marked(task, layout):
         row = _attempted(task, layout)
         if layout.is_running(task.run):
