@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from scan2albedo.applications_cli import add_commands
+from scan2albedo.batch_cli import batch
 from scan2albedo.cli_tools import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -48,6 +49,7 @@ app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
+app.command()(batch)
 app.command()(report)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from scan2albedo.choices import check_choices, check_stage_names
 from scan2albedo.optimization import Budget
 from scan2albedo.quality import quality_of
 
@@ -51,6 +50,9 @@ class ProcessOptions:
     pictures: bool = True
 
     def __post_init__(self) -> None:
+        # Imported here: it loads compiled code, which a process that only passes options on need not have.
+        from scan2albedo.choices import check_choices, check_stage_names
+
         object.__setattr__(self, "model", str(self.model))
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
