@@ -1,4 +1,4 @@
-"""The fit: distance of the true surface and of corresponding points, against its stages, steps and samples."""
+"""The fit: distance of the true surface and of corresponding points, against stages, steps and samples."""
 
 from __future__ import annotations
 

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.rigid import procrustes
+from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.synthetic import RawScanOptions, SyntheticTruth, raw_scan
+from scan2albedo.synthetic.identity import Expression
 
 FloatArray = NDArray[np.float64]
 
-EXPRESSIONS = ("neutral", "smile", "surprise", "frown", "pout", "puff")
-_PICTURE, _TRUTH = 48, 128
-"""Pixels and texels: nothing here looks at colour."""
+EXPRESSIONS: tuple[Expression, ...] = ("neutral", "smile", "surprise", "frown", "pout", "puff")
+_PLAIN = RawScanOptions(picture_size=48, size=128)
+"""Small pictures: nothing here looks at colour."""
+_NOISY = replace(_PLAIN, noise_mm=0.6, holes=20, spikes=100)
+_COARSE = replace(_PLAIN, spacing_mm=5.0)
+_BEYOND_MIDDLE_MM = 8.0
 _RIGID = slice(17, 48)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
 
@@ -54,11 +58,32 @@ class ScanScene:
 @cache
 def scan_scenes(count: int, spacing_mm: float = 2.2) -> tuple[ScanScene, ...]:
     """Return scans of `count` people, each with another expression, in random poses."""
-    model = AnnotatedFaceModel.default()
-    options = RawScanOptions(picture_size=_PICTURE, size=_TRUTH, spacing_mm=spacing_mm)
+    options = replace(_PLAIN, spacing_mm=spacing_mm)
+    return tuple(_scene(seed, options) for seed in range(count))
+
+
+@cache
+def hard_scan_scenes(count: int) -> tuple[ScanScene, ...]:
+    """Return scans as `scan_scenes` does: in turn noisy ones full of holes, half faces, and coarse ones."""
     scenes = []
     for seed in range(count):
-        expression = EXPRESSIONS[seed % len(EXPRESSIONS)]
-        scan, truth = raw_scan(seed, expression=expression, model=model, options=options)  # type: ignore[arg-type]
-        scenes.append(ScanScene(scan, truth, model))
+        options = (_NOISY, _PLAIN, _COARSE)[seed % 3]
+        scene = _scene(10 + seed, options)
+        scenes.append(_half(scene) if seed % 3 == 1 else scene)
     return tuple(scenes)
+
+
+def _scene(seed: int, options: RawScanOptions) -> ScanScene:
+    model = AnnotatedFaceModel.default()
+    expression = EXPRESSIONS[seed % len(EXPRESSIONS)]
+    return ScanScene(*raw_scan(seed, expression=expression, model=model, options=options), model)
+
+
+def _half(scene: ScanScene) -> ScanScene:
+    """Return the scene with what lies beyond the middle of the face left out."""
+    scan = scene.scan
+    across = transform_points(scene.truth.model_from_scan, scan.vertices)[:, 0]
+    kept = scan.faces[(across[scan.faces] > -_BEYOND_MIDDLE_MM).all(1)]
+    used, renumbered = np.unique(kept, return_inverse=True)
+    half = RawScan(scan.vertices[used], renumbered.reshape(-1, 3), name=f"half of {scan.name}")
+    return ScanScene(half, scene.truth, scene.model)
