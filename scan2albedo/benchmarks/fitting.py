@@ -105,7 +105,8 @@ def judged(
     return Outcome(cost, (float(distance.mean()), float(apart.mean())), evaluations, details)
 
 
-def _rigid(scene: ScanScene) -> Outcome:
+def rigid_only(scene: ScanScene) -> Outcome:
+    """Return the errors of the model as it is, in the pose given."""
     surface = scene.model.surface(_PEER_LEVEL)
     return judged(scene, surface, surface[0], _PEER_LEVEL, scene.model_from_scan, Cost(1e-3, 1e-3))
 

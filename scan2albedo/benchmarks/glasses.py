@@ -17,13 +17,13 @@ from scan2albedo.eyeglasses import (
     bounded_biharmonic_weights,
     register_on_face,
 )
-from scan2albedo.optimization import Budget
+from scan2albedo.optimization import Budget, ProgressCallback
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer
 
 FloatArray = NDArray[np.float64]
 
 _SCENES, _QUICK_SCENES = 4, 1
-_QUICK = WearerOptions(picture_size=256, focal_px=450.0)
+QUICK_WEARER = WearerOptions(picture_size=256, focal_px=450.0)
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,25 @@ def worn_glasses(seed: int, options: WearerOptions = WearerOptions()) -> WornGla
 
 
 def registered(
-    scene: WornGlasses, options: FaceRegistrationOptions, budget: Budget | float | None = None
+    scene: WornGlasses,
+    options: FaceRegistrationOptions,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
 ) -> RegisteredEyeglasses:
     """Register a wearer's frame with all that is known."""
     worn, glasses = scene.worn, scene.worn.glasses
     frame = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, scene.weights)
     head = (worn.head_vertices, worn.head_faces)
-    return register_on_face(frame, worn.labels, worn.masks, worn.cameras, budget, head=head, options=options)
+    return register_on_face(
+        frame,
+        worn.labels,
+        worn.masks,
+        worn.cameras,
+        budget,
+        head=head,
+        options=options,
+        on_progress=on_progress,
+    )
 
 
 def rms_mm(found: RegisteredEyeglasses, worn: Wearer) -> float:
@@ -86,7 +98,7 @@ def _peers(quick: bool) -> list[Peer]:
 
 def _scenes(quick: bool) -> list[WornGlasses]:
     if quick:
-        return [worn_glasses(seed, _QUICK) for seed in range(_QUICK_SCENES)]
+        return [worn_glasses(seed, QUICK_WEARER) for seed in range(_QUICK_SCENES)]
     return [worn_glasses(seed) for seed in range(_SCENES)]
 
 

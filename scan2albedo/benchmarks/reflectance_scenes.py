@@ -10,6 +10,7 @@ import numpy as np
 
 import scan2albedo as s2a
 from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.lighting.environment_harmonics import project_environment
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.reflectance import (
@@ -20,7 +21,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
-from scan2albedo.synthetic import identity
+from scan2albedo.synthetic import FacePhotographOptions, face_photograph, identity
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 
 CAMERA_MM = np.array([0.0, 0.0, 900.0])
@@ -110,3 +111,41 @@ def shape_model(people: int = 120) -> MorphableShapeModel:
     ]
     nearest = np.linalg.norm(rest - model.landmarks[:, None], axis=2).argmin(1)
     return MorphableShapeModel.from_samples(neutral, offsets, faces, nearest)
+
+
+@dataclass(frozen=True)
+class GeometryScene:
+    """A photograph of a face, in linear colours, and the truth, as `refine_geometry` wants it."""
+
+    image_linear: np.ndarray
+    skin: np.ndarray
+    camera: np.ndarray
+    landmarks_px: np.ndarray
+    vertices: np.ndarray
+    reflectance: VertexReflectance
+    light: np.ndarray
+
+
+@cache
+def geometry_scene(seed: int) -> GeometryScene:
+    """Return a person under generated light, without hair, whose reflectance and light are known."""
+    environment = generated_environment(80_000 + seed)
+    options = FacePhotographOptions(hair=False, gamma=1.0, bits=None, lights=128, saturated_part=0.0)
+    taken = face_photograph(seed, environment, options=options)
+    known = np.ones(len(taken.vertices), bool)
+    light = taken.exposure * project_environment(environment)
+    return GeometryScene(
+        np.asarray(taken.image, float),
+        taken.skin,
+        taken.camera,
+        taken.landmarks_px,
+        taken.vertices,
+        VertexReflectance(taken.diffuse_linear, taken.weights, known),
+        light,
+    )
+
+
+def rigid_error_mm(vertices: np.ndarray, truth: np.ndarray) -> float:
+    """Return the mean distance of corresponding vertices after the best rigid alignment."""
+    pose = procrustes(vertices, truth)
+    return float(np.linalg.norm(transform_points(pose, vertices) - truth, axis=1).mean())

@@ -129,8 +129,8 @@ def measured(
 ) -> list[Point]:
     """Run every setting and every peer that is installed on every scene.
 
-    Each runs once on the first scene before the clock counts, so that compilers and caches have done their
-    part.
+    The default runs once on every scene, and each setting and peer once on the first, before the clock
+    counts: so compilers and caches have done their part.
 
     Parameters
     ----------
@@ -145,6 +145,8 @@ def measured(
         Beside the stage's own.
     """
     scenes, points = benchmark.scenes(quick), []
+    for scene in scenes[1:]:
+        benchmark.run(scene, benchmark.settings(quick)[0])
     for setting in benchmark.settings(quick):
         outcomes = _outcomes(lambda scene, s=setting: benchmark.run(scene, s), scenes, repeats)
         points.append(_mean(OURS, setting.knob, setting.value, outcomes))
