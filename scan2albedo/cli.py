@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from scan2albedo.applications_cli import add_commands
+from scan2albedo.benchmark_cli import benchmark
 from scan2albedo.cli_tools import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -37,6 +38,7 @@ app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
+app.command()(benchmark)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]

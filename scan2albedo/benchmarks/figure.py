@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _SWEPT, _FRONT, _DEFAULT, _KNEE, _PEER = "#b9cfe4", "#1f5f9e", "#111111", "#e0790b", "#b0283c"
 _PRESETS = {"draft": "#2a8f4d", "best": "#7a3ea1"}
 _COLUMNS = 3
+_RING = {"markersize": 12, "markerfacecolor": "none", "markeredgecolor": _KNEE, "markeredgewidth": 2}
 _APART = 0.055
 """Least distance of two labels, as a part of the panel's height."""
 
@@ -84,16 +85,7 @@ def _marked(
     bend = report.knee(kind)
     if bend is not None and bend in shown:
         x, y = bend.cpu_s, max(bend.errors[kind], 1e-12)
-        axis.plot(
-            x,
-            y,
-            "o",
-            markersize=13,
-            markerfacecolor="none",
-            markeredgecolor=_KNEE,
-            markeredgewidth=2,
-            zorder=5,
-        )
+        axis.plot(x, y, "o", zorder=5, **_RING)  # type: ignore[arg-type]
         labels.append((x, y, f"knee: {bend.name}", _KNEE))
     return labels
 
@@ -174,12 +166,11 @@ def _legend(figure: Figure) -> None:
     def line(label: str, **style: object) -> Line2D:
         return Line2D([], [], label=label, **{"linestyle": "none", **style})  # type: ignore[arg-type]
 
-    ring = {"markerfacecolor": "none", "markeredgecolor": _KNEE, "markeredgewidth": 2, "markersize": 11}
     figure.legend(
         handles=[
             line("settings of this library", marker="o", color=_SWEPT),
             line("their Pareto front", marker="o", color=_FRONT, linestyle="-"),
-            line("its knee", marker="o", **ring),
+            line("its knee", marker="o", **_RING),
             line("default = standard", marker="*", color=_DEFAULT, markersize=13),
             line("draft", marker="D", color=_PRESETS["draft"]),
             line("best", marker="D", color=_PRESETS["best"]),

@@ -13,6 +13,10 @@ from scan2albedo.benchmarks.pareto import knee, pareto_front
 from scan2albedo.benchmarks.sweep import ErrorKind, Point
 
 _NAME_WIDTH = 40
+_COLUMNS = (
+    *("stage", "method", "knob", "value", "error_name", "unit", "error", "worst"),
+    *("cpu_s", "wall_s", "evaluations", "front", "knee"),
+)
 
 
 @dataclass(frozen=True)
@@ -139,23 +143,7 @@ def csv_text(reports: Sequence[StageReport]) -> str:
     """Return one row for each point and kind of error."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        [
-            "stage",
-            "method",
-            "knob",
-            "value",
-            "error_name",
-            "unit",
-            "error",
-            "worst",
-            "cpu_s",
-            "wall_s",
-            "evaluations",
-            "front",
-            "knee",
-        ]
-    )
+    writer.writerow(_COLUMNS)
     for report in reports:
         for number, kind in enumerate(report.errors):
             front, bend = report.front(number), report.knee(number)
