@@ -14,7 +14,8 @@ def benchmark(
     stages: Annotated[
         list[str] | None,
         typer.Argument(
-            help="register, fit, geometry_image, albedo, weights, glasses; all when omitted.", metavar="[STAGE...]"
+            help="register, fit, geometry_image, albedo, weights, glasses; all when omitted.",
+            metavar="[STAGE...]",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables, curves and figure.")] = Path(
@@ -46,7 +47,7 @@ def benchmark(
             quick=quick,
             repeats=repeats,
             budgets=budgets,
-            on_point=lambda stage, p: progress.say(f"{stage}: {p.name}: {p.errors[0]:.4g}, {p.cpu_s:.3f} s CPU"),
+            on_point=lambda stage, point: progress.say(f"{stage}: {point.line()}"),
             on_budget=lambda row: progress.say(row.text()),
         )
         files = write_benchmarks(report, out)

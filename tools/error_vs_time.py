@@ -19,8 +19,8 @@ from typing import Any
 
 from scan2albedo.benchmarks.albedo import judged as judged_albedo
 from scan2albedo.benchmarks.fitting import mesh_peers
-from scan2albedo.benchmarks.glasses import WornGlasses, rms_mm_of
-from scan2albedo.benchmarks.measurement import Cost, timed
+from scan2albedo.benchmarks.glasses import WornGlasses, rms_mm
+from scan2albedo.benchmarks.measurement import timed
 from scan2albedo.benchmarks.run import STAGES, run_benchmarks, write_benchmarks
 from scan2albedo.benchmarks.sweep import Outcome, Peer
 from scan2albedo.synthetic import SyntheticScene
@@ -51,10 +51,10 @@ def glasses_peers() -> list[Peer]:
 
     def peer(iterations: int) -> Peer:
         def run(scene: WornGlasses) -> Outcome:
-            problem = SameLoss(scene.worn, scene.seed)
+            problem = SameLoss(scene)
             state, cost = timed(lambda: problem.adam_state(ADAM_STEP_MM, iterations))
             vertices = problem.vertices(state)
-            return Outcome(cost, (rms_mm_of(vertices, scene.worn),), iterations)
+            return Outcome(cost, (rms_mm(vertices, scene.worn),), iterations)
 
         return Peer(f"Adam, {iterations} steps", run)
 
@@ -83,9 +83,7 @@ def main() -> None:
         repeats=arguments.repeats,
         budgets=not arguments.no_budgets,
         more_peers=more,
-        on_point=lambda stage, p: print(
-            f"{stage}: {p.name}: {p.errors[0]:.4g}, {p.cpu_s:.3f} s CPU", file=sys.stderr, flush=True
-        ),
+        on_point=lambda stage, p: print(f"{stage}: {p.line()}", file=sys.stderr, flush=True),
         on_budget=lambda row: print(row.text(), file=sys.stderr, flush=True),
     )
     files = write_benchmarks(report, arguments.out)

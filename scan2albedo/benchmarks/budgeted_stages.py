@@ -59,7 +59,7 @@ def _fit(quick: bool) -> BudgetedStage:
     points = scene.model.subdivision(2).matrix
 
     def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        found = fit(scene.scan, scene.model, scene.model_from_scan, budget, on_progress=on_progress)
+        found = fit(scene.scan, scene.model, scene.found_pose, budget, on_progress=on_progress)
         surface = found.vertices, found.faces
         outcome = judged(scene, surface, points @ found.control_points, 2, found.model_from_scan, Cost(0, 0))
         return outcome.errors[0]
@@ -122,9 +122,9 @@ def _glasses(quick: bool) -> BudgetedStage:
     options = FaceRegistrationOptions()
 
     def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        return rms_mm(registered(scene, options, budget, on_progress), scene.worn)
+        return rms_mm(registered(scene, options, budget, on_progress).vertices, scene.worn)
 
-    start = rms_mm(registered(scene, options, Budget(evaluations=1)), scene.worn)
+    start = rms_mm(registered(scene, options, Budget(evaluations=1)).vertices, scene.worn)
     return BudgetedStage("glasses", "mm", run, start)
 
 

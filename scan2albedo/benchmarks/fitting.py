@@ -66,7 +66,7 @@ def _settings(quick: bool) -> list[Setting]:
 
 
 def _run(scene: ScanScene, setting: Setting) -> Outcome:
-    pose, options = scene.model_from_scan, setting.options
+    pose, options = scene.found_pose, setting.options
 
     def work():  # type: ignore[no-untyped-def]
         return fit(scene.scan, scene.model, pose, setting.budget, options=options)
@@ -108,7 +108,7 @@ def judged(
 def rigid_only(scene: ScanScene) -> Outcome:
     """Return the errors of the model as it is, in the pose given."""
     surface = scene.model.surface(_PEER_LEVEL)
-    return judged(scene, surface, surface[0], _PEER_LEVEL, scene.model_from_scan, Cost(1e-3, 1e-3))
+    return judged(scene, surface, surface[0], _PEER_LEVEL, scene.found_pose, Cost(1e-3, 1e-3))
 
 
 def _peers(quick: bool) -> list[Peer]:
@@ -139,7 +139,7 @@ def _mesh_peer(name: str, python: str) -> Callable[[ScanScene], Outcome]:
             with np.load(target) as found:
                 vertices, cost = found["vertices"].astype(float), Cost(float(found["cpu_s"]), float("nan"))
         faces = scene.model.surface(_PEER_LEVEL)[1]
-        return judged(scene, (vertices, faces), vertices, _PEER_LEVEL, scene.model_from_scan, cost)
+        return judged(scene, (vertices, faces), vertices, _PEER_LEVEL, scene.found_pose, cost)
 
     return run
 
@@ -149,7 +149,7 @@ def _write_peer_input(scene: ScanScene, path: Path) -> None:
     low, high = rest.min(0), rest.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
     scan = scene.scan
-    near = scan_near_model(scan.vertices, scan.faces, scene.model_from_scan, low - margin, high + margin)
+    near = scan_near_model(scan.vertices, scan.faces, scene.found_pose, low - margin, high + margin)
     assert near is not None
     np.savez(path, vertices=rest, faces=faces, scan_vertices=near.vertices, scan_faces=near.faces)
 

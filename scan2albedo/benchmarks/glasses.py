@@ -65,9 +65,9 @@ def registered(
     )
 
 
-def rms_mm(found: RegisteredEyeglasses, worn: Wearer) -> float:
-    """Return the rms distance of the vertices that the head leaves visible in some view."""
-    return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[worn.seen] ** 2).mean()))
+def rms_mm(vertices: FloatArray, worn: Wearer) -> float:
+    """Return the rms distance of the vertices (V, 3) that the head leaves visible in some view."""
+    return float(np.sqrt((np.linalg.norm(vertices - worn.vertices, axis=1)[worn.seen] ** 2).mean()))
 
 
 def _settings(quick: bool) -> list[Setting]:
@@ -89,7 +89,7 @@ def _settings(quick: bool) -> list[Setting]:
 
 def _run(scene: WornGlasses, setting: Setting) -> Outcome:
     found, cost = timed(lambda: registered(scene, setting.options, setting.budget))
-    return Outcome(cost, (rms_mm(found, scene.worn),), found.iterations)
+    return Outcome(cost, (rms_mm(found.vertices, scene.worn),), found.iterations)
 
 
 def _peers(quick: bool) -> list[Peer]:

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.identity import Expression
 
@@ -47,8 +49,16 @@ class ScanScene:
 
     @property
     def surface(self) -> FloatArray:
-        """(N, 3) points of the true surface in the truth's frame, mm."""
-        return self.truth.image.position[self.truth.image.mask].astype(np.float64)
+        """(N, 3) points of the true surface in the truth's frame, mm, without the film between the lips."""
+        image = self.truth.image
+        assert image.region is not None
+        film = image.region == list(self.model.regions).index(MOUTH_REGION)
+        return image.position[image.mask & ~film].astype(np.float64)
+
+    @cached_property
+    def found_pose(self) -> FloatArray:
+        """(4, 4) the pose that the registration finds: what the fit is given."""
+        return register(self.scan, self.model).model_from_scan
 
     def limit_points(self, level: int) -> FloatArray:
         """Return the true places (V, 3) of the model's surface vertices of a level, in the truth's frame."""

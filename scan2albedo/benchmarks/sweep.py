@@ -113,6 +113,10 @@ class Point:
         """Whether it is a setting of this library."""
         return self.method == OURS
 
+    def line(self) -> str:
+        """Return error and time as a line of progress."""
+        return f"{self.name}: {self.errors[0]:.4g}, {self.cpu_s:.3f} s CPU"
+
     @property
     def name(self) -> str:
         """The setting, or the peer's name."""
