@@ -11,6 +11,7 @@ import typer
 
 from scan2albedo.applications_cli import add_commands
 from scan2albedo.batch_cli import batch
+from scan2albedo.benchmark_cli import benchmark
 from scan2albedo.cli_tools import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -51,6 +52,7 @@ add_commands(app)
 app.command()(identify)
 app.command()(batch)
 app.command()(report)
+app.command()(benchmark)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 

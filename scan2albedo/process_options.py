@@ -58,10 +58,14 @@ class ProcessOptions:
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
         check_stage_names(self.skip, self.force)
-        preset = quality_of(self.quality)
-        check_choices(preset.size if self.size is None else self.size, self.lights, self.brdf, self.unit)
+        check_choices(self.texels, self.lights, self.brdf, self.unit)
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}, expected a whole number >= 0")
+
+    @property
+    def texels(self) -> int:
+        """Height and width of the geometry image: as asked for, or that of the preset."""
+        return quality_of(self.quality).size if self.size is None else self.size
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `process`."""
