@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan2albedo import applications, eyeglasses, recognition, reflectance, synthetic
+    from scan2albedo import applications, batch, eyeglasses, recognition, reflectance, report, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
@@ -55,7 +55,7 @@ _HOMES = {
     "read_geometry_image": "io",
     "register": "registration",
 }
-_SUBPACKAGES = ("applications", "eyeglasses", "recognition", "reflectance", "synthetic")
+_SUBPACKAGES = ("applications", "batch", "eyeglasses", "recognition", "reflectance", "report", "synthetic")
 
 __all__ = [
     "AlbedoEstimate",
@@ -74,6 +74,7 @@ __all__ = [
     "__version__",
     "albedo_error",
     "applications",
+    "batch",
     "estimate_albedo",
     "eyeglasses",
     "fit",
@@ -85,6 +86,7 @@ __all__ = [
     "recognition",
     "reflectance",
     "register",
+    "report",
     "synthetic",
 ]
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from scan2albedo.applications_cli import add_commands
+from scan2albedo.batch_cli import batch
+from scan2albedo.benchmark_cli import benchmark
 from scan2albedo.cli_tools import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -31,6 +33,7 @@ from scan2albedo.process_flags import (
     with_process_flags,
 )
 from scan2albedo.reflectance_cli import app as reflectance_app
+from scan2albedo.report_cli import report
 
 if TYPE_CHECKING:
     from scan2albedo.process_options import ProcessOptions
@@ -47,6 +50,9 @@ app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
+app.command()(batch)
+app.command()(report)
+app.command()(benchmark)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from scan2albedo.choices import check_choices, check_stage_names
 from scan2albedo.optimization import Budget
 from scan2albedo.quality import quality_of
 
@@ -51,15 +50,22 @@ class ProcessOptions:
     pictures: bool = True
 
     def __post_init__(self) -> None:
+        # Imported here: it loads compiled code, which a process that only passes options on need not have.
+        from scan2albedo.choices import check_choices, check_stage_names
+
         object.__setattr__(self, "model", str(self.model))
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
         check_stage_names(self.skip, self.force)
-        preset = quality_of(self.quality)
-        check_choices(preset.size if self.size is None else self.size, self.lights, self.brdf, self.unit)
+        check_choices(self.texels, self.lights, self.brdf, self.unit)
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}, expected a whole number >= 0")
+
+    @property
+    def texels(self) -> int:
+        """Height and width of the geometry image: as asked for, or that of the preset."""
+        return quality_of(self.quality).size if self.size is None else self.size
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `process`."""

@@ -15,6 +15,8 @@ BoolArray = NDArray[np.bool_]
 _AROUND = 3
 """Pixels each way whose uncovered ones tell where outside is."""
 
+_PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
+
 
 @dataclass(frozen=True)
 class Coverage:
@@ -38,6 +40,17 @@ class Outline:
     """(N, 3) on the surface, perspective taken out."""
     outward: FloatArray
     """(N, 2) unit vectors in the picture, away from the mask."""
+
+    def thinned(self, stride: int) -> Outline:
+        """Return one in `stride` of the pixels, spread evenly whichever way the outline runs.
+
+        Pixels p are chosen by the fractional part of p . (1 / g, 1 / g^2), g the plastic number, which is
+        spread evenly along rows, columns and diagonals alike.
+        """
+        if stride == 1:
+            return self
+        kept = self.pixels @ _PLASTIC % 1.0 < 1.0 / stride
+        return Outline(self.pixels[kept], self.face[kept], self.barycentric[kept], self.outward[kept])
 
 
 def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]) -> Coverage:
