@@ -39,10 +39,14 @@ class WrittenReport:
     """Where a report is and what it tells."""
 
     path: Path
+    """Of the page."""
     scans: int
     """In the table, or 1."""
     done: int
+    """Of them."""
     failed: int
+    """Of them."""
     sections: int
     """Scans that have a section of their own."""
     size_bytes: int
+    """Of the page."""
