@@ -1,9 +1,11 @@
 """README and the pages of docs/ say nothing that is not so."""
 
+import dataclasses
 import re
 import shlex
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ COMING = {"batch.md", "quality_and_budgets.md", "stability.md"}
 ORDER = ["registration", "fitting", "geometry_image", "light_and_albedo", "face_model", "applications"]
 ORDER += ["recognition", "eyeglasses", "reflectance", "files"]
 """Python blocks use what those of earlier pages made; other pages come last."""
+YOURS = {"out", "scans", "masks", "frames", "fits", "photographs"}
+"""Folders of the reader's own."""
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
@@ -138,10 +142,8 @@ def python_files(folder: str) -> tuple[Path, ...]:
 @every_page
 def test_named_folders_and_files_exist(page):
     for folder in re.findall(r"`((?:\w+/)*\w+)/`", text_of(page)):
-        assert any((base / folder).is_dir() for base in (ROOT / "scan2albedo", ROOT)) or folder in (
-            "out/subject",
-            "out/<scan name>",
-        ), folder
+        there = any((base / folder).is_dir() for base in (ROOT / "scan2albedo", ROOT))
+        assert there or folder.partition("/")[0] in YOURS, folder
     for script in re.findall(r"`((?:examples|tools|tests|data_schemas)/[\w./]+)`", text_of(page)):
         assert (ROOT / script).exists(), script
     package = {path.name for folder in ("scan2albedo", "tools", "examples") for path in python_files(folder)}
@@ -166,6 +168,83 @@ def test_relative_links_and_images_exist(page):
             continue
         assert file.exists(), target
         assert not anchor or anchor in anchors(file), target
+
+
+PLACES = {
+    "albedo": ["EstimateOptions"],
+    "applications": ["RelightOptions", "SwapOptions", "TransferOptions"],
+    "eyeglasses": [
+        "CanonicalizationOptions",
+        "WeightOptions",
+        "FaceRegistrationOptions",
+        "LensPictureOptions",
+    ],
+    "fitting": ["FitOptions"],
+    "recognition": ["SimilarityOptions", "TemplateOptions"],
+    "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
+    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions"],
+    "registration": ["RegistrationOptions"],
+    "sampling": ["LookupOptions"],
+    "sampling.model_free": ["ModelFreeOptions"],
+}
+"""Where the options that pages name are."""
+BARE = {"registration": "RegistrationOptions", "fitting": "FitOptions", "light_and_albedo": "EstimateOptions"}
+BARE["recognition"] = "TemplateOptions"
+"""Whose options a page's table lists before it names a class."""
+
+
+def option_classes() -> dict[str, type]:
+    return {
+        name: getattr(import_module(f"scan2albedo.{place}"), name)
+        for place, names in PLACES.items()
+        for name in names
+    }
+
+
+def named_defaults(page: Path, classes: dict[str, type]) -> Iterator[tuple[str, list[object], str]]:
+    """Each row of a page's tables of options: what it names, their defaults, and what it says they are."""
+    owner = BARE.get(page.stem)
+    for row in re.findall(r"^\| (`.*) \|$", text_of(page), re.MULTILINE):
+        first, said = row.split(" | ")[:2]
+        values = []
+        for named, option in re.findall(
+            r"`(?:(\w+Options)?\.)?(\w+)(?:=[^`]*)?`", first.partition(", file key")[0]
+        ):
+            owner = named or owner
+            fields = (
+                {} if owner is None else {field.name: field for field in dataclasses.fields(classes[owner])}
+            )
+            assert not named or option in fields, f"{named} has no {option}"
+            if option in fields:
+                values.append(fields[option].default)
+        if values:
+            yield first, values, said
+
+
+def test_defaults_in_tables_are_those_of_the_options():
+    classes, checked = option_classes(), 0
+    for page in PAGES:
+        for first, defaults, said in named_defaults(page, classes):
+            if re.search(r"command|in `|by evidence|broad|objective", said + first):
+                continue
+            checked += 1
+            numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", repr(defaults))]
+            told = [
+                float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", said.replace(",0", "0"))
+            ]
+            if numbers:
+                assert told[: len(numbers)] == pytest.approx(numbers), first
+            else:
+                assert all(str(default).lower() in said.lower() for default in defaults), first
+    assert checked > 60
+
+
+@every_page
+def test_tables_have_as_many_cells_in_each_row(page):
+    prose = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    for table in re.findall(r"(?:^\|.*\n)+", prose, re.MULTILINE):
+        cells = {line.replace("\\|", "").count("|") for line in table.splitlines()}
+        assert len(cells) == 1, table.splitlines()[0]
 
 
 def test_every_page_is_in_the_index():
