@@ -52,11 +52,21 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
         "draft": Quality(
             "draft",
             size=256,
-            fit=FitOptions(levels=(0, 0, 0, 1, 1), finest_level=0, steps=6),
-            albedo=EstimateOptions(sizes=(32, 64), starts=1, start_directions=30, maximal_lights=2),
+            registration=RegistrationOptions(
+                rotation_count=100, anchor_spacing_mm=45.0, kept_starts=60, candidates=4
+            ),
+            fit=FitOptions(levels=(0, 0, 1), finest_level=0),
+            albedo=EstimateOptions(
+                sizes=(32, 64), start_directions=30, descent_iterations=8, maximal_lights=2
+            ),
         ),
         "standard": Quality("standard"),
-        "best": Quality("best"),
+        "best": Quality(
+            "best",
+            size=1024,
+            fit=FitOptions(steps=20, gain_tolerance=0.001),
+            albedo=EstimateOptions(sizes=(128, 256), starts=6, start_directions=120, descent_iterations=20),
+        ),
     }
 )
 """The presets by name; `tools/bench_quality.py` measures each one's error and time."""

@@ -133,6 +133,8 @@ def test_a_table_that_would_be_too_long_keeps_failures(tmp_path):
     assert section.rows_left_out == 90
     assert {"90", "50"} <= {row.name for row in section.rows}
     assert section.counts == {"done": 99, "failed": 1}
+    running = batch_section([ScanRow("a", "running")], {}, tmp_path / "page.html", 10)
+    assert running.counts == {"done": 0, "running": 1}
 
 
 def test_distributions_count_the_scans_that_are_done(tmp_path):

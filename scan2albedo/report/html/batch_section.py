@@ -111,10 +111,9 @@ def batch_section(
         shown = sorted(first)  # type: ignore[assignment]
     reasons = Counter(row.reason for row in rows if row.status == FAILED).most_common()
     counts = Counter(row.status for row in rows)
+    states = dict.fromkeys((DONE, FAILED, NOT_RUN, *counts))
     return BatchSection(
-        counts={
-            status: counts[status] for status in (DONE, FAILED, NOT_RUN) if counts[status] or status == DONE
-        },
+        counts={s: counts[s] for s in states if counts[s] or s == DONE},
         total=len(rows),
         facts=_facts(rows),
         reasons=tuple(reasons[:_MOST_REASONS]),

@@ -113,7 +113,7 @@ def seconds_text(seconds: float | None) -> str:
     """Return a duration.
 
     >>> [seconds_text(s) for s in (1e-5, 0.25, 37.67, 754.0, 12345.0)]
-    ['0 s', '0.25 s', '37.7 s', '12 min 34 s', '3 h 26 min']
+    ['0 s', '0.25 s', '37.7 s', '12 min 34 s', '3 h 25 min']
     """
     if seconds is None:
         return "–"
