@@ -37,7 +37,8 @@ def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
     assert stamps(out / "same") == before
     assert (report.progress.kept, report.files_verified, report.progress.done) == (1, 2, 5)
     assert told[0].note == (
-        "kept 1 (hashes verified), 7 to do (1 with a changed scan, 2 with changed or missing files, 1 not run, "
+        "kept 1 (hashes verified), 7 to do "
+        "(1 with a changed scan, 2 with changed or missing files, 1 not run, "
         "1 without their scan, 2 failed before)"
     )
     rows = {row["name"]: row for row in load_catalogue(out).to_pylist()}
