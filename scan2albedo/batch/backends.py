@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -88,28 +89,42 @@ def cluster(address: str, died: Callable[[Any, str], Any]) -> Iterator[tuple[job
         ) from error
 
     class SurvivingDask(DaskDistributedBackend):
-        """joblib's dask backend, which would wait for ever for a task that dask gave up."""
+        """joblib's dask backend, with every end of a task told.
+
+        joblib's own waits for ever when dask gives a task up, or loses its result with a worker.
+        """
+
+        def start_call(self) -> None:
+            self._pending: set[Any] = set()
+
+        def stop_call(self) -> None:
+            self._pending.clear()
+
+        def abort_everything(self, ensure_ready: bool = True) -> None:
+            self._pending.clear()  # dask forgets tasks that nobody refers to
 
         def effective_n_jobs(self, n_jobs: int) -> int:
             # Two at least: for one worker joblib would process the scans in the caller's process.
             return max(super().effective_n_jobs(n_jobs), 2)
 
-        def submit(self, func: Any, callback: Callable[[Any], None] | None = None) -> Any:
-            future = super().submit(func, callback)
-            task = func.items[0][1][0]
+        def submit(self, func: Any, callback: Callable[[Any], None]) -> Any:
+            ((work, (task,), _),) = func.items
+            future = self.client.submit(work, task, key=f"{task.name}-{secrets.token_hex(8)}", pure=False)
+            self._pending.add(future)
 
             def tell(ended: Any) -> None:
-                error = ended.exception()
-                if error is not None and callback is not None:
-                    callback(_Lost(task, error))
+                self._pending.discard(ended)
+                try:
+                    result = ended.result()
+                except Exception as error:  # noqa: BLE001  whatever it is, the scan has ended by it
+                    result = died(task, _reason(error))
+                callback(result)
 
             future.add_done_callback(tell)
             return future
 
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if isinstance(out, _Lost):
-                return [died(out.task, _reason(out.error))]
-            return super().retrieve_result_callback(out)
+        def retrieve_result_callback(self, out: Any) -> list[Any]:
+            return [out]
 
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
@@ -123,13 +138,6 @@ def cluster(address: str, died: Callable[[Any, str], Any]) -> Iterator[tuple[job
             )
         with joblib.parallel_config(backend=SurvivingDask(client=client)):
             yield joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="all"), workers
-
-
-class _Lost:
-    """A task that dask gave up, and why."""
-
-    def __init__(self, task: Any, error: BaseException) -> None:
-        self.task, self.error = task, error
 
 
 def _reason(error: BaseException) -> str:

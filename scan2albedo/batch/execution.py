@@ -96,11 +96,12 @@ def _took_too_long(task: ScanTask, begun: float) -> bool:
 
 def _alone(task: ScanTask, layout: Layout) -> BatchScanRecord:
     try:
-        return list(_processed([task], 1))[0]
+        (row,) = _processed([task], 1)
+        return row
     except BrokenProcessPool as error:
-        row = _ended([task], layout).get(task.name)
-        if isinstance(row, BatchScanRecord):
-            return row
+        ended = _ended([task], layout).get(task.name)
+        if isinstance(ended, BatchScanRecord):
+            return ended
         return _failed(task, layout, f"its worker died twice ({_exit_codes(error)}): {_CAUSES}")
 
 
@@ -118,7 +119,8 @@ def run_on_cluster(
 ) -> Iterator[BatchScanRecord]:
     """Yield the record of each task as it is finished by the workers of a dask scheduler.
 
-    A scan whose worker dies is given to others as often as the scheduler allows, and has failed then.
+    A scan whose worker dies is given to others as often as the scheduler allows, and has failed then. The
+    scheduler blames scans that waited at such workers too; those that were never begun are tried again.
     `on_jobs` is called with the number of workers.
 
     Raises
@@ -132,19 +134,32 @@ def run_on_cluster(
 
     from scan2albedo.batch.backends import cluster
 
-    def died(task: ScanTask, reason: str) -> BatchScanRecord | None:
+    def died(task: ScanTask, reason: str) -> BatchScanRecord | ScanTask | None:
         if not reason.startswith("KilledWorker"):
-            return None  # the scheduler itself is gone
+            return None
         begun = layout.started_at(task.name)
-        late = "" if begun is None or not _took_too_long(task, begun) else "; it takes longer than --timeout"
+        if begun is None:
+            return task
+        late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
         return _failed(task, layout, f"its workers died each time it was tried: {_CAUSES}{late} ({reason})")
 
-    with _quiet(), cluster(address, died) as (parallel, workers):
-        on_jobs(workers)
-        for row in parallel(delayed(worker.process_task)(task) for task in tasks):
-            if row is None:
-                raise BatchError(f"the dask scheduler at {address} is gone; --resume goes on with another")
-            yield row
+    waiting = list(tasks)
+    while waiting:
+        again: list[ScanTask] = []
+        with _quiet(), cluster(address, died) as (parallel, workers):
+            on_jobs(workers)
+            for ended in parallel(delayed(worker.process_task)(task) for task in waiting):
+                if isinstance(ended, BatchScanRecord):
+                    yield ended
+                elif ended is not None:
+                    again.append(ended)
+                else:
+                    raise BatchError(
+                        f"the dask scheduler at {address} is gone; --resume goes on with another"
+                    )
+        if len(again) == len(waiting):
+            raise BatchError(f"the workers of {address} die before they begin a scan; see their logs")
+        waiting = again
 
 
 def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:

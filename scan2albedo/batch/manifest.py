@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import StringIO
@@ -61,10 +62,11 @@ class ManifestScan:
         """
         given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
         try:
-            if "seed" in given:
-                given["seed"] = int(given["seed"])
-            if given.get("lights", "auto") != "auto":
-                given["lights"] = int(given["lights"])
+            for name in {"seed", "lights"} & given.keys():
+                if re.fullmatch("-?[0-9]+", given[name]):
+                    given[name] = int(given[name])
+                elif name == "seed":
+                    raise ValueError(f"seed is {given[name]!r}, expected a whole number >= 0")
             chosen = replace(batch, **given)
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error

@@ -1,5 +1,6 @@
 """The same batch on a dask cluster."""
 
+import json
 import threading
 import time
 
@@ -21,7 +22,7 @@ def cluster():
         processes=True,
         threads_per_worker=1,
         host="127.0.0.1",
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         silence_logs="CRITICAL",
     ) as cluster:
         yield cluster
@@ -36,13 +37,10 @@ def test_a_worker_process_is_killed_in_the_middle(scans_in, tmp_path, quick_stag
     killed = []
 
     def kill_once():
-        while not (layout.running / "sleeps").exists():
+        while not quick_stages("sleeps"):
             time.sleep(0.05)
-        import json
-
-        pid = json.loads((layout.running / "sleeps").read_text())["pid"]
-        psutil.Process(pid).kill()
-        killed.append(pid)
+        killed.append(json.loads((layout.running / "sleeps").read_text())["pid"])
+        psutil.Process(killed[0]).kill()
 
     killer = threading.Thread(target=kill_once)
     killer.start()
