@@ -167,3 +167,22 @@ def test_a_million_vertices_are_sampled(ict, model):
     turn = np.degrees(rotation_angle_rad(registration.model_from_scan[:3, :3]))
     assert turn < 10
     assert registration.confidence > 0.5
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"candidates": 0}, {"coarse_iterations": (4, 0)}, {"icp_iterations": -1}, {"kept_starts": 0}],
+)
+def test_options_that_search_nothing_are_refused(changes):
+    with pytest.raises(ValueError, match=f"{next(iter(changes))} is "):
+        RegistrationOptions(**changes)
+
+
+def test_more_iterations_settle_nearer_to_the_fixed_point(registered, model):
+    example, registration = registered
+    poses = [
+        register(example.scan, model, options=RegistrationOptions(settling_iterations=n)).model_from_scan
+        for n in (1, 100)
+    ]
+    change = [np.abs(pose - registration.model_from_scan).max() for pose in poses]
+    assert change[1] < change[0]

@@ -15,7 +15,9 @@ BoolArray = NDArray[np.bool_]
 _AROUND = 3
 """Pixels each way whose uncovered ones tell where outside is."""
 
-_PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
+_SPREAD = np.array([0.63131, 0.52854])
+"""Numbers whose sums, differences and multiples have fractional parts that are spread evenly; found by trying
+thousands for ten ways that an outline may run."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,11 @@ class Outline:
     def thinned(self, stride: int) -> Outline:
         """Return one in `stride` of the pixels, spread evenly whichever way the outline runs.
 
-        Pixels p are chosen by the fractional part of p . (1 / g, 1 / g^2), g the plastic number, which is
-        spread evenly along rows, columns and diagonals alike.
+        Pixels are chosen by the fractional part of a sum of multiples of column and row.
         """
         if stride == 1:
             return self
-        kept = self.pixels @ _PLASTIC % 1.0 < 1.0 / stride
+        kept = self.pixels @ _SPREAD % 1.0 < 1.0 / stride
         return Outline(self.pixels[kept], self.face[kept], self.barycentric[kept], self.outward[kept])
 
 
