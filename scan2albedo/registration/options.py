@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class RegistrationOptions:
@@ -36,3 +38,14 @@ class RegistrationOptions:
     """Side of the annealing's depth images in pixels."""
     force_annealing: bool = False
     """Anneal, and take its pose where the surface distance falls; else ICP's pose is the answer."""
+
+    def __post_init__(self) -> None:
+        for name in ("scan_spacing_mm", "model_spacing_mm", "anchor_spacing_mm", "cone_deg"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be finite and above 0, got {getattr(self, name)}")
+        for name in ("rotation_count", "anchor_limit", "candidates", "annealing_size"):
+            if not getattr(self, name) >= 1:
+                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        for name in ("more_candidates", "annealing_evaluations", "coverage_needed", "certainty_needed"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
