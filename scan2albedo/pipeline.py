@@ -18,7 +18,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.template_file import TEMPLATE_FILES, model_from_file
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.io import GeometryImage, RawScan, load_scan
-from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace, checked_seed
 from scan2albedo.process_result import ProcessResult
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
@@ -85,11 +85,11 @@ def process(
         results cannot be written.
     ValueError
         For an unknown stage, BRDF or unit name, a stage that cannot be skipped or forced, or is both, a
-        size or number of lights out of range.
+        size or number of lights out of range, a seed or budget that is none.
     """
     check_stage_names(skip, force)
     check_choices(size, lights, brdf, unit)
-    run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), seed, on_progress)
+    run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), checked_seed(seed), on_progress)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         from scan2albedo.result_files import check_writable
