@@ -104,9 +104,7 @@ def model_from_surface(
     )
 
 
-def _cleaning_notes(
-    surface: TemplateSurface, template: CleanTemplate, offset: FloatArray
-) -> tuple[str, ...]:
+def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:
     """Return what was done to the template, and how far the limit surface stays from it where that is much."""
     cut = len(surface.faces) - int((~template.filled).sum())
     apart = np.linalg.norm(offset[template.source], axis=1)

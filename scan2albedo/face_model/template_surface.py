@@ -81,7 +81,9 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     xyz = (given - origin) * UNITS_MM[unit]
     welded = _welded(xyz, index)
     if len(welded) == 0:
-        raise ModelError(f"{name}: every face of the template has zero area; it holds no surface: export it again")
+        raise ModelError(
+            f"{name}: every face of the template has zero area; it holds no surface: export it again"
+        )
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
     notes = (

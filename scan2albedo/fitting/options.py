@@ -97,13 +97,17 @@ class FitOptions:
                 raise ValueError(f"{name} must be finite and 0 or more, got {getattr(self, name)}")
         for name in ("bending_mm", "membrane_mm", "gate_mm", "min_robust_mm"):
             if not all(0 <= end < inf for end in getattr(self, name)):
-                raise ValueError(f"{name} must be finite and 0 or more at both ends, got {getattr(self, name)}")
+                raise ValueError(
+                    f"{name} must be finite and 0 or more at both ends, got {getattr(self, name)}"
+                )
         for name in ("tangential", "min_normal_cosine", "min_coverage"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
         low, high = self.scale_range
         if not 0 < low <= high < inf:
-            raise ValueError(f"scale_range must be a least and a greatest size above 0, got {self.scale_range}")
+            raise ValueError(
+                f"scale_range must be a least and a greatest size above 0, got {self.scale_range}"
+            )
         if isnan(self.gain_tolerance):
             raise ValueError("gain_tolerance is NaN, expected a share of the error")
 

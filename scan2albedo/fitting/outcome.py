@@ -22,8 +22,8 @@ FloatArray = NDArray[np.float64]
 
 MOST_IMBALANCE_MM = 0.2
 """Fits that ran to their end are within 0.03 mm of balance, on noise of 1 mm within 0.1 mm."""
-MOST_STRAIN = 0.15
-"""Faces, expressions included, end at 0.04 to 0.07; poses that are upside down, or planes, at 0.17 and more."""
+MOST_STRAIN = 0.12
+"""Faces, expressions included, end at 0.04 to 0.07; poses that are upside down, or planes, at 0.14 and more."""
 
 
 def fitted_face(
@@ -107,7 +107,9 @@ def _metrics(vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdiv
 def _strain(before: FloatArray, after: FloatArray, faces: NDArray[np.int64]) -> float:
     """Return the RMS of log(length after / length before) over the edges of the control mesh."""
     edges, _ = edges_with_faces(faces)
-    lengths = [np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (before, after)]
+    lengths = [
+        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (before, after)
+    ]
     floor = 1e-6 * float(lengths[0].mean())
     return float(np.sqrt(np.mean(np.log(np.maximum(lengths[1], floor) / np.maximum(lengths[0], floor)) ** 2)))
 

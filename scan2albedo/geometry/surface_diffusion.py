@@ -73,7 +73,9 @@ def surface_diffusion(
         if given.ndim == 0 or len(given) != len(vertices):
             raise ValueError(f"values have shape {given.shape}, expected ({len(vertices)}, ...)")
         if not np.isfinite(given).all():
-            raise ValueError(f"{int((~np.isfinite(given)).sum())} values are NaN or infinite, and would spread")
+            raise ValueError(
+                f"{int((~np.isfinite(given)).sum())} values are NaN or infinite, and would spread"
+            )
         flat = given.reshape(len(given), int(np.prod(given.shape[1:])))
         if deviation_mm == 0:
             return given.copy()
