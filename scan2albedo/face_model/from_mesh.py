@@ -66,8 +66,8 @@ def model_from_surface(
     name = given.name
     if not control_size >= MIN_CONTROL_SIZE:
         raise ModelError(
-            f"{name}: control_size is {control_size}, but fewer than {MIN_CONTROL_SIZE} control vertices hold no "
-            "face; 1000 are usual"
+            f"{name}: control_size is {control_size}, but fewer than {MIN_CONTROL_SIZE} control vertices "
+            "hold no face; 1000 are usual"
         )
     template = clean_template(surface, name)
     faces = np.array(given.faces, np.int64)
@@ -105,7 +105,7 @@ def model_from_surface(
 
 
 def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:
-    """Return what was done to the template, and how far the limit surface stays from it where that is much."""
+    """Return what was done to the template, and how far the surface stays from it where that is much."""
     cut = len(surface.faces) - int((~template.filled).sum())
     apart = np.linalg.norm(offset[template.source], axis=1)
     told = (
@@ -113,8 +113,8 @@ def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: F
         (template.holes > 0, f"holes filled: {template.holes}"),
         (
             apart.mean() > WIDE_OFFSET_MM,
-            f"the surface keeps {apart.mean():.1f} mm (mean) and {apart.max():.0f} mm (most) from the template; "
-            "a greater control_size follows it better",
+            f"the surface keeps {apart.mean():.1f} mm (mean) and {apart.max():.0f} mm (most) from the "
+            "template; a greater control_size follows it better",
         ),
     )
     return tuple(text for applies, text in told if applies)

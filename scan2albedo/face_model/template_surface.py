@@ -88,11 +88,18 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     mesh, dropped = _manifold(part, name)
     notes = (
         f"unit {unit}",
+        *_note(_far_count(xyz[used]), "vertices far from the rest, which bend the surface: remove them"),
         *_note(len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
         *_note(dropped, "faces dropped at edges with three faces and at pinched points"),
     )
     back = compose(np.eye(3) / UNITS_MM[unit], origin)
     return TemplateSurface(xyz, _outward(xyz, mesh), unit, back, notes)
+
+
+def _far_count(xyz: FloatArray) -> int:
+    """Return how many vertices lie 4 times farther from their median than 98 % of them."""
+    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
+    return int((distance > 4 * np.percentile(distance, 98)).sum())
 
 
 def _note(count: int, text: str) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 MOST_IMBALANCE_MM = 0.2
 """Fits that ran to their end are within 0.03 mm of balance, on noise of 1 mm within 0.1 mm."""
 MOST_STRAIN = 0.12
-"""Faces, expressions included, end at 0.04 to 0.07; poses that are upside down, or planes, at 0.14 and more."""
+"""Faces, expressions included, end at 0.04 to 0.07; faces upside down and planes at 0.14 and more."""
 
 
 def fitted_face(
@@ -117,8 +117,8 @@ def _strain(before: FloatArray, after: FloatArray, faces: NDArray[np.int64]) -> 
 def _warn_of_strain(strain: float, name: str) -> None:
     if strain > MOST_STRAIN:
         warnings.warn(
-            f"{name}: the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by about "
-            "5 %: the pose is wrong, the scan holds no face, or it is very noisy",
+            f"{name}: the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by "
+            "about 5 %: the pose is wrong, the scan holds no face, or it is very noisy",
             UserWarning,
             stacklevel=4,
         )

@@ -45,7 +45,8 @@ class FittedFace:
     model : AnnotatedFaceModel
     metrics : mapping of str to float
         Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
-        (``imbalance_mm``), and the RMS logarithm of how its edges were stretched (``strain``): for result.json.
+        (``imbalance_mm``), and the RMS logarithm of how its edges were stretched (``strain``): for
+        result.json.
     """
 
     vertices: FloatArray

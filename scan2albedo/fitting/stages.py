@@ -191,8 +191,8 @@ def _around_folds(deformation: Deformation, q: FloatArray) -> NDArray[np.bool_]:
 def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     """Return how far (mean, weighted by area) the surface would still move if nothing slowed it.
 
-    That is |d| with (K + H) d = f - K q: next to nothing where stiffness and forces balance, but as much as at
-    the start where too small a time step, or too great a mass, has held the sheet.
+    That is |d| with (K + H) d = f - K q: next to nothing where stiffness and forces balance, but as much as
+    at the start where too small a time step, or too great a mass, has held the sheet.
     """
     options, none = deformation.options, np.zeros(len(q))
     samples, usual = deformation.sampled(options.levels[-1])

@@ -114,7 +114,8 @@ def checked_points(points: ArrayLike) -> FloatArray:
     targets = np.ascontiguousarray(points, np.float64)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
         raise ValueError(
-            f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}; no closest point is known"
+            f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}; no surface point is "
+            "closest to them"
         )
     return targets
 

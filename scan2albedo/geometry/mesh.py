@@ -115,7 +115,7 @@ def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:
 
 
 def _neighbours(faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
-    """Return pairs of faces that share an edge nobody else has, and whether both run along it the same way."""
+    """Return pairs of faces that alone share an edge, and whether both run along it the same way."""
     start, end = faces.ravel().astype(np.int64), faces[:, [1, 2, 0]].ravel().astype(np.int64)
     key = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")

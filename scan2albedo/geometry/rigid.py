@@ -126,8 +126,8 @@ def procrustes(
     total = float(w.sum())
     if not (np.isfinite(x).all() and np.isfinite(y).all() and 0 < total < np.inf):
         raise ValueError(
-            f"{len(x)} pairs of points and weights of sum {total:g} place nothing: points must be finite, and "
-            "at least one must weigh something"
+            f"{len(x)} pairs of points and weights of sum {total:g} place nothing: points must be finite, "
+            "and at least one must weigh something"
         )
     w = w / total
     x_mean, y_mean = w @ x, w @ y

@@ -39,8 +39,8 @@ def surface_diffusion(
     Raises
     ------
     ValueError
-        When `deviation_mm` is negative or not finite, values have another length than V, or vertices or values
-        are not finite.
+        When `deviation_mm` is negative or not finite, values have another length than V, or vertices or
+        values are not finite.
 
     References
     ----------

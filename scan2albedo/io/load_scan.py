@@ -48,7 +48,8 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     ------
     ScanError
         When the file is missing, of an unsupported kind, damaged, without faces, of a size that is no head in
-        any unit, or so far from the origin that its numbers hold no shape. The message names the file, what is wrong and what to do.
+        any unit, or so far from the origin that its numbers hold no shape. The message names the file, what
+        is wrong and what to do.
     ValueError
         For an unknown unit.
     """

@@ -13,6 +13,8 @@ from scan2albedo.geometry.mesh import vertex_components
 LARGEST_COORDINATE = 1e30
 """Beyond it squared areas overflow; only garbage is that large."""
 
+_LARGEST_UV = 1e12
+
 
 @dataclass(frozen=True)
 class RawScan:
@@ -72,8 +74,8 @@ class RawScan:
             )
         if (reach := float(np.abs(vertices).max(initial=0.0))) > LARGEST_COORDINATE:
             raise ScanError(
-                f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is damaged: "
-                "repair or re-export the scan"
+                f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is "
+                "damaged: repair or re-export the scan"
             )
         optional = (
             ("uv", np.float64, (len(faces), 3, 2)),
@@ -84,6 +86,11 @@ class RawScan:
             value = getattr(self, field)
             if value is not None:
                 object.__setattr__(self, field, self._checked(field, value, dtype, shape))
+        if self.uv is not None and (reach := float(np.abs(self.uv).max())) > _LARGEST_UV:
+            raise ScanError(
+                f"{self.name}: a texture coordinate is {reach:.3g}, beyond {_LARGEST_UV:g}, where no fraction "
+                "is left to find a pixel by; leave uv out, or export the scan again"
+            )
         if self.texture_linear is not None and self.texture_linear.size == 0:
             raise ScanError(
                 f"{self.name}: texture_linear has shape {self.texture_linear.shape}, which holds no pixel; "

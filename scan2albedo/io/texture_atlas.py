@@ -93,7 +93,7 @@ def _inside_unit_square(uv: FloatArray, texture: Image) -> tuple[FloatArray, Ima
         return np.clip(uv, 0.0, 1.0), texture, ""
     moved = in_first_period(uv, texture.shape)
     # As floats: absurd coordinates overflow any integer.
-    columns, rows = np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel), 1)
+    columns, rows = (float(n) for n in np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel), 1))
     if columns * rows * texture.shape[0] * texture.shape[1] > _MAX_REPEATED_TEXELS:
         far = int((moved > 1 + texel).any(axis=(1, 2)).sum())
         note = f"texture coordinates of {far} faces span {columns:.4g}x{rows:.4g} repeats: clamped to one"

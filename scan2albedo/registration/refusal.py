@@ -144,9 +144,9 @@ def _inside_out_text(scan: RawScan, best: Candidate) -> str:
     turned = int(turned_against_neighbours(scan.faces).sum())
     if turned > _MIXED_SHARE * len(scan.faces):
         return (
-            f"{scan.name}: {turned} of {len(scan.faces)} triangles are wound against their neighbours, so that "
-            "the face is inside out in part. Reverse the order of their vertices "
-            "(scan2albedo.geometry.mesh.turned_against_neighbours names them; load_scan does it) and try again"
+            f"{scan.name}: {turned} of {len(scan.faces)} triangles are wound against their neighbours, so "
+            "that the face is inside out in part. Reverse the order of their vertices (load_scan does it; "
+            "scan2albedo.geometry.mesh.turned_against_neighbours names them) and try again"
         )
     return (
         f"{scan.name}: the scan is inside out: with its {len(scan.faces)} triangles reversed there is a "
@@ -178,8 +178,8 @@ def warn_of_doubts(
     low, high = _HUMAN_SCALE
     if not low <= scale <= high:
         warnings.warn(
-            f"{scan.name}: the face is {100 * scale:.0f} % of the model's size, which no person's is; check the "
-            "unit of the scan",
+            f"{scan.name}: the face is {100 * scale:.0f} % of the model's size, which no person's is; check "
+            "the unit of the scan",
             UserWarning,
             stacklevel=3,
         )

@@ -119,14 +119,14 @@ def _check_fitted(fitted: Fitted) -> None:
         bad = int((~np.isfinite(values)).any(1).sum())
         if bad:
             raise GeometryImageError(
-                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, and "
-                "check the model"
+                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
+                "and check the model"
             )
     outside = int((np.abs(fitted.uv - 0.5) > 0.5 + _CHART_TOLERANCE).any(1).sum())
     if outside:
         raise GeometryImageError(
-            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which would "
-            "be cut off; scale its uv into [0, 1]"
+            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
+            "would be cut off; scale its uv into [0, 1]"
         )
 
 

@@ -66,8 +66,8 @@ def geometry_image_of_scan(
     raster = rasterize_uv(uv, chart_faces, size)
     if not raster.covered.any():
         raise GeometryImageError(
-            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, and "
-            "remove vertices that lie far from the rest, which shrink it"
+            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, "
+            "and remove vertices that lie far from the rest, which shrink it"
         )
     inside = raster.covered
     position = interpolate(raster, chart_faces, position_of)

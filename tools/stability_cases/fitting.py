@@ -35,7 +35,7 @@ def fitted(
     budget: object = None,
     **options: object,
 ) -> tuple[FittedFace, str]:
-    """Fit a scene, assert that it lies within `most_mm` of the truth on average, and return the figure too."""
+    """Fit a scene, assert that it lies within `most_mm` of the truth (mean), and return the figure too."""
     face = fit(
         scene.scan,
         model(),

@@ -28,7 +28,7 @@ CASES = Cases()
 STAGE = "register"
 
 MOST_DEG, MOST_MM = 3.0, 3.0
-"""Between two people a pose is known to some degrees and mm; whole scans of this person end below half of it."""
+"""Between two people a pose is known to a few degrees; whole scans of this one end below half of it."""
 
 
 def found(scene: Scanned, **settings: object) -> tuple[Registration, str]:

@@ -26,7 +26,7 @@ SEED = 0
 
 @dataclass(frozen=True)
 class Scanned:
-    """A scan and where it truly lies: `model_from_scan` (4, 4), landmarks and surface in the model's frame."""
+    """A scan, its true pose `model_from_scan` (4, 4), and true landmarks and surface in the model's frame."""
 
     scan: RawScan
     model_from_scan: FloatArray
@@ -129,7 +129,7 @@ def with_outlier_triangles(scene: Scanned) -> Scanned:
 
 
 def spoilt(scene: Scanned) -> Scanned:
-    """Return the scan with coincident vertices, slivers of aspect 1e6, zero-area, double and non-manifold faces."""
+    """Return the scan with coincident vertices, slivers (1e6), zero-area, double and non-manifold faces."""
     rng, vertices, faces = np.random.default_rng(0), scene.scan.vertices, scene.scan.faces
     picked = faces[rng.choice(len(faces), 1000, replace=False)]
     first = len(vertices)
@@ -152,5 +152,6 @@ def naming(*patterns: str) -> Iterator[None]:
         yield
     except (Scan2AlbedoError, ValueError) as error:
         for pattern in patterns:
-            assert re.search(pattern, str(error)), f"{pattern!r} is not in: {error}"
+            if not re.search(pattern, str(error)):
+                raise AssertionError(f"{pattern!r} is not in: {error}") from error
         raise
