@@ -88,8 +88,8 @@ class RawScan:
                 object.__setattr__(self, field, self._checked(field, value, dtype, shape))
         if self.uv is not None and (reach := float(np.abs(self.uv).max())) > _LARGEST_UV:
             raise ScanError(
-                f"{self.name}: a texture coordinate is {reach:.3g}, beyond {_LARGEST_UV:g}, where no fraction "
-                "is left to find a pixel by; leave uv out, or export the scan again"
+                f"{self.name}: a texture coordinate is {reach:.3g}, beyond {_LARGEST_UV:g}, where no "
+                "fraction is left to find a pixel by; leave uv out, or export the scan again"
             )
         if self.texture_linear is not None and self.texture_linear.size == 0:
             raise ScanError(

@@ -60,8 +60,8 @@ class Template:
         """
         if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
             raise RegistrationError(
-                f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief to "
-                f"find a face by; it needs at least {_FEWEST_CONTROL_VERTICES}, and some hundred to do it well"
+                f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief "
+                f"to find a face by; it needs at least {_FEWEST_CONTROL_VERTICES}, better some hundred"
             )
         vertices, faces = model.surface(_LEVELS)
         samples = oriented_points(vertices, faces, spacing_mm)
