@@ -113,7 +113,7 @@ def relight(
     Raises
     ------
     ApplicationError
-        For light that is negative or not finite, or a lamp nearer to the origin than part of the face.
+        For ambient light that is negative or not finite, or a lamp nearer to the origin than part of the face.
     ValueError
         For an environment of another shape, or a zero view direction.
 
@@ -156,13 +156,6 @@ def relight(
 def _check_lights(face: ProcessedFace, lights: Sequence[PointLight], ambient: float) -> None:
     reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
     for k, light in enumerate(lights):
-        numbers = (light.azimuth_rad, light.elevation_rad, light.intensity)
-        if not np.isfinite(numbers).all() or np.isnan(light.distance_mm):
-            raise ApplicationError(f"light {k + 1} of {len(lights)} is {light}; its numbers must be finite")
-        if light.intensity < 0:
-            raise ApplicationError(
-                f"light {k + 1} of {len(lights)} has intensity {light.intensity:g}; give 0 or more"
-            )
         if light.distance_mm <= reach:
             raise ApplicationError(
                 f"light {k + 1} of {len(lights)} is {light.distance_mm:g} mm from the origin, but "

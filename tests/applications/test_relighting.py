@@ -170,21 +170,6 @@ def test_the_glb_shines_by_itself_and_keeps_its_place(person, tmp_path):
     assert list(mesh.visual.material.baseColorFactor)[:3] == [0, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("light", "words"),
-    [
-        (PointLight(0, 0, intensity=np.nan), "must be finite"),
-        (PointLight(np.inf, 0), "must be finite"),
-        (PointLight(0, 0, intensity=-0.5), "0 or more"),
-        (PointLight(0, 0, distance_mm=30.0), "place it outside"),
-        (PointLight(0, 0, distance_mm=-1.0), "place it outside"),
-    ],
-)
-def test_impossible_lights_are_refused(person, light, words):
-    with pytest.raises(ApplicationError, match=words):
-        relight(person(0), [light])
-
-
 @pytest.mark.parametrize("azimuth", [20, 60])
 def test_a_coarse_chart_is_not_shaded_by_the_finer_surface_it_stands_for(azimuth):
     """A ball of 24 x 24 texels inside the true one: it is convex, so nothing shades it."""
