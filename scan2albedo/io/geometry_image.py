@@ -23,6 +23,10 @@ _SHAPES = {
 }
 
 
+_LENGTH = 0.01
+"""Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
+
+
 def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
     xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
@@ -36,6 +40,16 @@ def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
             f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
         )
     return xyz, index
+
+
+def _check_lengths(normal: NDArray[np.float64]) -> None:
+    length = np.linalg.norm(normal, axis=1)
+    wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
+    if wrong.any():
+        raise GeometryImageError(
+            f"{int(wrong.sum())} of {len(normal)} normals have lengths from {length[wrong].min():.3g} to "
+            f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
+        )
 
 
 @dataclass(frozen=True)
@@ -67,7 +81,8 @@ class GeometryImage:
     Raises
     ------
     GeometryImageError
-        For shapes that disagree, values that are not finite inside the mask, or an occluder that is no mesh.
+        For shapes that disagree, values that are not finite inside the mask, normals of another length than 1
+        (or 0, where none is known), or an occluder that is no mesh.
     """
 
     position: NDArray[np.float64]
@@ -97,6 +112,7 @@ class GeometryImage:
             value = getattr(self, field)
             if value is not None and not np.isfinite(value[self.mask]).all():
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
+        _check_lengths(self.normal[self.mask])
         if self.occluder is not None:
             object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
 

@@ -152,7 +152,12 @@ def shade_points(
 
 
 def _check_points(
-    position: FloatArray, normal: FloatArray, visible: NDArray, scale: FloatArray, view: FloatArray, lights: int
+    position: FloatArray,
+    normal: FloatArray,
+    visible: NDArray,
+    scale: FloatArray,
+    view: FloatArray,
+    lights: int,
 ) -> None:
     """Refuse what compiled loops would read past the end of, or turn to NaN."""
     count = len(position)

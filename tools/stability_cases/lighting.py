@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from stability_cases.case import Cases, assert_finite
 
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting import PointLight
@@ -18,6 +17,7 @@ from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_harmonics import project_environment
 from scan2albedo.lighting.harmonics import harmonics, harmonics_gradient
 from scan2albedo.lighting.shadow_map import ShadowMap
+from stability_cases.case import Cases, assert_finite
 
 CASES = Cases()
 STAGE = "lighting"
@@ -146,13 +146,20 @@ def _distant() -> str:
     error = float(np.abs(far.light - distant.light).max())
     assert error < 1e-6
     assert np.mean(seen[0] != seen[1]) < 1e-3
-    return f"as a distant one: light within {error:.0e}, shadows differ at {(seen[0] != seen[1]).sum()} points"
+    return (
+        f"as a distant one: light within {error:.0e}, shadows differ at {(seen[0] != seen[1]).sum()} points"
+    )
 
 
 @CASES.extreme(STAGE, "lamp on the surface itself")
 def _touching() -> str:
     position, normal, _ = _sphere()
-    shading = shade_points(position, normal, [PointLight(math.atan2(normal[0, 0], normal[0, 2]), math.asin(normal[0, 1]), 80.0)], Reflectance(specular_strength=1.0))
+    shading = shade_points(
+        position,
+        normal,
+        [PointLight(math.atan2(normal[0, 0], normal[0, 2]), math.asin(normal[0, 1]), 80.0)],
+        Reflectance(specular_strength=1.0),
+    )
     assert_finite(shading.light, shading.specular)
     return f"finite, at most {shading.light.max():.1e}"
 
@@ -189,7 +196,9 @@ def _intensities() -> str:
     unit = shade_points(position, normal, [light], Reflectance(roughness=0.3)).light - 1
     worst = 0.0
     for intensity in (0.0, 1e-12, 1e12):
-        lit = shade_points(position, normal, [replace(light, intensity=intensity)], Reflectance(roughness=0.3))
+        lit = shade_points(
+            position, normal, [replace(light, intensity=intensity)], Reflectance(roughness=0.3)
+        )
         worst = max(worst, float(np.abs(lit.light - 1 - intensity * unit).max() / max(intensity, 1)))
     assert worst < 1e-12
     return f"linear within {worst:.0e}"
@@ -265,7 +274,9 @@ def _zero_normals() -> str:
 def _nan_normals() -> str:
     normal = np.tile(UP, (4, 1))
     normal[2] = np.nan
-    return str(shade_points(np.zeros((4, 3)), normal, [PointLight(0.3, 0.0)], Reflectance(roughness=0.3)).light)
+    return str(
+        shade_points(np.zeros((4, 3)), normal, [PointLight(0.3, 0.0)], Reflectance(roughness=0.3)).light
+    )
 
 
 @CASES.extreme(STAGE, "normals flipped")
@@ -274,19 +285,25 @@ def _flipped() -> str:
     lamp = [PointLight(0.3, 0.2)]
     flipped, facing = (shade_points(position, sign * normal, lamp, Reflectance()).light for sign in (-1, 1))
     assert np.array_equal(flipped > 1, normal @ lamp[0].direction < 0)
-    return f"the other side is lit, {100 * np.mean((flipped > 1) & (facing > 1)):.0f} % of the points both ways"
+    return (
+        f"the other side is lit, {100 * np.mean((flipped > 1) & (facing > 1)):.0f} % of the points both ways"
+    )
 
 
 @CASES.extreme(STAGE, "fewer normals than points", "named error")
 def _too_few_normals() -> str:
-    return str(shade_points(np.zeros((500, 3)), np.tile(UP, (4, 1)), [PointLight(0.3, 0.0)], Reflectance()).light)
+    return str(
+        shade_points(np.zeros((500, 3)), np.tile(UP, (4, 1)), [PointLight(0.3, 0.0)], Reflectance()).light
+    )
 
 
 @CASES.extreme(STAGE, "visibility of another number of lamps", "named error")
 def _wrong_visibility() -> str:
     visible = np.ones((1, 4), np.uint8)
     lamps = [PointLight(0.3, 0.0), PointLight(0.1, 0.0)]
-    return str(shade_points(np.zeros((4, 3)), np.tile(UP, (4, 1)), lamps, Reflectance(), visible=visible).light)
+    return str(
+        shade_points(np.zeros((4, 3)), np.tile(UP, (4, 1)), lamps, Reflectance(), visible=visible).light
+    )
 
 
 def _shadow_share(radius_mm: float, offset_mm: float, lamp: PointLight) -> float:
@@ -404,7 +421,9 @@ def _nan_environment() -> str:
 @CASES.extreme(STAGE, "environment negative")
 def _negative_environment() -> str:
     sky = np.random.default_rng(0).random((4, 8, 3))
-    some, none = (np.asarray(DistantLights.from_environment(sign * sky).irradiance_linear) for sign in (1, -1))
+    some, none = (
+        np.asarray(DistantLights.from_environment(sign * sky).irradiance_linear) for sign in (1, -1)
+    )
     assert np.array_equal(some, -none)
     return "linear: minus the light of the map turned round, as models of light need it"
 
