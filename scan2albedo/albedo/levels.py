@@ -124,6 +124,8 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
     ------
     LightingError
         When there is no texture, or fewer than `options.minimal_texels` such texels; says why.
+    GeometryImageError
+        For normals of another length than 1, or 0 where none is known.
     """
     if image.texture_linear is None:
         raise LightingError(
@@ -131,6 +133,7 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
         )
     if not image.mask.any():
         raise LightingError("the mask of the geometry image is empty: there is no surface to light")
+    image.check_normals()
     seen = image.seen
     value = value_channel(image.texture_linear)
     black = value <= _BLACK * value[seen].max(initial=0.0)

@@ -113,7 +113,8 @@ def relight(
     Raises
     ------
     ApplicationError
-        For ambient light that is negative or not finite, or a lamp nearer to the origin than part of the face.
+        For ambient light that is negative or not finite, an environment that is negative, a lamp nearer to
+        the origin than part of the face, or light beyond what single precision holds.
     ValueError
         For an environment of another shape, or a zero view direction.
 
@@ -128,6 +129,10 @@ def relight(
     """
     base = (1.0 if environment_linear is None else 0.0) if ambient is None else ambient
     _check_lights(face, lights, base)
+    if environment_linear is not None and np.min(environment_linear, initial=0.0) < 0:
+        raise ApplicationError(
+            f"environment_linear goes down to {np.min(environment_linear):.3g}; radiance is 0 or more"
+        )
     light = SceneLight.of(
         lights, environment_linear, ambient=base, environment_lights=options.environment_lights
     )
@@ -149,6 +154,13 @@ def relight(
     scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
     lit = shade(shadow_map, light, face.reflectance, view / np.linalg.norm(view), scale)
     texture = face.albedo_linear[mask].astype(np.float64) * lit.diffuse + lit.specular
+    if (
+        max(np.abs(values).max() for values in (texture, lit.diffuse, lit.specular))
+        > np.finfo(np.float32).max
+    ):
+        raise ApplicationError(
+            f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
+        )
     pictures = [on_grid(mask, values).astype(np.float32) for values in (texture, lit.diffuse, lit.specular)]
     return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows)
 

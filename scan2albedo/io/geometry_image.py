@@ -42,16 +42,6 @@ def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
     return xyz, index
 
 
-def _check_lengths(normal: NDArray[np.float64]) -> None:
-    length = np.linalg.norm(normal, axis=1)
-    wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
-    if wrong.any():
-        raise GeometryImageError(
-            f"{int(wrong.sum())} of {len(normal)} normals have lengths from {length[wrong].min():.3g} to "
-            f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
-        )
-
-
 @dataclass(frozen=True)
 class GeometryImage:
     """Position, normal, texture and annotation per texel; row 0 is v = 1 (the forehead).
@@ -81,8 +71,7 @@ class GeometryImage:
     Raises
     ------
     GeometryImageError
-        For shapes that disagree, values that are not finite inside the mask, normals of another length than 1
-        (or 0, where none is known), or an occluder that is no mesh.
+        For shapes that disagree, values that are not finite inside the mask, or an occluder that is no mesh.
     """
 
     position: NDArray[np.float64]
@@ -112,7 +101,6 @@ class GeometryImage:
             value = getattr(self, field)
             if value is not None and not np.isfinite(value[self.mask]).all():
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
-        _check_lengths(self.normal[self.mask])
         if self.occluder is not None:
             object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
 
@@ -132,6 +120,16 @@ class GeometryImage:
         padded = np.pad(self.mask, 1)
         surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
         return self.mask & ~surrounded
+
+    def check_normals(self) -> None:
+        """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
+        length = np.linalg.norm(self.normal[self.mask], axis=1)
+        wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
+        if wrong.any():
+            raise GeometryImageError(
+                f"{int(wrong.sum())} of {len(length)} normals have lengths from {length[wrong].min():.3g} to "
+                f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
+            )
 
     def texel_areas_mm2(self) -> NDArray[np.float64]:
         """Return (N,) surface per texel at all 2 x 2 blocks inside the mask: how evenly the chart samples."""

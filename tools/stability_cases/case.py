@@ -99,7 +99,7 @@ def run(case: Case) -> Outcome:
 
 
 def raised_on_purpose(error: BaseException) -> bool:
-    """Return whether a `raise` of the package made the error: NumPy's complaints about shapes name no cause."""
+    """Return whether a `raise` of the package made the error: NumPy's complaints name no cause."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     here = Path(last.filename).is_relative_to(_PACKAGE)
     return here and linecache.getline(last.filename, last.lineno or 0).lstrip().startswith("raise")

@@ -307,7 +307,7 @@ def _wrong_visibility() -> str:
 
 
 def _shadow_share(radius_mm: float, offset_mm: float, lamp: PointLight) -> float:
-    """Return the part of a sphere's points whose visibility differs from n.l > 0, a band of 6 degrees left out."""
+    """Return the part of a sphere's points that are seen wrongly, 6 degrees about the terminator left out."""
     position, normal, faces = _sphere(radius_mm, offset_mm)
     seen = ShadowMap(RayCaster(position, faces), position, normal).visible(lamp.direction)
     cosine = normal @ lamp.direction
