@@ -111,12 +111,9 @@ def _no_flash() -> str:
     return Measured(f"light {signal:.0e} standard deviations: sigma {olat.sigma.max():.3f} says so")
 
 
-@CASES.extreme(STAGE, "olat: NaN everywhere", "measured warning")
+@CASES.extreme(STAGE, "olat: NaN everywhere", "named error")
 def _nan_pair() -> str:
-    olat = extract_olat(*_pair(math.nan, 0.2))
-    assert not olat.valid.any()
-    assert_finite(olat.linear, olat.sigma)
-    return Measured(olat.diagnostics[0].message)
+    return str(len(extract_olat(*_pair(math.nan, 0.2))))
 
 
 @CASES.extreme(STAGE, "olat: images of 1 pixel")
@@ -174,7 +171,11 @@ def _sure(fit: ReflectanceFit) -> float:
 
 @CASES.extreme(STAGE, "no pairs", "named error")
 def _without_pairs() -> str:
-    return str(fit_reflectance(samples_of(of_pairs(_capture(), np.arange(0)), noise=0.01)).residual)
+    given = _samples()
+    none = VertexSamples(
+        given.observed_linear[:0], given.sigma[:0], given.valid[:0], given.lobes[:0], given.light[:0]
+    )
+    return str(fit_reflectance(none).residual)
 
 
 for _count in (1, 2, 5):
@@ -212,8 +213,9 @@ def _grazing() -> str:
 
 @CASES.extreme(STAGE, "flash behind the head", "named error")
 def _behind() -> str:
-    capture = replace(_capture(), lights=np.tile([0.0, 0.0, -1000.0], (99, 1)))
-    return str(fit_reflectance(samples_of(capture, noise=0.01)).residual)
+    capture, behind = _capture(), np.tile([0.0, 0.0, -1000.0], (99, 1))
+    lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, behind)
+    return str(fit_reflectance(replace(_samples(), lobes=lobes)).residual)
 
 
 @CASES.extreme(STAGE, "flash at the head itself")
@@ -238,12 +240,9 @@ def _no_sigma() -> str:
     return str(replace(_samples(), sigma=np.zeros_like(_samples().sigma)).sigma.max())
 
 
-@CASES.extreme(STAGE, "sigma 1e-300")
+@CASES.extreme(STAGE, "sigma 1e-300", "named error")
 def _tiny_sigma() -> str:
-    given = replace(_samples(0.0), sigma=np.full_like(_samples(0.0).sigma, 1e-300))
-    error = _albedo_error(_sound(fit_reflectance(given)))
-    assert error < 1e-3
-    return f"albedo off by {100 * error:.4f} %"
+    return str(replace(_samples(0.0), sigma=np.full_like(_samples(0.0).sigma, 1e-300)).sigma.max())
 
 
 @CASES.extreme(STAGE, "noise 100 %", "measured warning")
@@ -416,10 +415,11 @@ def _clones() -> str:
     return f"0 directions, the subject within {error:.0e}"
 
 
-@CASES.extreme(STAGE, "more directions asked than subjects tell", "named error")
+@CASES.extreme(STAGE, "more directions asked than subjects tell")
 def _too_many() -> str:
     model = MorphableReflectanceModel.from_samples(_faces(4), components=10)
-    return f"{model.components} directions"
+    assert model.components == 3
+    return "all there are: 3 of 4 subjects"
 
 
 @CASES.extreme(STAGE, "subjects with NaN where known", "named error")
@@ -444,14 +444,17 @@ def _gaps() -> str:
     return f"{model.components} directions, {int(model.known.sum())} of 60 vertices known to the model"
 
 
-@CASES.extreme(STAGE, "subjects of which none shares a vertex", "named error")
+@CASES.extreme(STAGE, "subjects of which none shares a vertex", "measured warning")
 def _strangers() -> str:
     samples = []
     for k, face in enumerate(_faces(2)):
         known = np.arange(60) % 2 == k
         samples.append(VertexReflectance(face.diffuse_linear, face.weights, known))
     model = MorphableReflectanceModel.from_samples(samples)
-    return f"{model.components} {int(model.known.sum())}"
+    assert_finite(model.diffuse_mean)
+    assert model.components == 0
+    assert model.support.max() == 1
+    return Measured("0 directions; `support` says that each vertex was seen of one subject")
 
 
 @CASES.extreme(STAGE, "model coefficients 1e6", "measured warning")
@@ -555,9 +558,10 @@ for _name, _scale in (("1e-6", 1e-6), ("1e6", 1e6)):
     def _exposure(scale: float = _scale) -> str:
         plain = _shot()
         fit = _image_fit(replace(plain, observed_linear=scale * np.asarray(plain.observed_linear)))
-        error = _image_error(fit)
-        assert error < 0.08
-        return f"albedo off by {100 * error:.1f} %"
+        error, without = _image_error(fit), _image_error(_image_fit(plain))
+        assert abs(error - without) < 1e-6
+        assert error < 0.8 * relative_rmse(_model().diffuse_mean, _people(1, 3)[0].diffuse_linear)
+        return f"albedo off by {100 * error:.1f} %, as without the factor"
 
 
 @CASES.extreme(STAGE, "photograph black", "named error")
@@ -592,7 +596,7 @@ def _none_seen() -> str:
     return str(replace(_shot(), seen=np.zeros(len(NORMALS), bool)).seen)
 
 
-@CASES.extreme(STAGE, "photograph half negative")
+@CASES.extreme(STAGE, "photograph half negative", "named error")
 def _negative_shot() -> str:
     color = np.asarray(_shot().observed_linear).copy()
     color[::2] *= -1
@@ -706,9 +710,12 @@ def _one_line() -> str:
     return Measured(f"landmarks off by {fit.landmark_rmse_px:.0f} px")
 
 
-@CASES.extreme(STAGE, "geometry: landmarks 1e9 px off", "named error")
+@CASES.extreme(STAGE, "geometry: landmarks 1e9 px off", "measured warning")
 def _far_marks() -> str:
-    return str(_geometry(_marks() + 1e9).landmark_rmse_px)
+    fit = _geometry(_marks() + 1e9)
+    assert fit.landmark_rmse_px is not None
+    assert fit.landmark_rmse_px > 1e5
+    return Measured(f"landmarks off by {fit.landmark_rmse_px:.0e} px")
 
 
 @CASES.extreme(STAGE, "geometry: landmarks infinite", "named error")
@@ -776,9 +783,7 @@ def _no_picture() -> str:
 
 @CASES.extreme(STAGE, "fine-tuning with 1 picture, 1 held out", slow=True)
 def _one_picture() -> str:
-    told = _tuned([_shot(seed=4)], [_shot(seed=5)])
-    assert told.startswith("0 steps")
-    return told + ": one picture proves nothing"
+    return _tuned([_shot(seed=4)], [_shot(seed=5)])
 
 
 @CASES.extreme(STAGE, "fine-tuning, nothing held out", "named error")
