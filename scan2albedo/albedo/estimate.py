@@ -146,8 +146,9 @@ def _warn_when_turned_away(facing: float, view: tuple[float, float, float]) -> N
     """Warn when lights are sought where the surface cannot be lit from: its viewer sees its back."""
     if facing < _LEAST_FACING:
         warnings.warn(
-            f"only {100 * facing:.1f} % of the texels face view_direction {tuple(round(c, 3) for c in view)}: "
-            "lights are sought around it and will be wrong; point it at the viewer, or turn the normals outward",
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
+            "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
+            "normals outward",
             UserWarning,
             stacklevel=3,
         )

@@ -18,7 +18,7 @@ _FLOOR = np.float32(1e-4)
 _OWN_STEP = np.float32(0.6)
 """Weight of two copies' own difference where copies from different places meet."""
 _HOLD = np.float32(1e-4)
-"""Weight by which a copy keeps its own level: it is felt from 100 texels on, where gradients add up to drift."""
+"""Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
 _SETTLED = np.float32(1e-3)
 """Blending ends when no log albedo moves by more than this."""
 

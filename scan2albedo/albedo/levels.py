@@ -92,9 +92,14 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.boo
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
+def known_normals(image: GeometryImage) -> NDArray[np.bool_]:
+    """Return (H, W) where the normal is known: not 0."""
+    return np.asarray(np.linalg.norm(image.normal, axis=-1) > _SHORT)
+
+
 def with_every_normal(image: GeometryImage) -> GeometryImage:
     """Return the image with normals that are not known (0) taken from the nearest texel that has one."""
-    known = np.linalg.norm(image.normal, axis=-1) > _SHORT
+    known = known_normals(image)
     if known[image.mask].all():
         return image
     nearest = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
@@ -138,20 +143,17 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
     value = value_channel(image.texture_linear)
     black = value <= _BLACK * value[seen].max(initial=0.0)
     clipped = value >= options.saturation_linear
-    usable = seen & ~black & ~clipped & (np.linalg.norm(image.normal, axis=-1) > _SHORT)
+    usable = seen & ~black & ~clipped & known_normals(image)
     if int(usable.sum()) < options.minimal_texels:
+        with_normal = known_normals(image) & seen
         raise LightingError(
             f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
             f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
-            f"saturated {int((seen & clipped).sum())}, with a normal {_with_normal(image, seen)}); at least {options.minimal_texels} are needed: "
-            "check the texture's exposure and `texture_valid`, and options.saturation_linear for textures "
-            "that go beyond 1"
+            f"saturated {int((seen & clipped).sum())}, with a normal {int(with_normal.sum())}); at least "
+            f"{options.minimal_texels} are needed: check the texture's exposure and `texture_valid`, and "
+            "options.saturation_linear for textures that go beyond 1"
         )
     return usable
-
-
-def _with_normal(image: GeometryImage, seen: NDArray[np.bool_]) -> int:
-    return int((np.linalg.norm(image.normal[seen], axis=-1) > _SHORT).sum())
 
 
 def build_level(

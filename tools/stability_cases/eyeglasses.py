@@ -242,11 +242,11 @@ def _bent(turn_deg: float) -> Any:
     """Return key points with the temples folded inward by an angle about their hinges, and the vertices."""
     frame, points = _frame(), _frame().keypoints.copy()
     vertices = frame.vertices.copy()
-    for sign in (-1, 1):
-        hinge = points[np.argmax(sign * points[:, 0])]
+    for sign, at in ((1, 7), (-1, 16)):
+        hinge = _frame().keypoints[at]
         turn = rotation_from_vector([0, sign * math.radians(turn_deg), 0])
         for moved in (points, vertices):
-            side = (sign * moved[:, 0] > 0.8 * sign * hinge[0]) & (moved[:, 2] < hinge[2] - 5)
+            side = (sign * moved[:, 0] > 60) & (moved[:, 2] < hinge[2] - 5)
             moved[side] = transform_points(compose(turn, hinge - turn @ hinge), moved[side])
     return vertices, points
 
@@ -281,7 +281,9 @@ def _folded_back() -> str:
     back = found.uncanonicalize(found.vertices)
     assert np.abs(back - vertices).max() < 1e-4
     assert found.residual > 10
-    return Measured(f"residual {found.residual:.0f} mm; the way back within {np.abs(back - vertices).max():.0e} mm")
+    return Measured(
+        f"residual {found.residual:.0f} mm; the way back within {np.abs(back - vertices).max():.0e} mm"
+    )
 
 
 for _name, _points in (
@@ -307,7 +309,9 @@ def _no_frame() -> str:
 def _nan_frame_weights() -> str:
     frame = _frame()
     return str(
-        canonicalize([frame], [frame.keypoints], weights=[np.full_like(_plain(), math.nan)]).frames[0].vertices
+        canonicalize([frame], [frame.keypoints], weights=[np.full_like(_plain(), math.nan)])
+        .frames[0]
+        .vertices
     )
 
 
@@ -355,8 +359,8 @@ def _identical() -> str:
 def _outliers() -> str:
     rng = np.random.default_rng(0)
     found = triangulate(rng.uniform(-1e5, 1e5, (3, 20, 2)), THREE)
-    assert found.inliers.mean() < 0.1
-    return Measured(f"{100 * found.inliers.mean():.0f} % inliers, errors up to {np.nanmax(found.errors_px):.0e} px")
+    assert found.inliers.sum(0).max() <= 1
+    return Measured("no point has inliers in two views")
 
 
 for _name, _focal in (("1", 1.0), ("1e6", 1e6)):
@@ -388,7 +392,9 @@ def _worn() -> Any:
 @cache
 def _own_glasses() -> tuple[Any, ...]:
     glasses = _worn().glasses
-    weights = bounded_biharmonic_weights(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, SPACING)
+    weights = bounded_biharmonic_weights(
+        glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, SPACING
+    )
     return glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, weights
 
 
@@ -414,7 +420,7 @@ def _off_mm(found: Any) -> float:
     return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[worn.seen] ** 2).mean()))
 
 
-@CASES.extreme(STAGE, "registration: labels alone")
+@CASES.extreme(STAGE, "registration: labels alone", slow=True)
 def _labels_alone() -> str:
     off = _off_mm(_registered())
     assert off < 1.0
@@ -428,12 +434,10 @@ def _wild_labels() -> str:
     return f"observed {found.observed.mean()}"
 
 
-@CASES.extreme(STAGE, "registration: labels by chance within the pictures", "measured warning", slow=True)
+@CASES.extreme(STAGE, "registration: labels by chance within the pictures", "named error", slow=True)
 def _chance_labels() -> str:
     labels = np.random.default_rng(0).uniform(0, 256, _worn().labels.shape)
-    found = _registered(keypoints_2d=labels)
-    assert not found.observed.any()
-    return Measured(f"nothing observed; off by {_off_mm(found):.0f} mm")
+    return f"observed {_registered(keypoints_2d=labels).observed.mean()}"
 
 
 @CASES.extreme(STAGE, "registration: no labels", "named error")
@@ -474,7 +478,8 @@ def _inside() -> str:
     found = _registered(cameras=_moved_cameras(_worn().keypoints.mean(0)))
     assert not found.inliers[0].all()
     return Measured(
-        f"{100 * found.inliers[0].mean():.0f} % of its labels fit, the others tell: off by {_off_mm(found):.1f} mm"
+        f"{100 * found.inliers[0].mean():.0f} % of its labels fit, the others tell: "
+        f"off by {_off_mm(found):.1f} mm"
     )
 
 
@@ -514,10 +519,13 @@ def _dot_masks() -> str:
 
 for _name, _focal in (("1", 1.0), ("1e6", 1e6)):
 
-    @CASES.extreme(STAGE, f"registration: focal length {_name} px", "named error")
+    @CASES.extreme(STAGE, f"registration: focal length {_name} px", "named error", slow=True)
     def _wrong_focal(focal: float = _focal) -> str:
         cameras = np.stack(
-            [np.diag([focal / SMALL.focal_px, focal / SMALL.focal_px, 1]) @ camera for camera in _worn().cameras]
+            [
+                np.diag([focal / SMALL.focal_px, focal / SMALL.focal_px, 1]) @ camera
+                for camera in _worn().cameras
+            ]
         )
         found = _registered(cameras=cameras)
         return f"off by {_off_mm(found):.0f} mm, observed {found.observed.mean():.2f}, {list(found.plan)}"
@@ -551,7 +559,9 @@ def _nan_head() -> str:
 
 for _name, _budget in (("1e-3 s", Budget(seconds=1e-3)), ("1 evaluation", Budget(evaluations=1))):
 
-    @CASES.extreme(STAGE, f"registration with a budget of {_name}", "measured warning")
+    @CASES.extreme(
+        STAGE, f"registration with a budget of {_name}", "measured warning", slow=_name == "1e-3 s"
+    )
     def _spent(budget: Budget = _budget) -> str:
         found = _registered(budget=budget)
         assert not found.converged
@@ -622,6 +632,7 @@ for _dioptres in (-20.0, 20.0, 1e3):
     @CASES.extreme(STAGE, f"picture through lenses of {_dioptres:g} dioptres", slow=_dioptres != 1e3)
     def _through(dioptres: float = _dioptres) -> str:
         picture = _shown(LensMaterial(dioptres))
+        assert (picture.lens >= 0).sum() > 300
         return f"finite, {int((picture.lens >= 0).sum())} pixels of lens"
 
 
@@ -630,10 +641,12 @@ def _window() -> str:
     picture = _shown(LensMaterial(0.0))
     through = (picture.lens >= 0) & np.isfinite(picture.without_lenses_linear).all(-1)
     off = float(np.abs(picture.image_linear - picture.without_lenses_linear)[through].max())
-    return f"as without lenses within {off:.1e}, reflection apart"
+    assert through.sum() > 300
+    assert off < 1e-9
+    return f"as without lenses within {off:.0e}"
 
 
-@CASES.extreme(STAGE, "picture by a camera inside the glasses")
+@CASES.extreme(STAGE, "picture by a camera inside the glasses", slow=True)
 def _camera_inside() -> str:
     frame = _frame()
     center = frame.keypoints.mean(0)
@@ -648,14 +661,14 @@ def _dot() -> str:
     return f"{picture.image_linear.shape}, finite"
 
 
-@CASES.extreme(STAGE, "picture under black light")
+@CASES.extreme(STAGE, "picture under black light", slow=True)
 def _night() -> str:
     picture = _shown(LensMaterial(-3.0), lights=DistantLights([[0, 0, 1]], [0.0]))
     assert not picture.image_linear.any()
     return "black"
 
 
-@CASES.extreme(STAGE, "picture under light of 1e12")
+@CASES.extreme(STAGE, "picture under light of 1e12", slow=True)
 def _glare() -> str:
     bright, plain = (
         _shown(LensMaterial(-3.0), lights=DistantLights([[0, 0, 1]], [s])).image_linear for s in (1e12, 1.0)
@@ -680,8 +693,9 @@ for _name, _material in (
 @CASES.extreme(STAGE, "rim sought far from the frame", "named error")
 def _no_rim() -> str:
     frame = _frame()
-    rim = find_lens_rim(frame.vertices, frame.faces, frame.lens_centers[0] + [0, 0, 500.0], [0, 0, 1])
-    return str(rim)
+    return str(
+        find_lens_rim(frame.vertices, frame.faces, frame.lens_centers[0] + [0, 0, 500.0], normal=[0, 0, 1])
+    )
 
 
 for _name, _outline in (
@@ -692,4 +706,4 @@ for _name, _outline in (
 
     @CASES.extreme(STAGE, f"lens mesh in a rim {_name}", "named error")
     def _odd_rim(outline: FloatArray = _outline) -> str:
-        return str(lens_mesh(outline, [0, 0, 0])[0].shape)
+        return str(lens_mesh([0, 0, 0], outline)[0].shape)

@@ -1,4 +1,4 @@
-"""Named extremes of reflectance: single flashes, vertex fits, the models, fits to photographs, fine-tuning."""
+"""Named extremes of reflectance: flashes, vertex fits, the models, fits to photographs, fine-tuning."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
 from reflectance_pictures import Scene, build_scene
+
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.lighting.environment import DistantLights, distant_directions
@@ -198,10 +198,12 @@ def _one_pose() -> str:
     fit = _sound(fit_reflectance(samples_of(of_pairs(_capture(), np.full(99, 49)), noise=0.01)))
     sure = float(fit.identified[fit.reflectance.known][:, 3:].mean())
     assert sure < 0.2
-    return Measured(f"{100 * sure:.0f} % of the lobes identified, albedo off by {100 * _albedo_error(fit):.0f} %")
+    return Measured(
+        f"{100 * sure:.0f} % of the lobes identified, albedo off by {100 * _albedo_error(fit):.0f} %"
+    )
 
 
-@CASES.extreme(STAGE, "flash at grazing", "measured warning")
+@CASES.extreme(STAGE, "flash at grazing", "measured warning", slow=True)
 def _grazing() -> str:
     capture = replace(_capture(), lights=np.tile([2000.0, 0.0, -200.0], (99, 1)))
     fit = _sound(fit_reflectance(samples_of(capture, noise=0.01)))
@@ -245,7 +247,7 @@ def _tiny_sigma() -> str:
     return str(replace(_samples(0.0), sigma=np.full_like(_samples(0.0).sigma, 1e-300)).sigma.max())
 
 
-@CASES.extreme(STAGE, "noise 100 %", "measured warning")
+@CASES.extreme(STAGE, "noise 100 %", "measured warning", slow=True)
 def _noise() -> str:
     fit = _sound(fit_reflectance(_samples(1.0)))
     truth, known = _capture().parameters, fit.reflectance.known
@@ -542,7 +544,7 @@ def _nan_light() -> str:
     return str(shade_environment(_people(1)[0], NORMALS, VIEW, np.full((81, 3), math.nan)).diffuse_linear)
 
 
-@CASES.extreme(STAGE, "photograph under one direction of light", "measured warning")
+@CASES.extreme(STAGE, "photograph under one direction of light", "measured warning", slow=True)
 def _one_direction() -> str:
     light = project_distant_lights(DistantLights([[0.3, 0.3, 1.0]], [[3.0, 3.0, 3.0]]))
     fit = _image_fit(_shot(light))
@@ -554,7 +556,7 @@ def _one_direction() -> str:
 
 for _name, _scale in (("1e-6", 1e-6), ("1e6", 1e6)):
 
-    @CASES.extreme(STAGE, f"photograph times {_name}")
+    @CASES.extreme(STAGE, f"photograph times {_name}", slow=True)
     def _exposure(scale: float = _scale) -> str:
         plain = _shot()
         fit = _image_fit(replace(plain, observed_linear=scale * np.asarray(plain.observed_linear)))
@@ -574,7 +576,7 @@ def _nan_shot() -> str:
     return str(replace(_shot(), observed_linear=np.full_like(NORMALS, math.nan)).seen)
 
 
-@CASES.extreme(STAGE, "photograph of one colour channel", "measured warning")
+@CASES.extreme(STAGE, "photograph of one colour channel", "measured warning", slow=True)
 def _red_shot() -> str:
     color = np.asarray(_shot().observed_linear).copy()
     color[:, 1:] = 0
@@ -606,7 +608,7 @@ def _negative_shot() -> str:
 
 for _name, _budget in (("1e-3 s", Budget(seconds=1e-3)), ("1 evaluation", Budget(evaluations=1))):
 
-    @CASES.extreme(STAGE, f"image fit with a budget of {_name}", "measured warning")
+    @CASES.extreme(STAGE, f"image fit with a budget of {_name}", "measured warning", slow=True)
     def _image_spent(budget: Budget = _budget) -> str:
         fit = _image_fit(_shot(), budget=budget)
         assert not fit.converged
@@ -634,7 +636,11 @@ for _name, _image, _changes in (
     ),
     ("whose camera is singular", np.full((64, 64, 3), 0.5), {"camera": np.zeros((3, 4))}),
     ("of a head scaled by 1e3", np.full((64, 64, 3), 0.5), {"vertices": 1e3 * _scene().vertices}),
-    ("of a head with NaN", np.full((64, 64, 3), 0.5), {"vertices": np.full_like(_scene().vertices, math.nan)}),
+    (
+        "of a head with NaN",
+        np.full((64, 64, 3), 0.5),
+        {"vertices": np.full_like(_scene().vertices, math.nan)},
+    ),
 ):
 
     @CASES.extreme(STAGE, f"observing a photograph {_name}", "named error")
@@ -791,7 +797,7 @@ def _none_held_out() -> str:
     return _tuned([_shot()], [])
 
 
-@CASES.extreme(STAGE, "fine-tuning with a budget of 1 evaluation", "measured warning")
+@CASES.extreme(STAGE, "fine-tuning with a budget of 1 evaluation", "measured warning", slow=True)
 def _tuning_spent() -> str:
     told = _tuned([_shot(seed=4)], [_shot(seed=5)], budget=Budget(evaluations=1))
     assert "converged=False" in told
