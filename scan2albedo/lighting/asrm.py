@@ -161,19 +161,21 @@ def _check_points(
 ) -> None:
     """Refuse what compiled loops would read past the end of, or turn to NaN."""
     count = len(position)
-    wanted = {
-        "position": (position, (count, 3)),
-        "normal": (normal, (count, 3)),
-        "visible": (visible, (lights, count)),
-        "specular_scale": (scale, (count,)),
+    shapes = {
+        "position": (count, 3),
+        "normal": (count, 3),
+        "visible": (lights, count),
+        "specular_scale": (count,),
     }
-    for name, (array, shape) in wanted.items():
-        if array.shape != shape:
+    given = {"position": position, "normal": normal, "visible": visible, "specular_scale": scale}
+    for name, array in given.items():
+        if array.shape != shapes[name]:
             raise ValueError(
-                f"{name} has shape {array.shape}, expected {shape} for {count} points and {lights} lights"
+                f"{name} has shape {array.shape}, expected {shapes[name]} for {count} points, {lights} lights"
             )
-        bad = np.flatnonzero(~np.isfinite(array.reshape(count, -1)).all(1)) if name != "visible" else ()
+    for name in ("position", "normal", "specular_scale"):
+        bad = np.argwhere(~np.isfinite(given[name]))
         if len(bad):
-            raise ValueError(f"{name} {bad[0]} is not finite ({len(bad)} of {count} are not); leave them out")
+            raise ValueError(f"{name} {bad[0, 0]} is not finite ({len(bad)} numbers are not); leave such out")
     if view.shape != (3,) or not np.isfinite(view).all() or not view.any():
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")

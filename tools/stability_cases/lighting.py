@@ -290,6 +290,13 @@ def _flipped() -> str:
     )
 
 
+@CASES.extreme(STAGE, "no point")
+def _no_point() -> str:
+    none = np.zeros((0, 3))
+    assert shade_points(none, none, [PointLight(0.3, 0.0)], Reflectance()).light.shape == (0,)
+    return "no light"
+
+
 @CASES.extreme(STAGE, "fewer normals than points", "named error")
 def _too_few_normals() -> str:
     return str(
