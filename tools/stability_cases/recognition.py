@@ -64,7 +64,7 @@ def _constant() -> str:
 def _constant_person() -> str:
     gallery = albedo_templates([_albedo(0), np.ones((128, 128))], ["person0", "wall"])
     found = identify(gallery, albedo_templates([_albedo(0)], ["person0"]))
-    assert found.predicted == ("person0",)
+    assert found.predicted() == ("person0",)
     return f"similarities {found.similarities[0].round(3).tolist()}"
 
 
@@ -274,7 +274,7 @@ def _noise() -> str:
 def _nobody() -> str:
     names = [None, "person1", None, "person3"]
     found = match_probes(similarity_matrix(_probes(), _people()), _people().names, names)
-    assert found.predicted == ("person0", "person1", "person2", "person3")
+    assert found.predicted() == ("person0", "person1", "person2", "person3")
     return "taken for the most similar person; no rate counts it"
 
 
