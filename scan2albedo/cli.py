@@ -11,6 +11,7 @@ import typer
 
 from scan2albedo.applications_cli import add_commands
 from scan2albedo.batch_cli import batch
+from scan2albedo.benchmark_cli import benchmark
 from scan2albedo.cli_tools import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -24,8 +25,15 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments_cli import app as experiments_app
 from scan2albedo.glasses_cli import app as glasses_app
 from scan2albedo.identification_cli import identify
-from scan2albedo.process_flags import SeedOption, SizeOption, with_process_flags
+from scan2albedo.process_flags import (
+    PresetSizeOption,
+    QualityOption,
+    SeedOption,
+    SizeOption,
+    with_process_flags,
+)
 from scan2albedo.reflectance_cli import app as reflectance_app
+from scan2albedo.report_cli import report
 
 if TYPE_CHECKING:
     from scan2albedo.process_options import ProcessOptions
@@ -43,6 +51,8 @@ app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
 app.command()(batch)
+app.command()(report)
+app.command()(benchmark)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 
@@ -96,16 +106,22 @@ def process(
 def demo(
     out: OutOption = Path("demo_out"),
     seed: SeedOption = 0,
-    size: SizeOption = 512,
+    size: PresetSizeOption = None,
+    quality: QualityOption = "standard",
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.demo import run_demo
     from scan2albedo.progress import ProgressLines
+    from scan2albedo.quality import quality_of
 
+    try:
+        preset = quality_of(quality)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
     with ProgressLines("demo") as progress:
-        report = run_demo(out, seed=seed, size=size, on_progress=progress.update)
+        report = run_demo(out, seed=seed, size=size, quality=preset, on_progress=progress.update)
         progress.say(report.result.summary())
     if json_summary:
         echo_json(report.figures())

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
 
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
 SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
+PresetSizeOption = Annotated[
+    int | None,
+    typer.Option(help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8),
+]
+QualityOption = Annotated[str, typer.Option(help="draft, standard or best: what every stage spends.")]
 
 
 def _options_of_flags(
@@ -23,12 +28,13 @@ def _options_of_flags(
             help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face."
         ),
     ] = "default",
-    size: SizeOption = 512,
+    size: PresetSizeOption = None,
     lights: Annotated[str, typer.Option(help="'auto', or how many.")] = "auto",
     brdf: Annotated[
         str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")
     ] = "oren-nayar",
     unit: Annotated[str, typer.Option(help="auto, mm, cm or m.")] = "auto",
+    quality: QualityOption = "standard",
     budget: Annotated[float | None, typer.Option(help="Seconds a scan may take.")] = None,
     seed: SeedOption = 0,
     skip: Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")] = None,
@@ -53,6 +59,7 @@ def _options_of_flags(
             lights=light_choice,
             brdf=brdf,
             unit=unit,
+            quality=quality,
             budget=budget,
             seed=seed,
             skip=tuple(skip or ()),

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from scan2albedo.optimization import Budget
+from scan2albedo.quality import quality_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,9 +18,9 @@ class ProcessOptions:
     ----------
     model : str
         "default", "none", or the file of a model or of a template.
-    size : int
+    size : int, optional
     lights : "auto" or int
-    brdf, unit : str
+    brdf, unit, quality : str
     budget : Budget, float or None
     seed : int
     skip, force : sequence of str
@@ -37,10 +38,11 @@ class ProcessOptions:
     """
 
     model: str = "default"
-    size: int = 512
+    size: int | None = None
     lights: int | str = "auto"
     brdf: str = "oren-nayar"
     unit: str = "auto"
+    quality: str = "standard"
     budget: Budget | float | None = None
     seed: int = 0
     skip: tuple[str, ...] = ()
@@ -56,9 +58,14 @@ class ProcessOptions:
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
         check_stage_names(self.skip, self.force)
-        check_choices(self.size, self.lights, self.brdf, self.unit)
+        check_choices(self.texels, self.lights, self.brdf, self.unit)
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}, expected a whole number >= 0")
+
+    @property
+    def texels(self) -> int:
+        """Height and width of the geometry image: as asked for, or that of the preset."""
+        return quality_of(self.quality).size if self.size is None else self.size
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `process`."""

@@ -52,6 +52,25 @@ def test_shared_ground_does_not_know_the_stages(floor):
         assert not above, f"{path.name} imports {sorted(above)}"
 
 
+def test_benchmarks_are_for_the_command_line_and_the_tools():
+    for path in PACKAGE.rglob("*.py"):
+        if path.relative_to(PACKAGE).parts[0] not in ("benchmarks", "benchmark_cli.py"):
+            assert "benchmarks" not in imported_modules(path), path
+
+
+def test_benchmarks_stand_beside_the_command_line():
+    for path in (PACKAGE / "benchmarks").rglob("*.py"):
+        above = imported_modules(path) & {
+            "applications_cli",
+            "cli",
+            "cli_tools",
+            "demo",
+            "pipeline",
+            "report",
+        }
+        assert not above, f"{path.name} imports {sorted(above)}"
+
+
 def test_applications_join_stages_and_know_no_command_line():
     for path in (PACKAGE / "applications").rglob("*.py"):
         above = imported_modules(path) & {"applications_cli", "cli", "cli_tools", "demo", "report"}

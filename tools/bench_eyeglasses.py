@@ -23,7 +23,6 @@ of four steps.
 from __future__ import annotations
 
 import argparse
-import itertools
 import time
 from pathlib import Path
 
@@ -35,10 +34,10 @@ from eyeglasses_rims import bench_real, bench_synthetic
 from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.benchmarks.weight_peers import fixed_nodes, igl_bbw, kuhn_tetrahedra
 from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual
 from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
-from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
 from scan2albedo.eyeglasses.weighting.lattice_weights import solve_lattice
 from scan2albedo.eyeglasses.weighting.options import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
@@ -60,18 +59,6 @@ def farthest_points(vertices: FloatArray, count: int) -> FloatArray:
     return vertices[chosen]
 
 
-def kuhn_tetrahedra(lattice: Lattice) -> IntArray:
-    number = {tuple(corner): n for n, corner in enumerate(CORNERS.tolist())}
-    paths = []
-    for axes in itertools.permutations(range(3)):
-        place, path = [0, 0, 0], [0]
-        for axis in axes:
-            place[axis] = 1
-            path.append(number[tuple(place)])
-        paths.append(path)
-    return np.ascontiguousarray(lattice.corners[:, np.array(paths)].reshape(-1, 4), np.int64)
-
-
 def energies(energy: sparse.csr_matrix, weights: FloatArray) -> FloatArray:
     return 0.5 * np.einsum("nk,nk->k", weights, energy @ weights)
 
@@ -82,20 +69,20 @@ def residual(energy: sparse.csr_matrix, weights: FloatArray, free: IntArray) -> 
 
 
 def compare(embedding: Embedding, options: WeightOptions) -> None:
-    lattice, count = embedding.lattice, len(embedding.handle_cells)
+    lattice = embedding.lattice
     nodes, tetrahedra = lattice.nodes.astype(float), kuhn_tetrahedra(lattice)
-    fixed = lattice.corners[lattice.find(embedding.handle_cells)].ravel()
-    values, free = np.repeat(np.eye(count), 8, 0), np.setdiff1d(np.arange(len(nodes)), fixed)
+    fixed, values = fixed_nodes(embedding)
+    free = np.setdiff1d(np.arange(len(nodes)), fixed)
 
     cpu = time.process_time()
     ours = solve_lattice(lattice, embedding.handle_cells, options, Meter("bench", "1"))
     cpu_ours = time.process_time() - cpu
     cpu = time.process_time()
-    theirs = igl.bbw(nodes, tetrahedra, fixed, values, max_iter=100)
+    theirs = igl_bbw(embedding)
     cpu_theirs = time.process_time() - cpu
     laplacian, mass = igl.cotmatrix(nodes, tetrahedra), igl.massmatrix(nodes, tetrahedra)
     their_energy = (laplacian @ sparse.diags(1 / mass.diagonal()) @ laplacian).tocsr()
-    start = np.full((len(free), count), 0.5)
+    start = np.full((len(free), len(embedding.handle_cells)), 0.5)
     cpu = time.process_time()
     found = minimize_bounded(
         their_energy[free][:, free],

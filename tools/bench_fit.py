@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
+from scan2albedo.benchmarks import fit_peers
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.fit import CROP_MARGIN
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
@@ -35,7 +36,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
-PEERS = Path(__file__).resolve().with_name("fit_peers.py")
+PEERS = Path(fit_peers.__file__)
 SHAPES = (
     "person1",
     "person2",

@@ -21,11 +21,11 @@ from functools import cache
 from typing import get_args
 
 import numpy as np
-from bench_reflectance_model import learned, person, surface
 from numba import njit
 from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
+from scan2albedo.benchmarks.reflectance_scenes import learned, person, shape_model, surface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
@@ -38,7 +38,6 @@ from scan2albedo.reflectance import (
     GeometryFit,
     GeometryFitOptions,
     ImageObservation,
-    MorphableShapeModel,
     VertexReflectance,
     fit_image,
     generated_environment,
@@ -52,22 +51,6 @@ SHAPE = (440, 440)
 CAMERA = look_at([0.0, 0.0, 900.0], [0.0, 0.0, 0.0], focal_px=1800.0, shape=SHAPE)
 """Half a millimetre a pixel."""
 LIGHTS = 400
-
-
-@cache
-def shape_model(people: int = 120) -> MorphableShapeModel:
-    model = s2a.AnnotatedFaceModel.default()
-    to_surface = model.subdivision(LEVEL).matrix
-    rest, faces = model.surface(LEVEL)
-    rng = np.random.default_rng(1)
-    neutral = [to_surface @ identity.person(model, rng) for _ in range(people)]
-    offsets = [
-        to_surface @ identity.person(model, rng, strength=0.0, expression=name) - rest
-        for name in get_args(identity.Expression)[1:]
-        for _ in range(8)
-    ]
-    nearest = np.linalg.norm(rest - model.landmarks[:, None], axis=2).argmin(1)
-    return MorphableShapeModel.from_samples(neutral, offsets, faces, nearest)
 
 
 @dataclass(frozen=True)

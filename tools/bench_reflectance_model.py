@@ -20,8 +20,15 @@ from functools import cache
 import numpy as np
 from shadowed_shots import ShadowedSurface, sent
 
-import scan2albedo as s2a
-from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.benchmarks.reflectance_scenes import (
+    CAMERA_MM,
+    albedo_error,
+    learned,
+    person,
+    shot,
+    surface,
+)
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.images import write_png
@@ -44,71 +51,6 @@ from scan2albedo.reflectance import (
     observe_photograph,
     shade_environment,
 )
-from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
-
-CAMERA_MM = np.array([0.0, 0.0, 900.0])
-
-
-@dataclass(frozen=True)
-class Surface:
-    """The default model's limit surface and how the camera sees it."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray
-    normals: np.ndarray
-    view: np.ndarray
-    seen: np.ndarray
-
-
-@cache
-def surface(levels: int = 1) -> Surface:
-    model = s2a.AnnotatedFaceModel.default()
-    vertices, faces = model.surface(levels)
-    uv = model.subdivision(levels).matrix @ model.uv
-    normals, view = vertex_normals(vertices, faces), normalized(CAMERA_MM - vertices)
-    normals[~normals.any(1)] = [0, 0, 1]
-    return Surface(vertices, faces, uv, normals, view, np.einsum("vi,vi->v", normals, view) > 0.15)
-
-
-def person(seed: int, levels: int = 1) -> VertexReflectance:
-    """Painted skin with lobes that vary smoothly over the face and from person to person."""
-    s, rng = surface(levels), np.random.default_rng([seed, 1])
-    features = PaintedFeatures(
-        brow_thickness=float(rng.uniform(0.65, 1.35)), lip_fullness=float(rng.uniform(-0.004, 0.004))
-    )
-    paint = np.random.default_rng([seed, 2])
-    tone = float(rng.uniform(0.15, 0.6))
-    albedo = paint_face(s.uv, s2a.AnnotatedFaceModel.default(), paint, tone=tone, features=features)
-    waves = harmonics(normalized(s.vertices - [0, 0, s.vertices[:, 2].min() - 40.0]), 4)
-    fields = np.random.default_rng(9).normal(size=(6, 4, 25)) @ waves.T
-    gloss, *lobes = 0.25 * np.einsum("r,frv->fv", rng.normal(size=4), fields[:4])
-    share = np.exp(0.5 * np.stack(lobes, 1)) * [0.15, 0.45, 0.4]
-    total = 0.22 * np.exp(gloss)
-    weights = total[:, None] * share / share.sum(1, keepdims=True)
-    return VertexReflectance(np.clip(albedo, 0, None), weights, np.ones(len(albedo), bool))
-
-
-@cache
-def learned(count: int, components: int, levels: int = 1) -> MorphableReflectanceModel:
-    people = [person(1000 + k, levels) for k in range(count)]
-    return MorphableReflectanceModel.from_samples(people, components=components)
-
-
-def shot(face: VertexReflectance, seed: int, noise: float = 0.01, shadow: float = 0.0, levels: int = 1):
-    s, rng = surface(levels), np.random.default_rng([seed, 3])
-    light = project_environment(generated_environment(50_000 + seed))
-    color = shade_environment(face, s.normals, s.view, light).radiance_linear
-    color = color * (1 + noise * rng.normal(size=color.shape))
-    if shadow:
-        side = s.vertices @ rng.normal(size=3)
-        color[side > np.quantile(side[s.seen], 1 - shadow)] *= 0.5
-    return ImageObservation(color, s.normals, s.view, s.seen)
-
-
-def albedo_error(found: np.ndarray, face: VertexReflectance, levels: int = 1) -> float:
-    a, truth = found[surface(levels).seen], face.diffuse_linear[surface(levels).seen]
-    return float(np.linalg.norm(np.sum(a * truth) / np.sum(a * a) * a - truth) / np.linalg.norm(truth))
 
 
 def print_lobes() -> None:

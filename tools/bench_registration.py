@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 
 import scan2albedo as s2a
+from scan2albedo.benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import (

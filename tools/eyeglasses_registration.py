@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from functools import cache, partial
+from collections.abc import Iterator
+from functools import partial
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from scan2albedo.benchmarks.glasses import WornGlasses, worn_glasses
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
-    bounded_biharmonic_weights,
     register_on_face,
 )
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
@@ -48,16 +50,10 @@ LEVER_MM = 60.0
 """How far a frame reaches from its middle: a radian counts as that many millimetres for Adam."""
 
 
-@cache
-def weights_of(seed: int) -> FloatArray:
-    glasses = wearer(seed).glasses
-    return bounded_biharmonic_weights(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
-
-
 def register(worn: Wearer, seed: int, **changes: Any) -> RegisteredEyeglasses:
     glasses = worn.glasses
     given = {"masks": worn.masks, "head": (worn.head_vertices, worn.head_faces), **changes}
-    frame = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, weights_of(seed))
+    frame = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, worn_glasses(seed).weights)
     return register_on_face(frame, worn.labels, cameras=worn.cameras, **given)
 
 
@@ -119,18 +115,19 @@ class SameLoss:
 
     Parameters
     ----------
-    worn : Wearer
-    seed : int
+    scene : WornGlasses
     """
 
-    def __init__(self, worn: Wearer, seed: int) -> None:
-        glasses, options = worn.glasses, FaceRegistrationOptions()
-        frame = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, weights_of(seed))
+    def __init__(self, scene: WornGlasses) -> None:
+        worn, options = scene.worn, FaceRegistrationOptions()
+        glasses = worn.glasses
+        frame = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, scene.weights)
         head = (worn.head_vertices, worn.head_faces)
         given = checked_inputs(frame, worn.labels, worn.masks, worn.cameras, head, None)
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         self.start: FrameState = starting_poses(given.keypoints, given.views, options.label_noise_px, None)[0]
-        mesh = FrameMesh(SkinnedPoints(given.vertices, weights_of(seed)), given.faces)
+        mesh = FrameMesh(SkinnedPoints(given.vertices, scene.weights), given.faces)
+        self.points = mesh.points
         assert given.head is not None
         sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head), options)
         near = self.descend(None)
@@ -150,27 +147,40 @@ class SameLoss:
 
     def adam(self, step_mm: float, enough: float) -> tuple[float, int]:
         """Return the least cost and the iterations after which it was at most `enough`, or all."""
-        state, scale = self.start, np.r_[np.full(3, LEVER_MM), np.ones(63)]
-        first, second = np.zeros(66), np.zeros(66)
         least = np.inf
-        for n in range(1, ADAM_ITERATIONS + 1):
-            at = self.objective.linearize(state, self.samples, with_matrix=False)
-            least = min(least, at.cost)
+        for n, (_, cost) in enumerate(islice(self.adam_steps(step_mm), ADAM_ITERATIONS), 1):
+            least = min(least, cost)
             if least <= enough:
                 return least, n
+        return least, ADAM_ITERATIONS
+
+    def adam_state(self, step_mm: float, iterations: int) -> FrameState:
+        """Return the best state of so many iterations."""
+        return min(islice(self.adam_steps(step_mm), iterations), key=lambda step: step[1])[0]
+
+    def adam_steps(self, step_mm: float) -> Iterator[tuple[FrameState, float]]:
+        """Yield states and their costs."""
+        state, scale = self.start, np.r_[np.full(3, LEVER_MM), np.ones(63)]
+        first, second = np.zeros(66), np.zeros(66)
+        for n in count(1):
+            at = self.objective.linearize(state, self.samples, with_matrix=False)
+            yield state, at.cost
             gradient = at.gradient / scale
             first = 0.9 * first + 0.1 * gradient
             second = 0.999 * second + 0.001 * gradient**2
             way = first / (1 - 0.9**n) / (np.sqrt(second / (1 - 0.999**n)) + 1e-12)
             state = state.moved(-step_mm * way / scale)
-        return least, ADAM_ITERATIONS
+
+    def vertices(self, state: FrameState) -> FloatArray:
+        """Return the frame (V, 3) at a state."""
+        return self.objective.motion(state).positions(self.points)
 
 
 def bench_adam(seeds: int) -> None:
     """Print CPU of our descent and of Adam, which stops as soon as it is within 1 % of our cost."""
     print("the same loss (labels, outlines traced once, bend's prior) from the unbent pose:")
     for seed in range(seeds):
-        problem = SameLoss(wearer(seed), seed)
+        problem = SameLoss(worn_glasses(seed))
         with threadpool_limits(1, "blas"):
             cpu = time.process_time()
             _, at = problem.descend(problem.samples)

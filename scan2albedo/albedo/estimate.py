@@ -138,6 +138,7 @@ def _divide(
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
     value = value_channel(image.texture_linear)
+    options = _in_time(options, meter)
     division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
     albedo, rectification = rectified(division.albedo, light, cast, usable, options)
     # A highlight is white: what remains below it has the albedo's hue.
@@ -165,6 +166,14 @@ def _divide(
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
     )
+
+
+def _in_time(options: EstimateOptions, meter: Meter) -> EstimateOptions:
+    """Return the options; without what makes a good albedo better when the budget's seconds have ended."""
+    if not meter.out_of_time:
+        return options
+    unasked = [name for name in ("rectification", "inpainting") if getattr(options, name) is None]
+    return replace(options, **dict.fromkeys(["shrink", *unasked], False))
 
 
 def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.evidence import LightFound
+from scan2albedo.albedo.first_light import hasty_light, nearest_first, shading_direction
 from scan2albedo.albedo.levels import Level, brightest_around, build_level, cell_image
 from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
@@ -68,8 +69,11 @@ class LeastSquaresSearch:
             How many; None lets the evidence decide.
         """
         options = self.options
+        coarse = self._problem(options.grid_size).guided(None)
+        if self.meter.exhausted:
+            return self._hasty(coarse)
         unguided, fine = (self._problem(size) for size in options.sizes)
-        coarse, middle = self._problem(options.grid_size).guided(None), unguided.guided(None)
+        middle = unguided.guided(None)
         yardstick = Yardstick(self.meter, lambda s: fine.linearize(s.model, s.x).cost)
         current = self._first_light(coarse, middle, yardstick)
         most = self.options.maximal_lights if lights is None else lights
@@ -100,6 +104,15 @@ class LeastSquaresSearch:
         deviation = cell_image(guided.level, cells, self.image.mask)
         return LightFound(best, steps, self._shadows[0], sure, deviation)
 
+    def _hasty(self, coarse: ResidualProblem) -> LightFound:
+        """Return one light, found in a few steps on the smallest image, when the budget has ended already."""
+        model = self._model(1)
+        start = model.from_lights(self._directions[:1], np.array([_FIRST_STRENGTH]))
+        found = hasty_light(coarse, model, start)
+        decision = PlanStep("albedo.lights", True, "one light", "the budget had ended before the search")
+        rows = undecided(model, self.options)
+        return LightFound(found, [self._shadows[1], decision, *rows], self._shadows[0])
+
     def _finish(
         self, fine: ResidualProblem, full: Solution, decided: PartsDecided
     ) -> tuple[ResidualProblem, Solution, PlanStep]:
@@ -121,7 +134,8 @@ class LeastSquaresSearch:
 
     @cached_property
     def _directions(self) -> FloatArray:
-        return cone_directions(self.options.start_directions, self.view, self.options.cone_rad)
+        every = cone_directions(self.options.start_directions, self.view, self.options.cone_rad)
+        return nearest_first(every, shading_direction(self._coarse_level))
 
     @cached_property
     def _value(self) -> FloatArray:
@@ -137,7 +151,9 @@ class LeastSquaresSearch:
 
     @cached_property
     def _shadows(self) -> tuple[RayCaster | None, PlanStep]:
-        return shadow_caster(self.image, self._coarse_level, self._directions, self.options)
+        return shadow_caster(
+            self.image, self._coarse_level, self._directions, self.options, hasty=self.meter.exhausted
+        )
 
     def _problem(self, size: int) -> ResidualProblem:
         options = self.options

@@ -21,7 +21,12 @@ _COARSE = 160
 
 
 def shadow_caster(
-    image: GeometryImage, level: Level, directions: FloatArray, options: EstimateOptions
+    image: GeometryImage,
+    level: Level,
+    directions: FloatArray,
+    options: EstimateOptions,
+    *,
+    hasty: bool = False,
 ) -> tuple[RayCaster | None, PlanStep]:
     """Return the shadow caster, or None where the surface hardly shades itself, and the plan's row.
 
@@ -33,36 +38,43 @@ def shadow_caster(
     directions : (D, 3) float64
         Of distant lights that are tried.
     options : EstimateOptions
+    hasty : bool
+        Do not look whether there are shadows, and let a coarse mesh cast them.
     """
     stage, asked = "albedo.shadows", options.shadows
     if asked is False:
         return None, PlanStep(stage, False, "left out by the caller")
-    vertices, faces = _coarse_occluder(image) if asked is None else image.occluder_mesh()
-    if not len(faces):
-        vertices, faces = image.occluder_mesh()
+    coarse = _coarse_occluder(image) if asked is None else None
+    vertices, faces = image.occluder_mesh() if coarse is None else coarse
     if not len(faces):
         return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
     caster = RayCaster(vertices, faces)
+    if hasty and asked is None:
+        return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
     worst = _largest_shadow(
         ShadowMap(caster, level.anchor, level.normal, options.shadow_offset_mm), directions
     )
     evidence = f"at most {100 * worst:.1f} % of the texels facing a light lie in cast shadow"
     if asked is None and worst < options.shadow_fraction:
         return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
-    if asked is None:
+    if coarse is not None:
         caster = RayCaster(*image.occluder_mesh())
     return caster, PlanStep(stage, True, "asked for" if asked else "the surface shades itself", evidence)
 
 
-def _coarse_occluder(image: GeometryImage) -> Occluder:
-    """Return a mesh good enough to see whether there are shadows: a dense chart takes long to make ready."""
+def _coarse_occluder(image: GeometryImage) -> Occluder | None:
+    """Return a mesh good enough to see whether there are shadows: a dense chart takes long to make ready.
+
+    None where the occluder itself is at hand.
+    """
     step = -(-max(image.shape) // _COARSE)
     if image.occluder is not None or step == 1:
-        return image.occluder_mesh()
+        return None
     part = slice(None, None, step)
-    return GeometryImage(
+    mesh = GeometryImage(
         image.position[part, part], image.normal[part, part], image.mask[part, part]
     ).triangulated()
+    return mesh if len(mesh[1]) else None
 
 
 def _largest_shadow(shadows: ShadowMap, directions: FloatArray) -> float:

@@ -135,7 +135,20 @@ class ProcessedFace:
         lights: Sequence[PointLight] = (),
         model_name: str = NO_MODEL,
     ) -> ProcessedFace:
-        """Return a face of a geometry image and its albedo (H, W, 3), from wherever they come."""
+        """Return a face of a geometry image and its albedo (H, W, 3), from wherever they come.
+
+        Parameters
+        ----------
+        name : str
+        image : GeometryImage
+        albedo_linear : (H, W, 3) array_like of float
+        reflectance : Reflectance
+            Lambertian when omitted.
+        lights : sequence of PointLight
+            Under which the scan was taken.
+        model_name : str
+            Of the face model whose chart it is; "none" for others.
+        """
         albedo = np.asarray(albedo_linear, np.float32)
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
 
@@ -159,6 +172,14 @@ class ProcessedFace:
         """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
 
         Normals are those of the new mesh, and what the image's own knew beyond those of the old one.
+
+        Parameters
+        ----------
+        mesh : FaceMesh
+        position : (N, 3) float64
+            Millimetres.
+        name : str
+            Of the new face.
         """
         mask = self.image.mask
         beyond = self.image.normal[mask] - self.mesh.chart_normals(mask)

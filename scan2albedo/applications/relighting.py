@@ -57,7 +57,15 @@ class RelitFace:
     def picture(
         self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
     ) -> Picture:
-        """Return what a camera (3, 4) sees, a portrait from the front when omitted; see `photograph`."""
+        """Return what a camera (3, 4) sees, a portrait from the front when omitted; see `photograph`.
+
+        Parameters
+        ----------
+        camera : (3, 4) array_like of float, optional
+        shape : (H, W)
+        samples : int
+            On each side of a pixel.
+        """
         return photograph(
             self.face, self.light, camera=camera, shape=shape, samples=samples, shadows=self.shadows
         )

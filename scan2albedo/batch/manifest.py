@@ -115,6 +115,10 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     leave_out : path, optional
         Folder in which no scan is looked for: that of the results.
 
+    Returns
+    -------
+    BatchManifest
+
     Raises
     ------
     BatchError

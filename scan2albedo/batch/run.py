@@ -203,7 +203,7 @@ class _Run:
         limit = job_limit(
             asked,
             [Path(task.path) for task in tasks],
-            max(task.options.size for task in tasks),
+            max(task.options.texels for task in tasks),
             max((peak for peak in peaks if peak is not None), default=0.0),
         )
         if note := limit.note(asked):

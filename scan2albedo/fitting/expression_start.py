@@ -26,6 +26,8 @@ def mouth_opened(deformation: Deformation) -> Deformation:
     but leave no rows in the trace.
     """
     scan, meter = deformation.scan, deformation.meter
+    if meter.exhausted:
+        return deformation
     search = MouthSearch.of(deformation.model, deformation.reference, scan, MOUTH_LEVEL)
     if len(search.candidates) == 1:
         return deformation
@@ -40,6 +42,8 @@ def mouth_opened(deformation: Deformation) -> Deformation:
 def corners_pulled(deformation: Deformation) -> Deformation:
     """Return the deformation that starts from the corners of the mouth drawn back as the scan's are."""
     reference, meter = deformation.reference, deformation.meter
+    if meter.exhausted:
+        return deformation
     corners = MouthCorners.of(deformation.model, reference)
     if corners is None:
         return deformation

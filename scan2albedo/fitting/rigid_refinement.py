@@ -80,7 +80,7 @@ def refine_similarity(
     reach = wide.distance_mm
     forces: ScanForces | None = None
     for iteration in range(iterations):
-        if meter.exhausted:
+        if iteration and meter.exhausted:
             break
         start = forces if forces is not None and iteration % SEARCH_EVERY else None
         moved = pose.apply(points)

@@ -125,15 +125,16 @@ class StagesOutcome:
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
     """Run all stages, or the first `count`, or as many as the budget allows.
 
-    Where the sheet has folded over it is made stiffer, in short rounds of the last stage, until no fold
-    is left. A scan as fine as the samples of `FitOptions.finest_level` then gets a few steps with these: more
-    of its vertices have a say, and their noise averages out.
+    However few seconds there were, one step is taken. Where the sheet has folded over it is made stiffer, in
+    short rounds of the last stage, until no fold is left. A scan as fine as the samples of
+    `FitOptions.finest_level` then gets a few steps with these: more of its vertices have a say, and their
+    noise averages out.
     """
     levels, meter = deformation.options.levels, deformation.meter
     q = np.zeros_like(deformation.reference)
     even = np.ones(len(deformation.model.control_faces))
     for index, level in enumerate(levels[:count]):
-        if meter.exhausted:
+        if meter.exhausted and (index or not meter.out_of_time):
             return StagesOutcome(q, False)
         progress = index / max(len(levels) - 1, 1)
         q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, even), q)
@@ -164,8 +165,10 @@ def _mended(
 ) -> tuple[FloatArray, FloatArray]:
     """Return `q` without folds, as far as it goes, and how much stiffer (F_C,) the faces got for it."""
     for _ in range(rounds):
+        if deformation.meter.exhausted:
+            break
         more = _stiffer(deformation, q)
-        if not (more > 1).any() or deformation.meter.exhausted:
+        if not (more > 1).any():
             break
         stiffening = stiffening * more
         q = _run_stage(deformation, Stage(level, 1.0, MENDING_STEPS, stiffening), q)
@@ -203,7 +206,7 @@ def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatAr
     errors: list[float] = []
     forces: ScanForces | None = None
     for step in range(stage.steps):
-        if meter.exhausted:
+        if meter.exhausted and (step or not meter.out_of_time):
             break
         points = samples.matrix @ (reference + state.q)
         start = forces if forces is not None and step % SEARCH_EVERY else None

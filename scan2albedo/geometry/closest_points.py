@@ -1,4 +1,4 @@
-"""Closest points on a triangle mesh through libigl's bounding volume hierarchy."""
+"""Closest points on a triangle mesh, exactly."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.geometry.mesh import face_normals
+from scan2albedo.geometry.triangle_tree import TriangleTree
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,26 +33,23 @@ class ClosestPointQuery:
         Any unit.
     faces : (F, 3) array_like of int
         At least one face.
+
+    Raises
+    ------
+    ValueError
+        For a mesh without faces.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
-        import igl
-
         self._vertices = np.ascontiguousarray(vertices, np.float64)
         self._faces = np.ascontiguousarray(faces, np.int64)
-        self._tree = igl.AABB()
-        self._tree.init(self._vertices, self._faces)
+        if len(self._faces) == 0:
+            raise ValueError("the mesh has no faces: no point of it is closest")
+        self._tree = TriangleTree(self._vertices, self._faces)
 
     def query(self, points: ArrayLike) -> ClosestHits:
         """Return the closest surface point of each of the (N, 3) points; O(log F) each."""
-        targets = np.ascontiguousarray(points, np.float64)
-        squared, face, closest = self._tree.squared_distance(self._vertices, self._faces, targets)
-        return ClosestHits(
-            closest,
-            face,
-            barycentric_coordinates(closest, self._vertices[self._faces[face]]),
-            np.sqrt(squared),
-        )
+        return ClosestHits(*self._tree.query(np.ascontiguousarray(points, np.float64)))
 
     def query_facing(
         self, points: ArrayLike, normals: ArrayLike, *, min_cosine: float = 0.3, neighbours: int = 32

@@ -142,7 +142,7 @@ class GeometryImage:
     def triangulated(self) -> Occluder:
         """Return (vertices (V, 3) of the masked texels in row-major order, faces (F, 3)) of the texel grid.
 
-        Each 2 x 2 block of masked texels gives two triangles, wound to agree with `normal`.
+        Each 2 x 2 block of masked texels gives two triangles, each wound to agree with `normal`.
         """
         index = np.full(self.shape, -1, np.int64)
         index[self.mask] = np.arange(int(self.mask.sum()))
@@ -155,6 +155,6 @@ class GeometryImage:
         vertices, normals = self.position[self.mask], self.normal[self.mask]
         corners = vertices[stacked]
         outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        if len(stacked) and np.median(np.einsum("ij,ij->i", outward, normals[stacked[:, 0]])) < 0:
-            stacked = stacked[:, ::-1].copy()
-        return vertices, stacked
+        # One by one: of charts that were cut apart, some lie mirrored.
+        against = np.einsum("ij,ij->i", outward, normals[stacked].sum(1)) < 0
+        return vertices, np.where(against[:, None], stacked[:, ::-1], stacked)

@@ -38,6 +38,11 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``occluder_vertices_mm`` and
     ``occluder_faces``; ``format_version`` is 1.
 
+    Parameters
+    ----------
+    path : str or Path
+    image : GeometryImage
+
     Raises
     ------
     OutputError
@@ -63,6 +68,11 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
     ``.B``, and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The
     occluder does not fit into an image and is left out.
 
+    Parameters
+    ----------
+    path : str or Path
+    image : GeometryImage
+
     Raises
     ------
     OutputError
@@ -80,6 +90,15 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 
 def read_geometry_image(path: str | Path) -> GeometryImage:
     """Read a geometry image written by `write_geometry_image` or `write_geometry_image_exr`.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz or .exr.
+
+    Returns
+    -------
+    GeometryImage
 
     Raises
     ------

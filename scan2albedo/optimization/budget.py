@@ -60,6 +60,10 @@ class Meter:
         Limits that `exhausted` checks.
     on_progress : callable, optional
         Called with every recorded `TraceRow`.
+    evaluations : int
+        Spent so far.
+    rows : list of TraceRow
+        Recorded so far.
     """
 
     stage: str
@@ -84,10 +88,13 @@ class Meter:
     @property
     def exhausted(self) -> bool:
         """Whether the budget has ended."""
-        seconds, evaluations = self.budget.seconds, self.budget.evaluations
-        return (seconds is not None and self.elapsed_s >= seconds) or (
-            evaluations is not None and self.evaluations >= evaluations
-        )
+        evaluations = self.budget.evaluations
+        return self.out_of_time or (evaluations is not None and self.evaluations >= evaluations)
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the budget's seconds have ended: what costs time but no evaluations may be left out."""
+        return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
     def count(self, evaluations: int = 1) -> None:
         """Add to the evaluations spent."""

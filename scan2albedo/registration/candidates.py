@@ -11,6 +11,7 @@ from scan2albedo.geometry.rigid import rotation_angle_rad
 from scan2albedo.optimization import Meter
 from scan2albedo.registration.face_evidence import FaceEvidence
 from scan2albedo.registration.open3d_icp import ScanTarget
+from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
 from scan2albedo.registration.starts import Starts
@@ -48,6 +49,7 @@ def judged_candidates(
     target: ScanTarget | None,
     template: Template,
     starts: Starts,
+    options: RegistrationOptions,
     meter: Meter,
     before: tuple[Candidate, ...] = (),
 ) -> tuple[Candidate, ...]:
@@ -65,26 +67,28 @@ def judged_candidates(
             break
         pose = SimilarPose(rotation, translation)
         if target is not None:
-            pose = _widely_refined(target, samples, pose)
+            pose = _widely_refined(target, samples, pose, options.icp_iterations)
             meter.count()
         if any(_near(pose, other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
             continue
         poses.append(pose)
-        candidates.append(_judged(scan, template, pose))
+        candidates.append(_judged(scan, template, pose, options.scaled_iterations))
         meter.count()
         best = max(candidates, key=lambda c: c.evidence.score)
         meter.record(rigid_distance_mm(scan, template, best.pose))
     return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
 
 
-def _widely_refined(target: ScanTarget, samples: OrientedPoints, start: SimilarPose) -> SimilarPose:
-    refined = target.refine(samples, start.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=20)
+def _widely_refined(
+    target: ScanTarget, samples: OrientedPoints, start: SimilarPose, iterations: int
+) -> SimilarPose:
+    refined = target.refine(samples, start.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=iterations)
     return SimilarPose(refined[:3, :3], refined[:3, 3])
 
 
-def _judged(scan: ScanView, template: Template, start: SimilarPose) -> Candidate:
+def _judged(scan: ScanView, template: Template, start: SimilarPose, iterations: int) -> Candidate:
     samples = template.first(_SAMPLES)
-    pose = robust_icp(scan.tree, samples, samples.areas, start, iterations=15, sigma_mm=(6.0, 3.0))
+    pose = robust_icp(scan.tree, samples, samples.areas, start, iterations=iterations, sigma_mm=(6.0, 3.0))
     rms_mm = residuals(scan.tree, samples, pose).trimmed_rms_mm(samples.areas)
     evidence = template.image.evidence(scan.vertices, scan.faces, pose.model_from_scan(), rms_mm)
     return Candidate(pose, evidence)

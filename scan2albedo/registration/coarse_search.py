@@ -19,7 +19,6 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _BLOCK = 128
-_SECOND_ROUND = 240
 _JUDGED = 160
 _QUICK_LOOK = 40
 _RELIEF_SAMPLES = 400
@@ -71,8 +70,8 @@ def coarse_poses(
 ) -> CoarsePoses:
     """Return distinct poses that lay the model near the scan's surface.
 
-    Round 1 runs 4 iterations on 60 model samples from every start; the best 240 go on to 8
-    iterations on 200 samples with a tighter scale. The meter counts one evaluation a start and round;
+    Round 1 runs `coarse_iterations` (4) on 60 model samples from every start; the best `kept_starts` go on to
+    as many (8) on 200 samples with a tighter scale. The meter counts one evaluation a start and round;
     when its budget ends, what has been tried so far is ranked.
     """
     grid = NearestGrid.of(scan, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
@@ -87,9 +86,10 @@ def coarse_poses(
     )
     # In random order a budget that ends early has still seen starts from all over the scan.
     starts = _taken(starts, np.random.default_rng(seed).permutation(len(starts)))
-    starts, _ = _round(grid, template.first(60), starts, 4, (20.0, 10.0), meter)
-    starts = _taken(starts, np.arange(min(_SECOND_ROUND, len(starts))))
-    starts, _ = _round(grid, template.first(200), starts, 8, (12.0, 5.0), meter)
+    first, second = options.coarse_iterations
+    starts, _ = _round(grid, template.first(60), starts, first, (20.0, 10.0), meter)
+    starts = _taken(starts, np.arange(min(options.kept_starts, len(starts))))
+    starts, _ = _round(grid, template.first(200), starts, second, (12.0, 5.0), meter)
     return CoarsePoses(_distinct(starts, _JUDGED), grid, template.first(_RELIEF_SAMPLES))
 
 

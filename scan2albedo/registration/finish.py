@@ -16,7 +16,7 @@ from scan2albedo.registration.template import Template
 
 _CHECK_SIGMAS_MM = (0.5, 2.0)
 _FIRST_ROUND_MM = (3.0, 2.0)
-_FIRST_STEPS, _NARROWING_STEPS, _SETTLING_STEPS = 8, 4, 30
+_FIRST_STEPS, _NARROWING_STEPS = 8, 4
 _RIGID_PART = 0.3
 _NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
 _HARDLY_MOVING = 0.02
@@ -51,7 +51,9 @@ class Tightened:
         return self.last_step < _HARDLY_MOVING
 
 
-def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> Tightened:
+def tightened(
+    view: ScanView, template: Template, start: SimilarPose, options: RegistrationOptions, meter: Meter
+) -> Tightened:
     """Finish on all samples, weighted to the rigid regions; records the loss at the last scale.
 
     The last scale follows the surface: where nearly a third of the face lies within the noise (the
@@ -60,10 +62,12 @@ def tightened(view: ScanView, template: Template, start: SimilarPose, meter: Met
     """
     if meter.exhausted:
         return Tightened(start, _WIDEST_MM, float("inf"))
-    return _settled(view, template, start, meter)
+    return _settled(view, template, start, options, meter)
 
 
-def _settled(view: ScanView, template: Template, start: SimilarPose, meter: Meter) -> Tightened:
+def _settled(
+    view: ScanView, template: Template, start: SimilarPose, options: RegistrationOptions, meter: Meter
+) -> Tightened:
     samples, weights = template.samples, template.rigidity
     pose = robust_icp(view.tree, samples, weights, start, iterations=_FIRST_STEPS, sigma_mm=_FIRST_ROUND_MM)
     near_mm = residuals(view.tree, samples, pose).quantile_mm(weights, _RIGID_PART)
@@ -79,7 +83,7 @@ def _settled(view: ScanView, template: Template, start: SimilarPose, meter: Mete
         sigma_mm=(_FIRST_ROUND_MM[1], sigma_mm),
     )
     pose, steps, last = settled_icp(
-        view.tree, samples, weights, pose, sigma_mm=sigma_mm, iterations=_SETTLING_STEPS
+        view.tree, samples, weights, pose, sigma_mm=sigma_mm, iterations=options.settling_iterations
     )
     meter.count(_NARROWING_STEPS + steps)
     meter.record(residuals(view.tree, samples, pose).icp_loss_mm(weights, sigma_mm))
@@ -127,7 +131,7 @@ def annealed(
     )
     # The polish has another yardstick than the annealing, so its rows stay out of the trace.
     unseen = meter.unseen_child()
-    polished = _settled(view, template, found.pose, unseen)
+    polished = _settled(view, template, found.pose, options, unseen)
     meter.count(unseen.evaluations)
     before, after = (
         [rigid_distance_mm(view, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]

@@ -21,10 +21,20 @@ class RegistrationOptions:
     """Greatest number of anchors (a scan of a whole room is searched more coarsely)."""
     cone_deg: float = 35.0
     """Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
+    coarse_iterations: tuple[int, int] = (4, 8)
+    """Iterations of the first search from every start, and of the second from those that are kept."""
+    kept_starts: int = 240
+    """Starts that go on to the second search."""
     candidates: int = 8
     """Distinct poses that Open3D refines, at least 6 to be safe."""
     more_candidates: int = 24
     """Further poses that it refines before a scan is refused."""
+    icp_iterations: int = 20
+    """Most iterations of Open3D's ICP for one pose."""
+    scaled_iterations: int = 15
+    """Iterations of the ICP that also finds the face's size, for one pose."""
+    settling_iterations: int = 30
+    """Most iterations at the chosen pose until it settles."""
     coverage_needed: float = 0.25
     """Least part of the model's depth image that the scan must cover to be a face."""
     certainty_needed: float = 0.49
@@ -36,3 +46,16 @@ class RegistrationOptions:
     """Side of the annealing's depth images in pixels."""
     force_annealing: bool = False
     """Anneal, and take its pose where the surface distance falls; else ICP's pose is the answer."""
+
+    def __post_init__(self) -> None:
+        counts = ["rotation_count", "anchor_limit", "kept_starts", "candidates", "annealing_size"]
+        counts += ["icp_iterations", "scaled_iterations", "settling_iterations"]
+        values = [(name, getattr(self, name)) for name in counts]
+        for name, value in values + [("coarse_iterations", n) for n in self.coarse_iterations]:
+            if value < 1:
+                raise ValueError(f"{name} is {value}, expected 1 or more")
+        if self.more_candidates < 0 or self.annealing_evaluations < 0:
+            raise ValueError(
+                f"more_candidates is {self.more_candidates} and annealing_evaluations "
+                f"{self.annealing_evaluations}, expected 0 or more"
+            )

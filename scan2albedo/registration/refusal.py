@@ -106,7 +106,7 @@ def refuse_inside_out(
     target = ScanTarget(reversed_samples)
     candidates: tuple[Candidate, ...] = ()
     for starts in poses.looks(options.candidates, 0):
-        candidates = judged_candidates(reversed_view, target, template, starts, unseen, candidates)
+        candidates = judged_candidates(reversed_view, target, template, starts, options, unseen, candidates)
     meter.count(unseen.evaluations)
     other = candidates[0]
     if other.evidence.certainty > best.evidence.certainty and is_face(

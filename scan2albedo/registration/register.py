@@ -99,7 +99,7 @@ def register(
         refuse_no_face(scan, candidates, options)
     refuse_facing_away(scan, view, template, candidates[0])
     closing = meter.child("tight_icp", "mm")
-    tight = tightened(view, template, candidates[0].pose, closing)
+    tight = tightened(view, template, candidates[0].pose, options, closing)
     annealing = closing.child("depth_annealing", "truncated slope difference")
     final = annealed(view, template, tight, options, annealing, seed)
     return Registration(
@@ -127,13 +127,13 @@ def _judged(
     candidates: tuple[Candidate, ...] = ()
     needed = options.certainty_needed + _CONVINCING
     for starts in poses.looks(options.candidates, options.more_candidates):
-        candidates = judged_candidates(view, target, template, starts, meter, candidates)
+        candidates = judged_candidates(view, target, template, starts, options, meter, candidates)
         if meter.exhausted or is_face(candidates[0], options, needed):
             return candidates
         needed = options.certainty_needed
     # Open3D's wide pairs draw half a face round the head, towards its missing half: look without it.
     for starts in poses.looks(2 * options.candidates, 0):
-        candidates = judged_candidates(view, None, template, starts, meter, candidates)
+        candidates = judged_candidates(view, None, template, starts, options, meter, candidates)
         if meter.exhausted or is_face(candidates[0], options, needed):
             return candidates
     return candidates

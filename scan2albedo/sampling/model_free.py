@@ -91,7 +91,14 @@ def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDAr
     if len(faces) == 0:
         raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
     if len(faces) > max_faces:
-        vertices, faces, _, _ = igl.qslim(vertices, faces, max_faces, False)
+        # qslim gives nothing back where parts of a scan meet in one vertex, as beside a scanner's holes.
+        split, source = igl.split_nonmanifold(faces)[:2]
+        vertices, faces, _, _ = igl.qslim(vertices[source], split, max_faces, False)
+        if len(faces) == 0:
+            raise GeometryImageError(
+                f"{scan.name}: its {len(split)} faces cannot be simplified to the {max_faces} that "
+                "charts are cut from; give a mesh of fewer faces, or a larger ModelFreeOptions.max_faces"
+            )
     return np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
 
 

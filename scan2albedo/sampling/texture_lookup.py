@@ -11,6 +11,7 @@ from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.sampling.footprints import mean_over_footprints
 
 FloatArray = NDArray[np.float64]
 
@@ -96,8 +97,6 @@ class TextureLookup:
         self, near: NDArray[np.int64], hits: ClosestHits, steps: FloatArray
     ) -> NDArray[np.float32]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`."""
-        import cv2
-
         scan, face = self._scan, near[hits.face]
         assert scan.uv is not None
         assert scan.texture_linear is not None
@@ -106,24 +105,7 @@ class TextureLookup:
         center = np.einsum("nk,nkc->nc", hits.barycentric, scan.uv[face]) * to_pixels + [-0.5, height - 0.5]
         footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
         taps = self._options.taps or _needed_taps(footprint)
-        offsets = (np.arange(taps) + 0.5) / taps - 0.5
-        total = np.zeros((len(face), 3), np.float32)
-        for right in offsets:
-            for down in offsets:
-                pixel = (center + footprint @ [right, down]).astype(np.float32)
-                # remap takes 2D maps with sides below 32768, so the list of points is folded.
-                columns = min(len(face), 16384)
-                rows = -(-len(face) // columns)
-                padded = np.resize(pixel, (rows * columns, 2)).reshape(rows, columns, 2)
-                sampled = cv2.remap(
-                    scan.texture_linear,
-                    padded[..., 0],
-                    padded[..., 1],
-                    cv2.INTER_LINEAR,
-                    borderMode=cv2.BORDER_REPLICATE,
-                )
-                total += sampled.reshape(-1, 3)[: len(face)]
-        return total / np.float32(taps * taps)
+        return mean_over_footprints(scan.texture_linear, center, footprint, taps)
 
     def _uv_gradients(self, near: NDArray[np.int64]) -> FloatArray:
         """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""

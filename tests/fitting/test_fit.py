@@ -112,6 +112,16 @@ def test_a_budget_ends_the_fit_with_what_there_is(mask_model, mask_scan, evaluat
     assert np.isfinite(fitted.vertices).all()
 
 
+def test_next_to_no_time_still_brings_the_model_nearer(mask_model, mask_scan):
+    fitted = fit(mask_scan.scan, mask_model, np.eye(4), 1e-6)
+    truth = transform_points(fitted.model_from_scan, mask_scan.scan.vertices)
+    vertices, faces = mask_model.surface(1)
+    before = ClosestPointQuery(vertices, faces).query(mask_scan.scan.vertices).distance
+    assert np.median(surface_error_mm(fitted, truth)) < 0.8 * np.median(before)
+    assert not fitted.converged
+    assert fitted.iterations == 2
+
+
 def test_more_budget_never_ends_worse(mask_model, mask_scan, mask_fit):
     def median(evaluations):
         fitted = fit(mask_scan.scan, mask_model, np.eye(4), Budget(evaluations=evaluations))

@@ -30,6 +30,15 @@ def test_meter_counts_and_is_exhausted_by_evaluations():
     assert not Meter("fit", "mm").exhausted
 
 
+def test_only_seconds_run_out_of_time():
+    counted = Meter("fit", "mm", Budget(evaluations=1))
+    counted.count()
+    assert counted.exhausted
+    assert not counted.out_of_time
+    assert Meter("fit", "mm", Budget(seconds=1e-9)).out_of_time
+    assert not Meter("fit", "mm", Budget(seconds=1e9, evaluations=1)).out_of_time
+
+
 def test_meter_records_rows_and_tells_the_caller():
     heard = []
     meter = Meter("fit", "mm", Budget(), heard.append)

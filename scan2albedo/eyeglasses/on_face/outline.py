@@ -15,6 +15,10 @@ BoolArray = NDArray[np.bool_]
 _AROUND = 3
 """Pixels each way whose uncovered ones tell where outside is."""
 
+_SPREAD = np.array([0.63131, 0.52854])
+"""Numbers whose sums, differences and multiples have fractional parts that are spread evenly; found by trying
+thousands for ten ways that an outline may run."""
+
 
 @dataclass(frozen=True)
 class Coverage:
@@ -38,6 +42,16 @@ class Outline:
     """(N, 3) on the surface, perspective taken out."""
     outward: FloatArray
     """(N, 2) unit vectors in the picture, away from the mask."""
+
+    def thinned(self, stride: int) -> Outline:
+        """Return one in `stride` of the pixels, spread evenly whichever way the outline runs.
+
+        Pixels are chosen by the fractional part of a sum of multiples of column and row.
+        """
+        if stride == 1:
+            return self
+        kept = self.pixels @ _SPREAD % 1.0 < 1.0 / stride
+        return Outline(self.pixels[kept], self.face[kept], self.barycentric[kept], self.outward[kept])
 
 
 def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]) -> Coverage:

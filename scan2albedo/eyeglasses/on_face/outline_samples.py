@@ -121,6 +121,7 @@ class OutlineSampler:
         pixels, depth = project(view.camera, vertices)
         covered = cover(pixels, depth, mesh.faces, view.shape)
         outline = trace_outline(covered, pixels, depth, mesh.faces, view.shape)
+        outline = outline.thinned(self.options.outline_stride)
         foremost = mesh.faces[outline.face, 0]
         reach = (
             _REACH * mesh.points.weights[foremost] @ deviation_mm * _px_per_mm(view.camera, depth[foremost])

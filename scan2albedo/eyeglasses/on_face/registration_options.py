@@ -22,6 +22,8 @@ class FaceRegistrationOptions:
     """How far a mask's outline is usually off."""
     outline_correlation_px: float = 20.0
     """Length over which a mask's errors are alike: pixels of the outline nearer than that share one vote."""
+    outline_stride: int = 1
+    """One in so many pixels of the outline is looked at, spread evenly; each counts for so many."""
     outline_reach_px: float = 40.0
     """Pixels of the outline farther from the observed one than this are left out, and nearer ones where the
     frame's place is known better."""
@@ -46,3 +48,9 @@ class FaceRegistrationOptions:
     outlines: int = 10
     """Most times that the outline is traced anew."""
     weights: WeightOptions = WeightOptions()
+    """How weights are solved, where the glasses bring none."""
+
+    def __post_init__(self) -> None:
+        for name in ("outline_stride", "steps", "outlines"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")

@@ -185,7 +185,7 @@ class RegistrationObjective:
         lost = ~np.isfinite(error)
         residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
         size = np.abs(residual)
-        vote = 1 / max(1.0, self.options.outline_correlation_px)
+        vote = min(1.0, self.options.outline_stride / max(1.0, self.options.outline_correlation_px))
         far = size > _HUBER
         cost = np.where(far, _HUBER * (2 * size - _HUBER), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.

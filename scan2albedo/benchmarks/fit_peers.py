@@ -1,4 +1,4 @@
-"""Run one peer of the fit in its own environment: `bench_fit.py --peers-python` calls this file.
+"""Run one peer of the fit in an environment that may be its own; the benchmarks call this file.
 
     PYTHON fit_peers.py nricp_amberg|nricp_sumner|meshmonk IN.npz OUT.npz
     PYTHON fit_peers.py autofacemonker SCAN.obj OUT.npz

@@ -1,4 +1,4 @@
-"""Rigid registration by other libraries, as `bench_registration.py` runs them: model samples onto a scan."""
+"""Rigid registration by other libraries: model samples onto a scan."""
 
 from __future__ import annotations
 

@@ -1,0 +1,198 @@
+"""The stages that take a budget in seconds, each on a scene of usual size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from scan2albedo.benchmarks.budgets import BudgetedStage
+from scan2albedo.io import GeometryImage
+from scan2albedo.optimization import ProgressCallback
+
+Make = Callable[[], BudgetedStage]
+
+
+def budgeted_stages(names: Sequence[str], quick: bool) -> list[Make]:
+    """Return what makes the stages named, of all when none is."""
+    known: dict[str, tuple[Make, ...]] = {
+        "register": (partial(_register, quick),),
+        "fit": (partial(_fit, quick),),
+        "albedo": (partial(_albedo, quick),),
+        "weights": (partial(_weights, quick),),
+        "glasses": (partial(_glasses, quick),),
+        "reflectance": (_fit_image, _refine_geometry, _finetune),
+    }
+    if quick and not names:
+        return [make for name in ("register", "fit", "albedo") for make in known[name]]
+    return [make for name in names or known for make in known.get(name, ())]
+
+
+def _register(quick: bool) -> BudgetedStage:
+    from scan2albedo.benchmarks.measurement import Cost
+    from scan2albedo.benchmarks.registration import judged
+    from scan2albedo.benchmarks.registration_peers import Surface, centered
+    from scan2albedo.benchmarks.scan_scenes import scan_scenes
+    from scan2albedo.geometry.rigid import invert_rigid
+    from scan2albedo.registration import register
+
+    scene = scan_scenes(1, 4.0 if quick else 2.2)[0]
+
+    def error(pose) -> float:  # type: ignore[no-untyped-def]
+        return judged(scene, pose, Cost(0, 0)).errors[0]
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        found = register(scene.scan, scene.model, budget, on_progress=on_progress)
+        return error(found.model_from_scan)
+
+    start = error(invert_rigid(centered(Surface(*scene.model.surface(1)), scene.scan)))
+    return BudgetedStage("register", "mm", run, start)
+
+
+def _fit(quick: bool) -> BudgetedStage:
+    from scan2albedo.benchmarks.fitting import judged, rigid_only
+    from scan2albedo.benchmarks.measurement import Cost
+    from scan2albedo.benchmarks.scan_scenes import scan_scenes
+    from scan2albedo.fitting import fit
+
+    scene = scan_scenes(1, 4.0 if quick else 2.2)[0]
+    points = scene.model.subdivision(2).matrix
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        found = fit(scene.scan, scene.model, scene.found_pose, budget, on_progress=on_progress)
+        surface = found.vertices, found.faces
+        outcome = judged(scene, surface, points @ found.control_points, 2, found.model_from_scan, Cost(0, 0))
+        return outcome.errors[0]
+
+    return BudgetedStage("fit", "mm", run, rigid_only(scene).errors[0])
+
+
+def _albedo(quick: bool) -> BudgetedStage:
+    from scan2albedo.albedo import albedo_error, estimate_albedo
+    from scan2albedo.benchmarks.albedo import value_of
+    from scan2albedo.synthetic import face, light_at
+
+    scene = face(
+        3,
+        size=64 if quick else 512,
+        texture="skin",
+        lights=[light_at(50, 10), light_at(-40, 5, intensity=2)],
+        noise=0.005,
+    )
+    truth, image = value_of(scene.albedo_linear), _with_light_occluder(scene.image)
+    assert image.texture_linear is not None
+
+    def error(albedo) -> float:  # type: ignore[no-untyped-def]
+        return albedo_error(value_of(albedo), truth, image.mask).mse_percent
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        found = estimate_albedo(image, budget=budget, on_progress=on_progress)
+        return error(found.albedo_linear)
+
+    return BudgetedStage("albedo", "%", run, error(image.texture_linear))
+
+
+def _with_light_occluder(image: GeometryImage) -> GeometryImage:
+    """Return the image with an occluder of about 128 x 128 texels: as many triangles as a fitted face has."""
+    part = slice(None, None, max(max(image.shape) // 128, 1))
+    coarse = GeometryImage(image.position[part, part], image.normal[part, part], image.mask[part, part])
+    return replace(image, occluder=coarse.triangulated())
+
+
+def _weights(quick: bool) -> BudgetedStage:
+    from scan2albedo.benchmarks.measurement import Cost
+    from scan2albedo.benchmarks.weights import WeightedFrame, judged
+    from scan2albedo.eyeglasses import solve_weights
+    from scan2albedo.synthetic import GlassesBend, eyeglasses
+
+    glasses = eyeglasses(0, bend=GlassesBend(temple_spread_mm=8, bridge_deg=2))
+    mesh = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
+    spacing: float | str = 2.8 if quick else "auto"
+    scene = WeightedFrame(glasses, solve_weights(*mesh, spacing).weights)
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        found = solve_weights(*mesh, spacing, budget, on_progress=on_progress)
+        return judged(scene, found.weights, Cost(0, 0), 0, 0.0).errors[1]
+
+    nearest = np.linalg.norm(mesh[0][:, None] - mesh[2], axis=2).argmin(1)
+    rigid = np.eye(len(mesh[2]))[nearest]
+    return BudgetedStage("weights", "mm", run, judged(scene, rigid, Cost(0, 0), 0, 0.0).errors[1])
+
+
+def _glasses(quick: bool) -> BudgetedStage:
+    from scan2albedo.benchmarks.glasses import QUICK_WEARER, registered, rms_mm, worn_glasses
+    from scan2albedo.eyeglasses import FaceRegistrationOptions
+    from scan2albedo.optimization import Budget
+    from scan2albedo.synthetic import WearerOptions
+
+    scene = worn_glasses(0, QUICK_WEARER if quick else WearerOptions())
+    options = FaceRegistrationOptions()
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        return rms_mm(registered(scene, options, budget, on_progress).vertices, scene.worn)
+
+    start = rms_mm(registered(scene, options, Budget(evaluations=1)).vertices, scene.worn)
+    return BudgetedStage("glasses", "mm", run, start)
+
+
+def _fit_image() -> BudgetedStage:
+    from scan2albedo.benchmarks.reflectance_scenes import albedo_error, learned, person, shot
+    from scan2albedo.reflectance import fit_image
+
+    model, face = learned(40, 30), person(3)
+    observation = shot(face, 3)
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        found = fit_image(observation, model, budget=budget, on_progress=on_progress)
+        return 100 * albedo_error(found.face.reflectance.diffuse_linear, face)
+
+    return BudgetedStage("fit_image", "%", run, 100 * albedo_error(model.diffuse_mean, face))
+
+
+def _refine_geometry() -> BudgetedStage:
+    from scan2albedo.benchmarks.reflectance_scenes import geometry_scene, rigid_error_mm, shape_model
+    from scan2albedo.reflectance import refine_geometry
+
+    scene, shapes = geometry_scene(0), shape_model(60)
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        found = refine_geometry(
+            scene.image_linear,
+            scene.camera,
+            scene.landmarks_px,
+            shapes,
+            reflectance=scene.reflectance,
+            light=scene.light,
+            mask=scene.skin,
+            budget=budget,
+            on_progress=on_progress,
+        )
+        return rigid_error_mm(found.vertices, scene.vertices)
+
+    return BudgetedStage("refine_geometry", "mm", run, rigid_error_mm(shapes.mean, scene.vertices))
+
+
+def _finetune() -> BudgetedStage:
+    from scan2albedo.benchmarks.reflectance_scenes import learned, person, shot, surface
+    from scan2albedo.reflectance import finetune
+
+    model = learned(8, 7)
+    seen = [shot(person(k), k) for k in range(8)]
+    s = surface()
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+        tuned = finetune(
+            model, seen[::2], seen[1::2], s.faces, vertices=s.vertices, budget=budget, on_progress=on_progress
+        )
+        return tuned.held_out_after
+
+    return BudgetedStage("finetune", "held-out objective", run, finetune_start(model, seen[1::2]))
+
+
+def finetune_start(model, held_out) -> float:  # type: ignore[no-untyped-def]
+    """Return the objective of the held-out images with the model as it is."""
+    from scan2albedo.reflectance import fit_image
+
+    return float(np.mean([fit_image(image, model).objective for image in held_out]))

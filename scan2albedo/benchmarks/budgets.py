@@ -1,0 +1,209 @@
+"""Do stages keep a budget in seconds, and have they done by then what they had done without one?
+
+A stage runs without limit, and its trace tells when it had 90 % of what it gained: t*. Run with t* seconds it
+should reach the same, and end then. The machine's other work shows in the wall clock, which budgets are
+counted by; so the overrun is given in CPU seconds: the part of the wall time beyond the budget, times the
+run's own CPU time over its wall time.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from scan2albedo.benchmarks.measurement import Cost, timed
+from scan2albedo.optimization import ProgressCallback, TraceRow
+
+TINY_S = (0.01, 0.1)
+"""Budgets in which hardly anything can be done."""
+_GAINED = 0.9
+_FEWEST_ROWS = 3
+_REPEATS = 3
+
+Budgeted = Callable[[float | None, ProgressCallback | None], float]
+"""Runs a stage with a budget in seconds (None: no limit) and returns its error against the truth."""
+
+
+@dataclass(frozen=True)
+class BudgetedStage:
+    """A stage on one scene.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+        Of the error.
+    run : callable
+        See `Budgeted`.
+    start_error : float
+        The error of what there is before the stage has done anything.
+    """
+
+    name: str
+    unit: str
+    run: Budgeted
+    start_error: float
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """One stage with one budget.
+
+    Parameters
+    ----------
+    stage, unit : str
+    budget_s : float
+    knee : bool
+        Whether the budget is t*, read from the trace.
+    wall_s, cpu_s : float
+        What the run took.
+    error, full_error, start_error : float
+        Against the truth: with the budget, without one, before the stage.
+    """
+
+    stage: str
+    unit: str
+    budget_s: float
+    knee: bool
+    wall_s: float
+    cpu_s: float
+    error: float
+    full_error: float
+    start_error: float
+
+    @property
+    def share(self) -> float:
+        """Part of the whole reduction of the error that was reached; 1 where there was none to reach."""
+        whole = self.start_error - self.full_error
+        return (self.start_error - self.error) / whole if whole > 0 else 1.0
+
+    @property
+    def overrun_s(self) -> float:
+        """CPU seconds of what ran beyond the budget."""
+        return max(self.wall_s - self.budget_s, 0.0) * min(self.cpu_s / max(self.wall_s, 1e-9), 1.0)
+
+    @property
+    def kept(self) -> bool:
+        """Whether the overrun is below a fifth or 0.3 s, and 90 % were reached where t* was given."""
+        in_time = self.overrun_s < max(0.2 * self.budget_s, 0.3)
+        return in_time and (not self.knee or self.share >= _GAINED)
+
+    def figures(self) -> dict[str, Any]:
+        """Return all as plain numbers."""
+        return {**asdict(self), "share": self.share, "overrun_s": self.overrun_s, "kept": self.kept}
+
+    def text(self) -> str:
+        """Return the row of the table."""
+        name = f"{self.stage}, t*" if self.knee else self.stage
+        return (
+            f"{name:24}{self.budget_s:10.3f}{self.wall_s:9.3f}{self.cpu_s:9.3f}{self.overrun_s:10.3f}"
+            f"{100 * self.share:9.1f} %{self.start_error:12.4g}{self.error:12.4g}{self.full_error:12.4g} "
+            f"{self.unit:6}{'kept' if self.kept else 'NOT KEPT'}"
+        )
+
+
+def budget_table(rows: Sequence[BudgetRow]) -> str:
+    """Return the rows as text."""
+    head = (
+        f"{'budgets kept':24}{'budget s':>10}{'wall s':>9}{'CPU s':>9}{'overrun':>10}{'reached':>11}"
+        f"{'at start':>12}{'with it':>12}{'without':>12}"
+    )
+    return "\n".join([head, "-" * len(head), *(row.text() for row in rows)])
+
+
+def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAINED) -> float:
+    """Return when the last yardstick of a trace had gained `share` of all that it gained.
+
+    Parameters
+    ----------
+    rows : sequence of (float, TraceRow)
+        Seconds since the stage began, and the row. Errors of another stage or unit are another yardstick; the
+        last one with three rows or more counts, or the last one at all.
+    share : float
+
+    Returns
+    -------
+    float
+        inf without rows.
+    """
+    yardsticks: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for seconds, row in rows:
+        yardsticks.setdefault((row.stage, row.unit), []).append((seconds, row.error))
+    if not yardsticks:
+        return math.inf
+    every = list(yardsticks.values())
+    chosen = next((points for points in reversed(every) if len(points) >= _FEWEST_ROWS), every[-1])
+    least = min(error for _, error in chosen)
+    enough = chosen[0][1] - share * (chosen[0][1] - least)
+    return next(seconds for seconds, error in chosen if error <= enough)
+
+
+def checked_budgets(
+    stage: BudgetedStage, budgets_s: Sequence[float] = TINY_S, repeats: int = _REPEATS
+) -> list[BudgetRow]:
+    """Return the rows of one stage: with t*, and with the budgets given; each the quickest of some runs."""
+    stage.run(None, None)
+    log: list[tuple[float, TraceRow]] = []
+    begin = time.perf_counter()
+    full_error = stage.run(None, lambda row: log.append((time.perf_counter() - begin, row)))
+    knee_s = time_of_gain(log)
+    found = []
+    for budget in (knee_s, *budgets_s):
+        if not math.isfinite(budget):
+            continue
+        error, cost = _quickest(stage, budget, repeats)
+        found.append(
+            BudgetRow(
+                stage.name,
+                stage.unit,
+                budget,
+                budget == knee_s,
+                cost.wall_s,
+                cost.cpu_s,
+                error,
+                full_error,
+                stage.start_error,
+            )
+        )
+    return found
+
+
+def _quickest(stage: BudgetedStage, budget_s: float, repeats: int) -> tuple[float, Cost]:
+    """Return error and cost of the run that overran least: what others' work delays says nothing of ours."""
+    runs = [timed(lambda: stage.run(budget_s, None)) for _ in range(repeats)]
+    return min(runs, key=lambda run: run[1].wall_s)
+
+
+def budget_rows(
+    stages: Sequence[str] = (),
+    *,
+    quick: bool = False,
+    on_row: Callable[[BudgetRow], None] = lambda row: None,
+) -> list[BudgetRow]:
+    """Check the budgets of the stages named, all that have one when none is.
+
+    Parameters
+    ----------
+    stages : sequence of str
+        Those without a budget are passed over; "reflectance" stands for the three of reflectance, which run
+        with all others too.
+    quick : bool
+        One run each, of tiny scenes.
+    on_row : callable
+        Called with each row.
+    """
+    from scan2albedo.benchmarks.budgeted_stages import budgeted_stages
+
+    rows = []
+    with warnings.catch_warnings():
+        # That they have not converged is what is measured.
+        warnings.simplefilter("ignore")
+        for make in budgeted_stages(stages, quick):
+            for row in checked_budgets(make(), repeats=1 if quick else _REPEATS):
+                rows.append(row)
+                on_row(row)
+    return rows

@@ -1,0 +1,67 @@
+"""Where the light is looked for first, and what a budget of next to nothing gives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
+from scan2albedo.albedo.first_light import nearest_first, shading_direction
+from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.synthetic import face, hemisphere, light_at
+
+
+def level_of(scene):
+    options = EstimateOptions()
+    return build_level(scene.image, usable_texels(scene.image, options), 32, options)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (45, 10), (-60, -20)])
+def test_shading_grows_toward_the_light(azimuth, elevation):
+    light = light_at(azimuth, elevation)
+    scene = hemisphere(size=64, texture="wood", lights=[light])
+    assert np.degrees(np.arccos(shading_direction(level_of(scene)) @ light.direction)) < 25
+
+
+def test_even_light_comes_from_the_front():
+    level = level_of(hemisphere(size=32, texture="plain"))
+    even = replace(level, value=np.full(len(level.value), 0.7))
+    np.testing.assert_array_equal(shading_direction(even), [0, 0, 1])
+
+
+def test_directions_are_all_kept_nearest_first():
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ordered = nearest_first(directions, directions[7])
+    np.testing.assert_array_equal(ordered[0], directions[7])
+    assert (np.diff(ordered @ directions[7]) <= 0).all()
+    assert {tuple(d) for d in ordered} == {tuple(d) for d in directions}
+
+
+@pytest.mark.parametrize("lights", [[light_at(50, 10)], [light_at(50, 10), light_at(-40, 5, intensity=2)]])
+def test_no_time_at_all_still_takes_most_of_the_light_away(lights):
+    scene = face(3, size=64, lights=lights)
+    estimate = estimate_albedo(scene.image, budget=1e-6)
+    unlit, found = (
+        albedo_error(colors, scene.albedo_linear, scene.image.mask).mse_percent
+        for colors in (scene.image.texture_linear, estimate.albedo_linear)
+    )
+    assert found < 0.6 * unlit
+    assert not estimate.converged
+    assert len(estimate.lights) == 1
+    assert len(estimate.trace) == 1
+
+
+def test_what_there_was_no_time_for_is_said():
+    estimate = estimate_albedo(face(3, size=64).image, budget=1e-6)
+    told = {step.stage: step.reason for step in estimate.plan}
+    assert told["albedo.shadows"] == "the budget ended before it was judged"
+    assert "albedo.rectification" in told
+    assert "albedo.specular" in told
+
+
+def test_what_was_asked_for_is_done_without_time():
+    options = EstimateOptions(rectification=True)
+    estimate = estimate_albedo(face(3, size=64).image, budget=1e-6, options=options)
+    assert estimate.plan.ran("albedo.rectification")

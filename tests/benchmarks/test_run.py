@@ -1,0 +1,55 @@
+"""The command and the runs of all stages on tiny scenes."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from scan2albedo.benchmarks.presets import PRESETS, preset_settings
+from scan2albedo.benchmarks.run import STAGES, benchmark_of, run_benchmarks
+from scan2albedo.cli import app
+
+
+def test_every_stage_has_its_default_first():
+    for name in set(STAGES):
+        settings = benchmark_of(name).settings(False)
+        assert settings[0].knob == "default", name
+        names = [s.name for s in settings]
+        assert len(set(names)) == len(names), name
+
+
+def test_presets_are_settings_of_their_stages():
+    for stage in PRESETS:
+        assert stage in STAGES
+        assert {s.value for s in preset_settings(stage)} <= {"draft", "best"}
+
+
+def test_an_unknown_stage_is_named():
+    with pytest.raises(ValueError, match="'hair' is none of register"):
+        run_benchmarks(["hair"])
+    result = CliRunner().invoke(app, ["benchmark", "hair"])
+    assert result.exit_code == 2
+    assert "'hair'" in result.output
+
+
+def test_the_command_sweeps_one_stage(tmp_path):
+    arguments = ["benchmark", "albedo", "-o", str(tmp_path / "out"), "--quick", "--no-budgets", "--json"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)
+    (stage,) = numbers["stages"]
+    errors = {p["name"]: p["errors"][0] for p in stage["points"]}
+    assert errors["default"] < errors["robust SH-2"] < errors["homomorphic"]
+    assert (tmp_path / "out" / "error_vs_time.png").exists()
+
+
+@pytest.mark.slow
+def test_all_stages_run_on_tiny_scenes():
+    report = run_benchmarks(quick=True)
+    assert [stage.stage for stage in report.stages] == list(STAGES)
+    for stage in report.stages:
+        assert stage.front(0), stage.stage
+        best = min(p.errors[0] for p in stage.ours)
+        assert best < 10, stage.stage
+    assert len(report.budgets) == 9
+    assert all(row.share > 0.5 for row in report.budgets if row.knee)

@@ -1,0 +1,73 @@
+"""Sweeps over a stage made up for the test."""
+
+import time
+
+import pytest
+
+from scan2albedo.benchmarks.measurement import Cost, timed
+from scan2albedo.benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, measured, varied
+from scan2albedo.fitting import FitOptions
+
+
+def made_up(calls=None):
+    """Scenes are numbers; a setting of effort e errs by the scene over e and costs e seconds."""
+
+    def run(scene, setting):
+        if calls is not None:
+            calls.append((scene, setting.name))
+        return Outcome(
+            Cost(setting.options, 2 * setting.options), (scene / setting.options,), 7, {"x": scene}
+        )
+
+    return StageBenchmark(
+        "made up",
+        (ErrorKind("error", "mm"),),
+        lambda quick: [1.0] if quick else [1.0, 3.0],
+        lambda quick: [Setting("default", "", 2.0), Setting("effort", "4", 4.0)],
+        run,
+        lambda quick: [
+            Peer("slow", lambda scene: Outcome(Cost(10.0, 10.0), (scene,))),
+            Peer("absent", lambda scene: pytest.fail("it is not there"), "pip install absent"),
+        ],
+    )
+
+
+def test_points_are_means_over_scenes():
+    default, effort, slow = measured(made_up())
+    assert default.errors == (1.0,)
+    assert default.worst == (1.5,)
+    assert (effort.cpu_s, effort.wall_s, effort.evaluations, effort.details["x"]) == (4.0, 8.0, 7.0, 2.0)
+    assert (slow.name, slow.is_ours, slow.errors) == ("slow", False, (2.0,))
+
+
+def test_everything_runs_once_before_the_clock_counts():
+    calls = []
+    measured(made_up(calls), quick=True)
+    assert calls.count((1.0, "effort 4")) == 2
+
+
+def test_of_repeats_the_cheapest_counts():
+    costs = iter([5.0, 3.0, 9.0, 4.0])
+    stage = made_up()
+    setting = Setting("default", "", 1.0)
+
+    def run(scene, _):
+        return Outcome(Cost(next(costs), 1.0), (1.0,))
+
+    one = StageBenchmark(
+        "one", stage.errors, lambda quick: [0], lambda quick: [setting], run, lambda quick: []
+    )
+    assert measured(one, repeats=3)[0].cpu_s == 3.0
+
+
+def test_varied_changes_one_field():
+    settings = varied("steps", FitOptions(), (3, 5))
+    assert [s.options.steps for s in settings] == [3, 5]
+    assert settings[0].options.levels == FitOptions().levels
+
+
+def test_timed_counts_work_but_not_sleep_as_cpu():
+    result, cost = timed(lambda: time.sleep(0.05) or "done")
+    assert result == "done"
+    assert cost.wall_s >= 0.05
+    assert cost.cpu_s < cost.wall_s
