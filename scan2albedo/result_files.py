@@ -27,6 +27,7 @@ from scan2albedo.io.result_json import (
     plain_json,
     write_record,
 )
+from scan2albedo.report.figures import save_figure
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
 from scan2albedo.staging import staging_folder
 
@@ -143,8 +144,8 @@ def _write_pictures(result: ProcessResult, folder: Path) -> None:
         panels = face_panels(result.scan, result.fitted, result.geometry_image, result.albedo)
     else:
         panels = chart_panels(result.geometry_image, result.albedo)
-    overview_figure(result.summary(), panels).savefig(folder / "overview.png")
-    result.trace.plot().savefig(folder / "error_vs_time.png", dpi=110)
+    save_figure(overview_figure(result.summary(), panels), folder / "overview.png")
+    save_figure(result.trace.plot(), folder / "error_vs_time.png", dpi=110)
 
 
 def _write_json(result: ProcessResult, folder: Path) -> None:

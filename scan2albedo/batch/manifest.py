@@ -60,13 +60,8 @@ class ManifestScan:
         BatchError
             When a cell is no such option.
         """
-        given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
         try:
-            for name in {"seed", "lights"} & given.keys():
-                if re.fullmatch("-?[0-9]+", given[name]):
-                    given[name] = int(given[name])
-                elif name == "seed":
-                    raise ValueError(f"seed is {given[name]!r}, expected a whole number >= 0")
+            given = {name: _value(name, text) for name, text in self.own.items() if text}
             chosen = replace(batch, **given)
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error
@@ -140,6 +135,16 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     folder = source.parent.absolute()
     scans = [_scan(line, folder, where=f"{source}, line {number}") for number, line in wanted]
     return _checked(BatchManifest(source, tuple(scans)))
+
+
+def _value(name: str, text: str) -> str | int:
+    if name not in ("seed", "lights"):
+        return text
+    if re.fullmatch("-?[0-9]+", text):
+        return int(text)
+    if name == "seed":
+        raise ValueError(f"seed is {text!r}, expected a whole number >= 0")
+    return text
 
 
 def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +54,11 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
             arrays[stored] = getattr(image, field)
     if image.occluder is not None:
         arrays["occluder_vertices_mm"], arrays["occluder_faces"] = image.occluder
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    # Floats hardly shrink: the fastest level saves a quarter of the time and costs 1 % of the size.
+    with atomic_path(path) as temporary, ZipFile(temporary, "w", ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
 
 
 def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
