@@ -60,6 +60,7 @@ class ManifestScan:
         BatchError
             When a cell is no such option.
         """
+        given: dict[str, Any] = {}
         try:
             given = {name: _value(name, text) for name, text in self.own.items() if text}
             chosen = replace(batch, **given)

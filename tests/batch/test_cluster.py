@@ -1,6 +1,7 @@
 """The same batch on a dask cluster."""
 
 import json
+import sys
 import threading
 import time
 
@@ -8,7 +9,7 @@ import pytest
 
 from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.batch.layout import Layout
-from scan2albedo.errors import BatchError
+from scan2albedo.errors import BatchError, MissingDependencyError
 from scan2albedo.process_options import ProcessOptions
 
 TINY = ProcessOptions(model="none", size=32, pictures=False)
@@ -69,4 +70,10 @@ def test_a_scan_that_kills_every_worker_fails_alone(scans_in, tmp_path, quick_st
 def test_no_scheduler_is_one_clear_error(scans_in, tmp_path, monkeypatch):
     monkeypatch.setattr("scan2albedo.batch.backends._CONNECT_S", 1)
     with pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+
+
+def test_without_dask_the_command_that_installs_it_is_told(scans_in, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[cluster\]'"):
         run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
