@@ -207,8 +207,9 @@ def _in_time(options: EstimateOptions, meter: Meter) -> EstimateOptions:
     """Return the options; without what makes a good albedo better when the budget's seconds have ended."""
     if not meter.out_of_time:
         return options
-    unasked = [name for name in ("rectification", "inpainting") if getattr(options, name) is None]
-    return replace(options, **dict.fromkeys(["shrink", *unasked], False))
+    return replace(
+        options, shrink=False, rectification=bool(options.rectification), inpainting=bool(options.inpainting)
+    )
 
 
 def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:
