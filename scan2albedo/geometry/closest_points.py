@@ -117,7 +117,7 @@ def checked_faces(faces: ArrayLike) -> IntArray:
     Raises
     ------
     ValueError
-        When there is none: libigl crashes on such a surface.
+        When there is none.
     """
     index = np.ascontiguousarray(faces, np.int64)
     if len(index) == 0:
