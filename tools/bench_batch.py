@@ -205,7 +205,7 @@ def main() -> None:
 def bench(folder: Path, arguments: argparse.Namespace) -> None:
     manifest = make_scans(folder / "scans", arguments.scans, arguments.jobs)
     few = subset(manifest, arguments.subset)
-    for name in ("all", "one", "killed"):
+    for name in ("all", "one", "bare", "killed"):
         shutil.rmtree(folder / name, ignore_errors=True)
     options = ["--size", str(arguments.size)]
     many = [*options, "--jobs", str(arguments.jobs)]
@@ -216,6 +216,7 @@ def bench(folder: Path, arguments: argparse.Namespace) -> None:
     alone.show(f"{len(alone.rows)} scans, 1 job")
     ratio = whole.summary["scans_per_hour"] / alone.summary["scans_per_hour"]
     print(f"\n{arguments.jobs} jobs are {ratio:.2f} times as fast as 1")
+    run(few, folder / "bare", *options, "--jobs", "1", "--no-pictures").show("the same without pictures")
     kill_and_resume(few, folder / "killed", many)
 
 
