@@ -21,10 +21,13 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "draft": {"sizes": (32, 64), "start_directions": 20},
         "best": {"sizes": (64, 256), "starts": 6, "descent_iterations": 20},
     },
-    "weights": {"draft": {"tolerance": 1e-4, "finest": 1 / 85}, "best": {"thin_part": 0.02}},
+    "weights": {
+        "draft": {"tolerance": 1e-4, "finest": 1 / 85},
+        "best": {"coarsest": 1 / 150, "max_nodes": 20_000},
+    },
     "glasses": {
         "draft": {"outlines": 2, "steps": 5, "outline_stride": 2},
-        "best": {"outlines": 20, "steps": 80},
+        "best": {"outline_correlation_px": 40.0},
     },
 }
 """Fields of each stage's options that differ from the defaults; standard is the default."""
