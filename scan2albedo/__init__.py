@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan2albedo import applications, eyeglasses, recognition, reflectance, synthetic
+    from scan2albedo import applications, batch, eyeglasses, recognition, reflectance, report, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from scan2albedo.optimization import Budget, Trace
     from scan2albedo.pipeline import process
     from scan2albedo.process_result import ProcessResult
+    from scan2albedo.quality import Quality
     from scan2albedo.registration import Registration, register
     from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
@@ -38,6 +39,7 @@ _HOMES = {
     "GeometryImage": "io",
     "PointLight": "lighting",
     "ProcessResult": "process_result",
+    "Quality": "quality",
     "RawScan": "io",
     "Region": "face_model",
     "Registration": "registration",
@@ -53,7 +55,7 @@ _HOMES = {
     "read_geometry_image": "io",
     "register": "registration",
 }
-_SUBPACKAGES = ("applications", "eyeglasses", "recognition", "reflectance", "synthetic")
+_SUBPACKAGES = ("applications", "batch", "eyeglasses", "recognition", "reflectance", "report", "synthetic")
 
 __all__ = [
     "AlbedoEstimate",
@@ -63,6 +65,7 @@ __all__ = [
     "GeometryImage",
     "PointLight",
     "ProcessResult",
+    "Quality",
     "RawScan",
     "Region",
     "Registration",
@@ -71,6 +74,7 @@ __all__ = [
     "__version__",
     "albedo_error",
     "applications",
+    "batch",
     "estimate_albedo",
     "eyeglasses",
     "fit",
@@ -82,6 +86,7 @@ __all__ = [
     "recognition",
     "reflectance",
     "register",
+    "report",
     "synthetic",
 ]
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from scan2albedo.applications_cli import add_commands
+from scan2albedo.batch_cli import batch
 from scan2albedo.benchmark_cli import benchmark
 from scan2albedo.cli_tools import (
     SOME_FAILED,
@@ -24,7 +25,18 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments_cli import app as experiments_app
 from scan2albedo.glasses_cli import app as glasses_app
 from scan2albedo.identification_cli import identify
+from scan2albedo.process_flags import (
+    PresetSizeOption,
+    QualityOption,
+    SeedOption,
+    SizeOption,
+    with_process_flags,
+)
 from scan2albedo.reflectance_cli import app as reflectance_app
+from scan2albedo.report_cli import report
+
+if TYPE_CHECKING:
+    from scan2albedo.process_options import ProcessOptions
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -38,11 +50,11 @@ app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
+app.command()(batch)
+app.command()(report)
 app.command()(benchmark)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
-SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
-SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
 
 
 @app.callback()
@@ -51,70 +63,30 @@ def _common() -> None:
 
 
 @app.command()
+@with_process_flags
 def process(
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
-    model: Annotated[
-        str,
-        typer.Option(
-            help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face."
-        ),
-    ] = "default",
-    size: SizeOption = 512,
-    lights: Annotated[str, typer.Option(help="'auto', or how many.")] = "auto",
-    brdf: Annotated[
-        str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")
-    ] = "oren-nayar",
-    unit: Annotated[str, typer.Option(help="auto, mm, cm or m.")] = "auto",
-    budget: Annotated[float | None, typer.Option(help="Seconds a scan may take.")] = None,
-    seed: SeedOption = 0,
-    skip: Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")] = None,
-    force: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."
-        ),
-    ] = None,
+    options: ProcessOptions,
     json_summary: JsonOption = False,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
-    light_choice = _light_choice(lights)
-    from scan2albedo.choices import check_choices, check_stage_names
-    from scan2albedo.optimization import Budget
     from scan2albedo.pipeline import chosen_model
     from scan2albedo.pipeline import process as run
     from scan2albedo.progress import ProgressLines
 
-    try:
-        check_stage_names(skip or (), force or ())
-        check_choices(size, light_choice, brdf, unit)
-        spend = Budget.of(budget)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
     stop_cleanly_on_interrupt(out)
-    template = chosen_model(model)
+    template = chosen_model(options.model)
     for note in template.notes if template is not None else ():
-        typer.echo(f"{model}: {note}", err=True)
+        typer.echo(f"{options.model}: {note}", err=True)
+    chosen = options.arguments() | {"model": template or "none"}
     summaries, failures = [], 0
     for path in scans:
         with ProgressLines(path.stem) as progress:
             progress.say(f"{path.stem}: reading {path}")
             try:
-                result = run(
-                    path,
-                    out=out,
-                    model=template or "none",
-                    size=size,
-                    lights=light_choice,
-                    brdf=brdf,
-                    unit=unit,
-                    budget=spend,
-                    seed=seed,
-                    skip=tuple(skip or ()),
-                    force=tuple(force or ()),
-                    on_progress=progress.update,
-                )
+                result = run(path, out=out, on_progress=progress.update, **chosen)
             except (Scan2AlbedoError, ValueError) as error:
                 failures += 1
                 progress.say(f"scan2albedo: error: {one_line(error)}")
@@ -134,16 +106,22 @@ def process(
 def demo(
     out: OutOption = Path("demo_out"),
     seed: SeedOption = 0,
-    size: SizeOption = 512,
+    size: PresetSizeOption = None,
+    quality: QualityOption = "standard",
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.demo import run_demo
     from scan2albedo.progress import ProgressLines
+    from scan2albedo.quality import quality_of
 
+    try:
+        preset = quality_of(quality)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
     with ProgressLines("demo") as progress:
-        report = run_demo(out, seed=seed, size=size, on_progress=progress.update)
+        report = run_demo(out, seed=seed, size=size, quality=preset, on_progress=progress.update)
         progress.say(report.result.summary())
     if json_summary:
         echo_json(report.figures())
@@ -201,15 +179,6 @@ def doctor(json_summary: JsonOption = False) -> None:
         echo_json([asdict(finding) for finding in findings])
     if not all(finding.good for finding in findings):
         raise typer.Exit(SOME_FAILED)
-
-
-def _light_choice(lights: str) -> str | int:
-    if lights == "auto":
-        return lights
-    try:
-        return int(lights)
-    except ValueError:
-        raise typer.BadParameter(f"--lights takes 'auto' or a whole number, not {lights!r}") from None
 
 
 def main() -> None:

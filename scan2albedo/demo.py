@@ -17,6 +17,7 @@ from scan2albedo.lighting import PointLight
 from scan2albedo.optimization import ProgressCallback
 from scan2albedo.pipeline import process
 from scan2albedo.process_result import ProcessResult
+from scan2albedo.quality import Quality, quality_of
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 INNER_LANDMARKS = slice(17, 68)
@@ -82,7 +83,12 @@ class DemoReport:
 
 
 def run_demo(
-    out: str | Path | None, *, seed: int = 0, size: int = 512, on_progress: ProgressCallback | None = None
+    out: str | Path | None,
+    *,
+    seed: int = 0,
+    size: int | None = None,
+    quality: Quality | str = "standard",
+    on_progress: ProgressCallback | None = None,
 ) -> DemoReport:
     """Scan a synthetic person, process the scan, compare with the truth.
 
@@ -92,13 +98,16 @@ def run_demo(
         Folder for the files, as in `process`.
     seed : int
         Of the person, its pose and its lights; and of the pipeline.
-    size : int
-        Height and width of the geometry image.
+    size : int, optional
+        Height and width of the geometry image; that of `quality` when omitted.
+    quality : str or Quality
+        As in `process`.
     on_progress : callable, optional
         Called with every `TraceRow`.
     """
-    scan, truth = raw_scan(seed, options=RawScanOptions(size=size))
-    result = process(scan, out, size=size, seed=seed, on_progress=on_progress)
+    preset = quality_of(quality)
+    scan, truth = raw_scan(seed, options=RawScanOptions(size=size or preset.size))
+    result = process(scan, out, size=size, quality=preset, seed=seed, on_progress=on_progress)
     return compare_with_truth(result, truth)
 
 

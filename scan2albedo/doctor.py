@@ -14,6 +14,7 @@ SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libg
 _IMPORT_NAMES = {
     "cholespy": "cholespy",
     "embreex": "embreex",
+    "joblib": "joblib",
     "libigl": "igl",
     "matplotlib": "matplotlib",
     "numba": "numba",
@@ -21,6 +22,8 @@ _IMPORT_NAMES = {
     "open3d": "open3d",
     "opencv-python-headless": "cv2",
     "OpenEXR": "OpenEXR",
+    "psutil": "psutil",
+    "pyarrow": "pyarrow",
     "pydantic": "pydantic",
     "pyrtools": "pyrtools",
     "rich": "rich",

@@ -45,6 +45,10 @@ class ReflectanceError(Scan2AlbedoError):
     """Photographs, reflectances or a morphable reflectance model cannot be used."""
 
 
+class BatchError(Scan2AlbedoError):
+    """Many scans cannot be processed as a whole: the manifest, the folder or the cluster is at fault."""
+
+
 class OutputError(Scan2AlbedoError):
     """Results cannot be written."""
 

@@ -18,13 +18,16 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.template_file import TEMPLATE_FILES, model_from_file
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.io import GeometryImage, RawScan, load_scan
-from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace, checked_seed
 from scan2albedo.process_result import ProcessResult
+from scan2albedo.quality import Quality, quality_of
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
-"""Share of the seconds still left that each stage may take."""
+"""Share of the seconds still left for searching that each stage may take."""
+SAMPLING_S, DIVISION_S = 3e-6, 2e-6
+"""Seconds a texel that a geometry image and the removal of its light take, whatever the budget."""
 
 
 def process(
@@ -32,14 +35,17 @@ def process(
     out: str | Path | None = None,
     *,
     model: AnnotatedFaceModel | str | Path | None = None,
-    size: int = 512,
+    size: int | None = None,
     lights: int | str = "auto",
     brdf: str = "oren-nayar",
     unit: str = "auto",
+    quality: Quality | str = "standard",
     budget: Budget | float | None = None,
     seed: int = 0,
     skip: Sequence[str] = (),
     force: Sequence[str] = (),
+    pictures: bool = True,
+    name: str | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> ProcessResult:
     """Take one raw scan through every stage it needs.
@@ -54,14 +60,16 @@ def process(
         The template, from a model's JSON file or a mesh (`AnnotatedFaceModel.from_mesh`); the default
         model when omitted. "none" processes any object without a face: xatlas charts, no registration,
         no fit.
-    size : int
-        Height and width of the geometry image.
+    size : int, optional
+        Height and width of the geometry image; that of `quality` when omitted, 512 for "standard".
     lights : "auto" or int
         How many lights; "auto" decides by evidence.
     brdf : str
         "oren-nayar", "lambert", "minnaert" or "spherical-harmonics".
     unit : str
         "auto", "mm", "cm" or "m".
+    quality : str or Quality
+        "draft", "standard" or "best", or the options of every stage.
     budget : Budget or float, optional
         Seconds for the whole run, or a Budget whose evaluations hold for each stage.
     seed : int
@@ -71,6 +79,10 @@ def process(
     force : sequence of str
         Names from `choices.FORCEABLE`: steps to carry out whatever the evidence says, where there is
         anything to do (a shadow's outline to rectify, a saturated texel to inpaint).
+    pictures : bool
+        Whether overview.png and error_vs_time.png are drawn among the files.
+    name : str, optional
+        Name of the scan and of its folder; the file's stem, or that of the `RawScan`, when omitted.
     on_progress : callable, optional
         Called with every `TraceRow`.
 
@@ -84,23 +96,27 @@ def process(
         With one clear message: the scan cannot be read, holds no face, cannot be fitted, or the
         results cannot be written.
     ValueError
-        For an unknown stage, BRDF or unit name, a stage that cannot be skipped or forced, or is both, a
-        size or number of lights out of range.
+        For an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced, or is both, a
+        size or number of lights out of range, a seed or budget that is none.
     """
     check_stage_names(skip, force)
+    chosen = quality_of(quality)
+    size = chosen.size if size is None else size
     check_choices(size, lights, brdf, unit)
-    run = _Run(Budget.of(budget), frozenset(skip), frozenset(force), seed, on_progress)
+    run = _Run(
+        Budget.of(budget), chosen, frozenset(skip), frozenset(force), checked_seed(seed), size, on_progress
+    )
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         from scan2albedo.result_files import check_writable
 
         check_writable(Path(out))
-    result = run.result(source, model, size=size, lights=lights, brdf=brdf, unit=unit)
+    result = run.result(source, model, name, lights=lights, brdf=brdf, unit=unit)
     if out is None:
         return result
     from scan2albedo.result_files import write_result
 
-    return replace(result, out=write_result(result, Path(out)))
+    return replace(result, out=write_result(result, Path(out), pictures=pictures))
 
 
 @contextmanager
@@ -115,6 +131,12 @@ def _kept_messages() -> Iterator[list[str]]:
             messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+
+
+def _scan(source: str | Path | RawScan, unit: str, name: str | None) -> RawScan:
+    if not isinstance(source, RawScan):
+        return load_scan(source, unit=unit, name=name)
+    return source if name is None else replace(source, name=name)
 
 
 def _evenness(image: GeometryImage) -> str:
@@ -153,9 +175,11 @@ class _Run:
     """The state of one run: clock, plan and trace."""
 
     budget: Budget
+    quality: Quality
     skip: frozenset[str]
     force: frozenset[str]
     seed: int
+    size: int
     on_progress: ProgressCallback | None
     plan: Plan = field(default_factory=Plan)
     trace: Trace = field(default_factory=Trace)
@@ -172,24 +196,25 @@ class _Run:
         self,
         source: str | Path | RawScan,
         model: AnnotatedFaceModel | str | Path | None,
+        name: str | None,
         *,
-        size: int,
         lights: int | str,
         brdf: str,
         unit: str,
     ) -> ProcessResult:
         """Take the scan through the stages; no file is written."""
         with self.timed("load"):
-            scan = source if isinstance(source, RawScan) else load_scan(source, unit=unit)
+            scan = _scan(source, unit, name)
             template = chosen_model(model)
         with _kept_messages() as messages:
-            registration, fitted, image = self.geometry(scan, template, size)
+            registration, fitted, image = self.geometry(scan, template)
             estimate = self.albedo(image, scan, lights, brdf)
         options = {
-            "size": size,
+            "size": self.size,
             "lights": lights,
             "brdf": brdf,
             "unit": unit,
+            "quality": self.quality.name,
             "skip": sorted(self.skip),
             "force": sorted(self.force),
             "budget_seconds": self.budget.seconds,
@@ -215,26 +240,34 @@ class _Run:
         """Return the stage's part of what is left of the budget."""
         if self.budget.seconds is None:
             return self.budget
-        left = self.budget.seconds - (time.perf_counter() - self.start)
+        texel_s = DIVISION_S if stage == "albedo" else SAMPLING_S + DIVISION_S
+        left = self.budget.seconds - (time.perf_counter() - self.start) - texel_s * self.size**2
         return replace(self.budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
     def note(self, stage: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.plan += Plan((PlanStep(stage, ran, reason, evidence),))
 
     def geometry(
-        self, scan: RawScan, model: AnnotatedFaceModel | None, size: int
+        self, scan: RawScan, model: AnnotatedFaceModel | None
     ) -> tuple[Registration | None, FittedFace | None, GeometryImage]:
         if model is None:
             for stage in ("register", "fit"):
                 self.note(stage, False, "no model was asked for")
             with self.timed("geometry_image"):
-                image = geometry_image_of_scan(scan, size)
+                image = geometry_image_of_scan(scan, self.size)
             self.note("geometry_image", True, "charts cut by xatlas", _evenness(image))
             return None, None, image
         registration = self.registration(scan, model)
         pose = np.eye(4) if registration is None else registration.model_from_scan
         with self.timed("fit"):
-            fitted = fit(scan, model, pose, self.share("fit"), on_progress=self.on_progress)
+            fitted = fit(
+                scan,
+                model,
+                pose,
+                self.share("fit"),
+                options=self.quality.fit,
+                on_progress=self.on_progress,
+            )
         self.trace += fitted.trace
         self.note(
             "fit",
@@ -243,7 +276,7 @@ class _Run:
             f"{np.nanmean(fitted.residual_mm):.3f} mm mean",
         )
         with self.timed("geometry_image"):
-            image = geometry_image(fitted, scan, size)
+            image = geometry_image(fitted, scan, self.size)
         evidence = _evenness(image)
         if scan.has_color:
             evidence += f", texture seen in {image.figures()['seen']:.1%} of them"
@@ -295,22 +328,28 @@ class _Run:
         return estimate
 
     def registration_options(self) -> RegistrationOptions:
+        options = self.quality.registration
         if "register.depth_annealing" in self.skip:
-            return RegistrationOptions(annealing_evaluations=0)
-        return RegistrationOptions(force_annealing="register.depth_annealing" in self.force)
-
-    def estimate_options(self) -> EstimateOptions:
-        return EstimateOptions(
-            shadows=self.choice("albedo.shadows"),
-            near_light=self.choice("albedo.near_light"),
-            roughness=self.choice("albedo.roughness"),
-            specular=self.choice("albedo.specular"),
-            rectification=self.choice("albedo.rectification"),
-            inpainting=self.choice("albedo.inpainting"),
+            return replace(options, annealing_evaluations=0)
+        return replace(
+            options, force_annealing=options.force_annealing or "register.depth_annealing" in self.force
         )
 
-    def choice(self, stage: str) -> bool | None:
-        """Return False when skipped, True when forced, None when the evidence decides."""
+    def estimate_options(self) -> EstimateOptions:
+        """Return the preset's options with the steps that the caller skips or forces."""
+        options = self.quality.albedo
+        return replace(
+            options,
+            shadows=self.choice("albedo.shadows", options.shadows),
+            near_light=self.choice("albedo.near_light", options.near_light),
+            roughness=self.choice("albedo.roughness", options.roughness),
+            specular=self.choice("albedo.specular", options.specular),
+            rectification=self.choice("albedo.rectification", options.rectification),
+            inpainting=self.choice("albedo.inpainting", options.inpainting),
+        )
+
+    def choice(self, stage: str, preset: bool | None) -> bool | None:
+        """Return False when skipped, True when forced, else the preset's: None lets the evidence decide."""
         if stage in self.skip:
             return False
-        return True if stage in self.force else None
+        return True if stage in self.force else preset

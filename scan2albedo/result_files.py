@@ -27,6 +27,7 @@ from scan2albedo.io.result_json import (
     plain_json,
     write_record,
 )
+from scan2albedo.report.figures import save_figure
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
 from scan2albedo.staging import staging_folder
 
@@ -71,12 +72,13 @@ def check_writable(out: Path) -> None:
         raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
 
 
-def write_result(result: ProcessResult, out: Path) -> Path:
+def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
     The files are made in a hidden folder beside it and then renamed into place: a run that is killed
     while they are made, or a disk that is full, leaves older results as they were and no half-file. An
     older `result.json` goes first and the new one comes last, so a folder that has one is whole.
+    `overview.png` and `error_vs_time.png` are left out without `pictures`.
 
     Raises
     ------
@@ -86,7 +88,7 @@ def write_result(result: ProcessResult, out: Path) -> Path:
     folder = out / result.scan.name
     try:
         with staging_folder(make_folder(out), folder.name) as staging:
-            _write_all(result, staging)
+            _write_all(result, staging, pictures)
             make_folder(folder)
             (folder / "result.json").unlink(missing_ok=True)
             for name in FILES - {path.name for path in staging.iterdir()}:
@@ -103,7 +105,7 @@ def write_result(result: ProcessResult, out: Path) -> Path:
     return folder
 
 
-def _write_all(result: ProcessResult, folder: Path) -> None:
+def _write_all(result: ProcessResult, folder: Path, pictures: bool) -> None:
     image, estimate = result.geometry_image, result.albedo
     write_geometry_image(folder / "geometry_image.npz", image)
     write_geometry_image_exr(folder / "geometry_image.exr", image)
@@ -120,7 +122,8 @@ def _write_all(result: ProcessResult, folder: Path) -> None:
             folder / "fitted.glb", result.fitted.vertices, result.fitted.faces, result.fitted.uv, texture
         )
         _write_template(result.fitted, folder / "template.obj")
-    _write_pictures(result, folder)
+    if pictures:
+        _write_pictures(result, folder)
     result.trace.to_csv(folder / "trace.csv")
     _write_json(result, folder)
 
@@ -141,8 +144,8 @@ def _write_pictures(result: ProcessResult, folder: Path) -> None:
         panels = face_panels(result.scan, result.fitted, result.geometry_image, result.albedo)
     else:
         panels = chart_panels(result.geometry_image, result.albedo)
-    overview_figure(result.summary(), panels).savefig(folder / "overview.png")
-    result.trace.plot().savefig(folder / "error_vs_time.png", dpi=110)
+    save_figure(overview_figure(result.summary(), panels), folder / "overview.png")
+    save_figure(result.trace.plot(), folder / "error_vs_time.png", dpi=110)
 
 
 def _write_json(result: ProcessResult, folder: Path) -> None:

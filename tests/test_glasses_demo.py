@@ -17,6 +17,8 @@ from scan2albedo.glasses_demo import fitted_face, run_glasses_demo
 from scan2albedo.glasses_demo_report import compare_with_wearer
 from scan2albedo.synthetic import WearerOptions, wearer
 
+pytestmark = pytest.mark.slow
+
 SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.3, mask_noise_px=0.3)
 
 
@@ -43,7 +45,6 @@ def report(tmp_path_factory):
     return out, answer, reports[0]
 
 
-@pytest.mark.slow
 def test_the_command_tells_the_errors_and_leaves_inputs_and_results(report, person):
     out, answer, found = report
     assert answer.exit_code == 0, answer.output
@@ -75,7 +76,6 @@ def test_figures_of_known_errors(report, person):
     assert 0.7 < one.depth_error_mm < 0.9
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_frame_on_a_fitted_face_is_right_to_a_third_of_a_millimetre(seed, tmp_path):
     found = run_glasses_demo(tmp_path, seed=seed)
@@ -86,7 +86,6 @@ def test_a_frame_on_a_fitted_face_is_right_to_a_third_of_a_millimetre(seed, tmp_
     assert found.observed_rms_mm <= 2 * found.observed_deviation_mm
 
 
-@pytest.mark.slow
 def test_the_fitted_face_lies_in_the_wearers_world():
     person = wearer(2, options=SMALL)
     vertices, _ = fitted_face(2)

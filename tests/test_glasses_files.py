@@ -25,6 +25,8 @@ from scan2albedo.glasses_input import read_frame
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
+pytestmark = pytest.mark.slow
+
 SCHEMAS = Path(__file__).resolve().parents[1] / "data_schemas"
 MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 FRAME_FILES = {"canonical.glb", "canonical.npz", "keypoints.json", "result.json"}

@@ -30,6 +30,8 @@ from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.synthetic import eyeglasses
 
+pytestmark = pytest.mark.slow
+
 SCHEMA = Path(__file__).resolve().parents[1] / "data_schemas" / "eyeglasses_lenses.schema.json"
 SHAPE = (48, 64)
 BENT = eyeglasses(1)

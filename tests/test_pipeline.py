@@ -286,6 +286,7 @@ def test_a_disk_that_fills_up_leaves_no_half_written_result(result, tmp_path, mo
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_interrupted_write_keeps_the_older_result(result, tmp_path, monkeypatch):
     from scan2albedo import result_files
 

@@ -18,6 +18,7 @@ from scan2albedo.eyeglasses.files.label_files import LabelsFile
 from scan2albedo.eyeglasses.files.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.application_json import ApplicationRecord
+from scan2albedo.io.batch_json import BatchRecord, BatchScanRecord
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
 from scan2albedo.io.identification_json import IdentificationRecord
 from scan2albedo.io.lens_json import LensesRecord
@@ -37,6 +38,8 @@ RECORDS: dict[str, type[BaseModel]] = {
     "registration": RegistrationRecord,
     "annotated_face_model": FaceModelFile,
     "application": ApplicationRecord,
+    "batch": BatchRecord,
+    "batch_scan": BatchScanRecord,
     "identification": IdentificationRecord,
     "cameras": CamerasFile,
     "canonical_eyeglasses": CanonicalFrameRecord,

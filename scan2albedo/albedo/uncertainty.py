@@ -20,8 +20,12 @@ FloatArray = NDArray[np.float64]
 class Alternative:
     """Other lights that explain the image nearly as well: a second minimum of the objective.
 
-    `excess` is by which part their cost is larger, before roughness and the like are freed. It is negative
-    where one light found may be two close ones.
+    Parameters
+    ----------
+    lights : tuple of PointLight
+    excess : float
+        By which part their cost is larger, before roughness and the like are freed; negative where one light
+        found may be two close ones.
     """
 
     lights: tuple[PointLight, ...]

@@ -34,11 +34,13 @@ class FaceReflectance:
     """A processed scan's reflectance, and the mesh whose vertices it belongs to."""
 
     name: str
+    """Of the scan."""
     reflectance: VertexReflectance
     """At the mesh's V vertices; not known where the scan did not show them."""
     mesh: FaceMesh
     """The model's surface in this face's shape, mm: the same triangles for all scans of one model."""
     model_name: str
+    """Of the face model that was fitted."""
 
     @property
     def vertices(self) -> FloatArray:

@@ -61,6 +61,22 @@ def write_face(
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
     portrait light, and application.json, which comes last.
 
+    Parameters
+    ----------
+    face : ProcessedFace
+    folder : str or Path
+        Made when it is not there.
+    application : str
+        "swap", "blend" or "transfer-expression"; kept in the record.
+    inputs : sequence of ProcessedFace
+        What the face was made of; their names are kept.
+    options : mapping, optional
+        What the application was called with; kept.
+
+    Returns
+    -------
+    Path
+
     Raises
     ------
     OutputError

@@ -30,6 +30,17 @@ def light_arc(
 ) -> list[PointLight]:
     """Return `count` places of a light that goes around the face from one azimuth to another.
 
+    Parameters
+    ----------
+    count : int
+    first_rad, last_rad : float
+        Azimuths of the first and the last place.
+    elevation_rad : float
+    distance_mm : float
+        From the model's origin; inf is a distant light.
+    intensity : float
+        Relative to ambient light 1.
+
     Raises
     ------
     ValueError
@@ -62,6 +73,18 @@ def sweep(
     """Give a picture of the face for each of the light's `places`, with `others` that stay.
 
     The remaining parameters are those of `relight` and `RelitFace.picture`.
+
+    Parameters
+    ----------
+    face : ProcessedFace
+    places : sequence of PointLight
+        One light a picture.
+    others : sequence of PointLight
+        Lights of every picture.
+    ambient, options
+        As in `relight`.
+    camera, shape, samples
+        As in `RelitFace.picture`.
     """
     for place in places:
         relit = relight(face, (*others, place), ambient=ambient, options=options)
@@ -70,6 +93,12 @@ def sweep(
 
 def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[NDArray[np.uint8]]:
     """Return (H, W, 3) sRGB bytes of pictures at one exposure: the brightest one's when None.
+
+    Parameters
+    ----------
+    pictures : sequence of Picture
+    exposure : float, optional
+        Factor of all of them.
 
     Raises
     ------
@@ -87,6 +116,15 @@ def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> lis
 
     Frames that an earlier sweep left in the folder are removed, so that all of them are of this one. They
     become a film with, for instance, ``ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4``.
+
+    Parameters
+    ----------
+    folder : str or Path
+    frames : sequence of (H, W, 3) uint8
+
+    Returns
+    -------
+    list of Path
 
     Raises
     ------
@@ -107,6 +145,12 @@ def write_gif(
     path: str | Path, frames: Sequence[NDArray[np.uint8]], *, seconds_per_frame: float = 0.08
 ) -> None:
     """Write frames as an animated GIF that plays there and back for ever, atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    frames : sequence of (H, W, 3) uint8
+    seconds_per_frame : float
 
     Raises
     ------

@@ -91,7 +91,7 @@ def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
         )
     model = str(record.options.get("model", NO_MODEL))
     image, albedo = _images(folder)
-    mesh = FaceMesh.of_chart(image) if model == NO_MODEL else _fitted_mesh(folder, image)
+    mesh = FaceMesh.of_chart(image) if model == NO_MODEL else fitted_mesh(folder, image)
     shadows = [step.ran for step in record.plan if step.stage == "albedo.shadows"]
     return ProcessedFace(
         record.name,
@@ -108,7 +108,7 @@ def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
 
 def _of_application(folder: Path, record: ApplicationRecord) -> ProcessedFace:
     image, albedo = _images(folder)
-    mesh = FaceMesh.of_chart(image) if record.chart_mesh else _fitted_mesh(folder, image)
+    mesh = FaceMesh.of_chart(image) if record.chart_mesh else fitted_mesh(folder, image)
     return ProcessedFace(
         record.name,
         image,
@@ -172,8 +172,14 @@ def _images(folder: Path) -> tuple[GeometryImage, np.ndarray]:
     return image, albedo
 
 
-def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
-    """Return the fitted surface: triangles and chart from the GLB, vertices as exact as they are known."""
+def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
+    """Return the fitted surface: triangles and chart from the GLB, vertices as exact as they are known.
+
+    Raises
+    ------
+    ApplicationError
+        When fitted.glb is missing, damaged, or of another result; the message names it.
+    """
     import trimesh
 
     from scan2albedo.io.glb import METRES_PER_MM

@@ -26,7 +26,8 @@ FloatArray = NDArray[np.float64]
 
 DISTANCE_MM = 700.0
 """From the default camera to the middle of the face: a portrait's."""
-_MARGIN = 1.12
+PORTRAIT_MARGIN = 1.12
+"""Half of the default picture's width, in halves of the face's."""
 _TESSELLATION = 0.75
 """Between flat triangles, 0, and the mean of the tangent planes at their corners, 1."""
 _BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
@@ -107,15 +108,20 @@ def default_camera(
         raise ValueError(
             f"azimuth_rad is {azimuth_rad} and shape {shape}, expected a finite angle and 2 pixels or more"
         )
-    low, high = face.mesh.vertices.min(0), face.mesh.vertices.max(0)
-    middle, horizontal = (low + high) / 2, np.cos(elevation_rad)
+    middle, radius, depth = portrait_frame(face.mesh.vertices)
+    horizontal = np.cos(elevation_rad)
     toward = np.array(
         [horizontal * np.sin(azimuth_rad), np.sin(elevation_rad), horizontal * np.cos(azimuth_rad)]
     )
-    radius = 0.5 * float(np.max((high - low)[:2]))
     distance = max(DISTANCE_MM, 4 * radius)
-    focal = (min(shape) - 1) / (2 * _MARGIN * radius) * (distance - (high - low)[2] / 2)
+    focal = (min(shape) - 1) / (2 * PORTRAIT_MARGIN * radius) * (distance - depth / 2)
     return look_at(middle + distance * toward, middle, focal_px=focal, shape=shape)
+
+
+def portrait_frame(vertices: FloatArray) -> tuple[FloatArray, float, float]:
+    """Return the middle (3,) of vertices (V, 3), half their greater width or height, and their depth."""
+    low, high = vertices.min(0), vertices.max(0)
+    return (low + high) / 2, 0.5 * float(np.max((high - low)[:2])), float((high - low)[2])
 
 
 def photograph(

@@ -97,7 +97,9 @@ class ProcessedFace:
     Raises
     ------
     ApplicationError
-        When albedo and image differ in size, or the albedo is not finite on the surface.
+        When albedo and image differ in size, or the albedo is negative or not finite on the surface.
+    GeometryImageError
+        For normals of another length than 1.
     """
 
     name: str
@@ -120,6 +122,11 @@ class ProcessedFace:
             )
         if not np.isfinite(albedo[self.image.mask]).all():
             raise ApplicationError(f"{self.name}: the albedo holds NaN or infinite values inside the mask")
+        if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
+            raise ApplicationError(
+                f"{self.name}: the albedo goes down to {lowest:.3g} inside the mask; albedo is 0 or more"
+            )
+        self.image.check_normals()
         if not len(self.mesh.faces):
             raise ApplicationError(f"{self.name}: the geometry image holds no surface")
         object.__setattr__(self, "albedo_linear", np.where(self.image.mask[..., None], albedo, 0))
@@ -135,7 +142,20 @@ class ProcessedFace:
         lights: Sequence[PointLight] = (),
         model_name: str = NO_MODEL,
     ) -> ProcessedFace:
-        """Return a face of a geometry image and its albedo (H, W, 3), from wherever they come."""
+        """Return a face of a geometry image and its albedo (H, W, 3), from wherever they come.
+
+        Parameters
+        ----------
+        name : str
+        image : GeometryImage
+        albedo_linear : (H, W, 3) array_like of float
+        reflectance : Reflectance
+            Lambertian when omitted.
+        lights : sequence of PointLight
+            Under which the scan was taken.
+        model_name : str
+            Of the face model whose chart it is; "none" for others.
+        """
         albedo = np.asarray(albedo_linear, np.float32)
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
 
@@ -159,6 +179,14 @@ class ProcessedFace:
         """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
 
         Normals are those of the new mesh, and what the image's own knew beyond those of the old one.
+
+        Parameters
+        ----------
+        mesh : FaceMesh
+        position : (N, 3) float64
+            Millimetres.
+        name : str
+            Of the new face.
         """
         mask = self.image.mask
         beyond = self.image.normal[mask] - self.mesh.chart_normals(mask)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scan2albedo.geometry.nearest_surface import walk_downhill, weights_nearest_origin
+from scan2albedo.geometry.nearest_surface import walk_downhill
+from scan2albedo.geometry.triangle_distance import weights_nearest_origin
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.geometry.closest_points import ClosestHits, ClosestPointQuery
+from scan2albedo.geometry.closest_points import (
+    ClosestHits,
+    ClosestPointQuery,
+    checked_faces,
+    checked_points,
+)
+from scan2albedo.geometry.triangle_distance import weights_nearest_origin
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,7 +45,7 @@ class NearestSurface:
     The nearest vertex comes from a k-d tree or, given the answer for the points' last places, from a
     walk downhill over the edges. For meshes whose triangles are not much longer than the query
     distance the answer is the exact closest point but for rare ties (`ClosestPointQuery` is exact
-    always, and ten times slower).
+    always, and some times slower).
 
     Parameters
     ----------
@@ -50,7 +56,7 @@ class NearestSurface:
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
-        self._faces = np.ascontiguousarray(faces, np.int64)
+        self._faces = checked_faces(faces)
         used = np.zeros(len(self._vertices), bool)
         used[self._faces.ravel()] = True
         self._used = np.flatnonzero(used)
@@ -84,7 +90,7 @@ class NearestSurface:
         start : (N,) int64, optional
             `vertex` of an earlier answer for nearby points; walks from there instead of searching.
         """
-        targets = np.ascontiguousarray(points, np.float64)
+        targets = checked_points(points)
         if start is None:
             vertex = self.nearest_vertices(targets)
         else:
@@ -150,35 +156,3 @@ def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped
             if there < here:
                 here, v, moved = there, u, True
     return v
-
-
-@njit(cache=True, nogil=True)
-def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
-    """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    d1, d2 = -(ux * ax + uy * ay + uz * az), -(vx * ax + vy * ay + vz * az)
-    if d1 <= 0 and d2 <= 0:
-        return 1.0, 0.0, 0.0
-    d3, d4 = -(ux * bx + uy * by + uz * bz), -(vx * bx + vy * by + vz * bz)
-    if d3 >= 0 and d4 <= d3:
-        return 0.0, 1.0, 0.0
-    d5, d6 = -(ux * cx + uy * cy + uz * cz), -(vx * cx + vy * cy + vz * cz)
-    if d6 >= 0 and d5 <= d6:
-        return 0.0, 0.0, 1.0
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0 and d1 >= 0 and d3 <= 0:
-        t = d1 / max(d1 - d3, 1e-300)
-        return 1 - t, t, 0.0
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0 and d2 >= 0 and d6 <= 0:
-        t = d2 / max(d2 - d6, 1e-300)
-        return 1 - t, 0.0, t
-    va = d3 * d6 - d5 * d4
-    if va <= 0 and d4 >= d3 and d5 >= d6:
-        t = (d4 - d3) / max((d4 - d3) + (d5 - d6), 1e-300)
-        return 0.0, 1 - t, t
-    total = va + vb + vc
-    if total <= 0:
-        return 1.0, 0.0, 0.0
-    return va / total, vb / total, vc / total

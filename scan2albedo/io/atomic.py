@@ -19,6 +19,11 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     is atomic only within a file system). Whatever interrupts the block, the temporary file is removed
     and an older `path` stays as it was.
 
+    Parameters
+    ----------
+    path : str or Path
+        Of the file that is to be written.
+
     Raises
     ------
     OutputError

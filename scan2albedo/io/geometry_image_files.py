@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,11 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``occluder_vertices_mm`` and
     ``occluder_faces``; ``format_version`` is 1.
 
+    Parameters
+    ----------
+    path : str or Path
+    image : GeometryImage
+
     Raises
     ------
     OutputError
@@ -48,8 +54,11 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
             arrays[stored] = getattr(image, field)
     if image.occluder is not None:
         arrays["occluder_vertices_mm"], arrays["occluder_faces"] = image.occluder
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    # Floats hardly shrink: the fastest level saves a quarter of the time and costs 1 % of the size.
+    with atomic_path(path) as temporary, ZipFile(temporary, "w", ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
 
 
 def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
@@ -58,6 +67,11 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
     Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G``
     ``.B``, and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The
     occluder does not fit into an image and is left out.
+
+    Parameters
+    ----------
+    path : str or Path
+    image : GeometryImage
 
     Raises
     ------
@@ -76,6 +90,15 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 
 def read_geometry_image(path: str | Path) -> GeometryImage:
     """Read a geometry image written by `write_geometry_image` or `write_geometry_image_exr`.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz or .exr.
+
+    Returns
+    -------
+    GeometryImage
 
     Raises
     ------

@@ -157,6 +157,11 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 def write_exr(path: str | Path, linear: ArrayLike) -> None:
     """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
 
+    Parameters
+    ----------
+    path : str or Path
+    linear : array_like of float
+
     Raises
     ------
     OutputError
@@ -194,6 +199,12 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
 
 def write_image(path: str | Path, image: ArrayLike) -> None:
     """Write an image in the format its extension names: .exr through `write_exr`, others as `write_png` does.
+
+    Parameters
+    ----------
+    path : str or Path
+    image : array_like
+        Floats for .exr, uint8 sRGB for others.
 
     Raises
     ------

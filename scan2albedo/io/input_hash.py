@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 def input_sha256(source: str | Path | RawScan) -> str:
     """Return the SHA-256 of a scan file with its material libraries and textures, or of a `RawScan`'s arrays.
 
+    Parameters
+    ----------
+    source : path or RawScan
+
     Raises
     ------
     ScanError

@@ -150,6 +150,11 @@ def installed_versions() -> dict[str, str]:
 def write_record(path: str | Path, record: Record) -> None:
     """Write a record as indented JSON, atomically.
 
+    Parameters
+    ----------
+    path : str or Path
+    record : Record
+
     Raises
     ------
     OutputError
@@ -160,6 +165,16 @@ def write_record(path: str | Path, record: Record) -> None:
 
 def read_record(path: str | Path, kind: type[RecordType]) -> RecordType:
     """Read and check a record, for example ``read_record("out/james/result.json", ResultRecord)``.
+
+    Parameters
+    ----------
+    path : str or Path
+    kind : type of Record
+        Such as `ResultRecord`.
+
+    Returns
+    -------
+    the record, of type `kind`
 
     Raises
     ------

@@ -55,6 +55,16 @@ class DistantLights:
 def distant_directions(count: int) -> FloatArray:
     """Return (K, 3) unit vectors spread evenly over the sphere, a Fibonacci spiral from +y down.
 
+    Parameters
+    ----------
+    count : int
+        K, 1 or more.
+
+    Raises
+    ------
+    ValueError
+        When `count` is below 1.
+
     Examples
     --------
     >>> directions = distant_directions(100)

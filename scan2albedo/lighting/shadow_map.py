@@ -79,8 +79,13 @@ def shadow_origins(
     caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float
 ) -> NDArray[np.float32]:
     """Return (N, 3) where shadow rays start, for `RayCaster.occluded_local`; see `ShadowMap.offset_mm`."""
-    low, high = (part * caster.size for part in _OFFSETS)
-    return caster.to_local(position + min(max(offset_mm, low), high) * normal)
+    return caster.to_local(position + shadow_offset_mm(caster.size, offset_mm) * normal)
+
+
+def shadow_offset_mm(size: float, offset_mm: float) -> float:
+    """Return the offset of shadow rays that a caster of `size` mm takes; see `ShadowMap.offset_mm`."""
+    low, high = (part * size for part in _OFFSETS)
+    return min(max(offset_mm, low), high)
 
 
 @njit(cache=True, nogil=True)

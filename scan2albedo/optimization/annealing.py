@@ -32,8 +32,11 @@ class AnnealingResult:
     """Where annealing ended: the best point seen."""
 
     x: NDArray[np.float64]
+    """(n,)."""
     cost: float
+    """There."""
     evaluations: int
+    """Spent."""
     converged: bool
     """True when the cooling schedule ran to its end, False when a budget cut it short."""
 
@@ -75,6 +78,11 @@ def simulated_annealing(
     Returns
     -------
     AnnealingResult
+
+    Raises
+    ------
+    ValueError
+        When start and box do not agree.
 
     References
     ----------

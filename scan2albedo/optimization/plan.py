@@ -32,6 +32,10 @@ class PlanStep:
 class Plan:
     """Decisions in the order they were taken.
 
+    Parameters
+    ----------
+    steps : tuple of PlanStep
+
     Examples
     --------
     >>> plan = Plan((PlanStep("albedo.shadows", False, "the surface casts none", "0.0 % of lit texels"),))

@@ -24,6 +24,12 @@ def similarity_matrix(
 ) -> FloatArray:
     """Return the similarities (A, B), see `cw_ssim`, of all pairs, over windows inside both masks.
 
+    Parameters
+    ----------
+    templates_a, templates_b : Templates
+        A and B of them.
+    options : SimilarityOptions
+
     Raises
     ------
     RecognitionError

@@ -77,6 +77,10 @@ def identify(
         A person's similarity is the best of, or the mean over, the images in the gallery.
     similarity : SimilarityOptions
 
+    Returns
+    -------
+    Identification
+
     Raises
     ------
     ValueError
@@ -113,6 +117,18 @@ def identify_by_similarity(
     combine: Combine = "best",
 ) -> Identification:
     """Identify, as `identify`, by similarities (probes, gallery images) of any kind; larger is more alike.
+
+    Parameters
+    ----------
+    similarities : (P, images) array_like of float
+    gallery_names, probe_names : sequence of str
+        Persons of the gallery's images and of the probes.
+    combine : {"best", "mean"}
+        Of a person's several images.
+
+    Returns
+    -------
+    Identification
 
     Raises
     ------

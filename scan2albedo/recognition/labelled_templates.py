@@ -57,6 +57,10 @@ def read_labelled_templates(
     on_count : callable, optional
         Called with the number of results done and their number.
 
+    Returns
+    -------
+    LabelledTemplates
+
     Raises
     ------
     RecognitionError

@@ -70,6 +70,10 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     persons_required : bool
         Whether every line has to name a person.
 
+    Returns
+    -------
+    Manifest
+
     Raises
     ------
     RecognitionError

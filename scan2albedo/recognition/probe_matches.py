@@ -77,6 +77,10 @@ def match_probes(
     combine : {"best", "mean"}
         As in `identify`.
 
+    Returns
+    -------
+    ProbeMatches
+
     Raises
     ------
     ValueError

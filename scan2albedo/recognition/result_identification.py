@@ -65,6 +65,10 @@ def identify_results(
     on_count : callable, optional
         Called after each result that was read.
 
+    Returns
+    -------
+    ResultIdentification
+
     Raises
     ------
     ValueError

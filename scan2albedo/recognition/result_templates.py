@@ -27,6 +27,13 @@ def result_templates(
 
     They bear the person's name, or the result's where no person is named.
 
+    Parameters
+    ----------
+    manifest : Manifest
+    options : TemplateOptions
+    on_count : callable, optional
+        Called after each result with how many are done, and of how many.
+
     Raises
     ------
     RecognitionError

@@ -46,6 +46,10 @@ def read_albedo(path: str | Path) -> StoredAlbedo:
         folder means the folder. Any other image has to lie on the model's chart: it counts where its alpha is
         half or more or, without alpha, where it is not black.
 
+    Returns
+    -------
+    StoredAlbedo
+
     Raises
     ------
     RecognitionError

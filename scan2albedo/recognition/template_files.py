@@ -55,6 +55,12 @@ class TemplatesHeader(BaseModel):
 def write_templates(path: str | Path, templates: Templates) -> None:
     """Write templates as an NPZ file, whole or not at all.
 
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz.
+    templates : Templates
+
     Raises
     ------
     ValueError
@@ -81,6 +87,10 @@ def write_templates(path: str | Path, templates: Templates) -> None:
 
 def read_templates(path: str | Path) -> Templates:
     """Return the templates of a file that `write_templates` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

@@ -194,6 +194,14 @@ class CaptureFiles:
 def read_capture(path: str | Path) -> CaptureFiles:
     """Read a capture file and its mesh, but no pictures.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    CaptureFiles
+
     Raises
     ------
     ReflectanceError
@@ -230,6 +238,11 @@ def read_capture(path: str | Path) -> CaptureFiles:
 
 def write_capture(path: str | Path, content: FlashCaptureFile) -> None:
     """Write a capture file, whole or not at all; pictures and mesh are the caller's.
+
+    Parameters
+    ----------
+    path : str or Path
+    content : FlashCaptureFile
 
     Raises
     ------

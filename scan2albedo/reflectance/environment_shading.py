@@ -111,6 +111,10 @@ def shade_environment(
         `full` is the formula as published, the one above; `tilted` is nearest to the truth at oblique views,
         for it puts the lobe's mean direction in the place of r.
 
+    Returns
+    -------
+    EnvironmentShading
+
     Raises
     ------
     ReflectanceError

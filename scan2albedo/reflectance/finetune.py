@@ -77,6 +77,7 @@ class FineTuning:
     converged: bool
     """False when the budget or the rounds ended while changes still helped."""
     trace: Trace
+    """Of the held-out objective."""
 
 
 def finetune(
@@ -117,6 +118,10 @@ def finetune(
         Image fits or seconds; the best model so far is returned when it ends.
     on_progress : callable, optional
         Called with every `TraceRow`, whose error is the held-out objective.
+
+    Returns
+    -------
+    FineTuning
 
     Raises
     ------

@@ -23,6 +23,10 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
     Rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x; no azimuth is likelier than
     another. The same seed gives the same map.
 
+    Parameters
+    ----------
+    seed : int or numpy.random.Generator
+
     Examples
     --------
     >>> image = generated_environment(0)

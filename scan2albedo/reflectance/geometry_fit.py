@@ -48,7 +48,9 @@ class GeometryFit:
     plan: Plan
     """Whether landmarks and photometry were used, and why."""
     converged: bool
+    """False when the budget or the steps ended first."""
     iterations: int
+    """Steps taken."""
     trace: Trace
     """Of the objective, in rows of "reflectance.geometry.landmarks" and ".photometry"."""
 
@@ -111,6 +113,10 @@ def refine_geometry(
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
+
+    Returns
+    -------
+    GeometryFit
 
     Raises
     ------

@@ -40,8 +40,11 @@ class ImageFit:
     objective: float
     """What was minimised."""
     converged: bool
+    """False when the budget or the steps ended first."""
     iterations: int
+    """Steps taken."""
     trace: Trace
+    """Of the objective."""
 
 
 def fit_image(
@@ -79,6 +82,10 @@ def fit_image(
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
+
+    Returns
+    -------
+    ImageFit
 
     Raises
     ------

@@ -57,6 +57,14 @@ class LightingModel:
     def generate(cls, *, count: int = 600, components: int = COMPONENTS, seed: int = 0) -> LightingModel:
         """Learn a model from `count` maps that `generated_environment` draws; the same seed, the same model.
 
+        Parameters
+        ----------
+        count : int
+            2 or more.
+        components : int
+            Directions to keep.
+        seed : int
+
         Raises
         ------
         ReflectanceError
@@ -75,7 +83,13 @@ class LightingModel:
     def from_environments(
         cls, environments_linear: ArrayLike, *, components: int = COMPONENTS
     ) -> LightingModel:
-        """Learn a model from maps (K, H, W, 3) of your own; raises as `from_coefficients` does."""
+        """Learn a model from maps (K, H, W, 3) of your own.
+
+        Raises
+        ------
+        ReflectanceError, ValueError
+            As `from_coefficients` does, and for maps of another shape.
+        """
         maps = np.asarray(environments_linear, np.float64)
         if maps.ndim != 4:
             raise ValueError(f"environments_linear must have shape (K, H, W, 3), got {maps.shape}")

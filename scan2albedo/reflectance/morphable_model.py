@@ -25,6 +25,7 @@ class ModelReflectance:
     """A reflectance that a model made."""
 
     reflectance: VertexReflectance
+    """Of the vertices that the model knows."""
     coefficients: FloatArray
     """(N,)."""
     clipped_diffuse: int
@@ -43,6 +44,7 @@ class Projection:
     """The nearest reflectance of a model."""
 
     nearest: ModelReflectance
+    """And its coefficients."""
     diffuse_rmse: float
     """Of the albedo, over vertices known on both sides."""
     weights_rmse: float

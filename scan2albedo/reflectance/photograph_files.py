@@ -93,6 +93,14 @@ class PhotographFiles:
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Read a photograph file with its image, mask and mesh.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    PhotographFiles
+
     Raises
     ------
     ReflectanceError
@@ -126,6 +134,11 @@ def read_photograph(path: str | Path) -> PhotographFiles:
 
 def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
     """Write a photograph file, whole or not at all; image, mask and mesh are the caller's.
+
+    Parameters
+    ----------
+    path : str or Path
+    content : FacePhotographFile
 
     Raises
     ------

@@ -107,6 +107,18 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
 def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:
     """Return (J, V, 3) linear radiance of vertices whose lobes (J, V, 4) are lit; NaN where not known.
 
+    Parameters
+    ----------
+    reflectance : VertexReflectance
+        Of V vertices.
+    lobes : (J, V, 4) array_like of float
+        From `point_light_lobes`.
+
+    Raises
+    ------
+    ValueError
+        When the lobes have another shape.
+
     Examples
     --------
     >>> face = VertexReflectance(np.full((1, 3), np.pi), np.zeros((1, 3)), np.ones(1, bool))

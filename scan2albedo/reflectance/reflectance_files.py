@@ -89,6 +89,14 @@ class MeshReflectanceHeader(BaseModel):
 def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: ReflectanceFit | None = None) -> None:
     """Write a mesh's reflectance as an .npz file, whole or not at all, with the figures of its fit if given.
 
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz.
+    mesh : MeshReflectance
+    fit : ReflectanceFit, optional
+        That found it.
+
     Raises
     ------
     ValueError
@@ -108,6 +116,14 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
 
 def read_reflectance(path: str | Path) -> MeshReflectance:
     """Read a mesh's reflectance.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    MeshReflectance
 
     Raises
     ------

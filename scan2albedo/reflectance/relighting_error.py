@@ -67,6 +67,10 @@ def relighting_error(
     gamma : float
         Of the display.
 
+    Returns
+    -------
+    RelightingError
+
     Raises
     ------
     ReflectanceError

@@ -1,1 +1,19 @@
-"""Pictures a person can judge a result by."""
+"""Pictures a person can judge a result by, and `write_report`: a page that shows a scan or a batch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from scan2albedo.report.html import ReportOptions, WrittenReport, write_report
+
+__all__ = ["ReportOptions", "WrittenReport", "write_report"]
+
+
+def __getattr__(name: str) -> Any:
+    # Overviews are drawn in every run; the page and what it stands on are loaded when it is asked for.
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from scan2albedo.report import html
+
+    return getattr(html, name)

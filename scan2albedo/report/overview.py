@@ -54,7 +54,7 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
         axis.set_axis_off()
     for axis, panel in zip(axes, panels, strict=False):
         axis.imshow(panel.picture, interpolation="nearest")
-        axis.set_title(panel.title, fontsize=9)
+        axis.set_title(panel.title, fontsize=9, y=1.0)  # a given place saves measuring the axes for one
         if panel.dots is not None:
             colors, area = ("lime", 4) if panel.dot_colors is None else (panel.dot_colors, 12)
             axis.scatter(panel.dots[:, 0], panel.dots[:, 1], s=area, c=colors, linewidths=0)

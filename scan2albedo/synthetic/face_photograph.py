@@ -137,6 +137,10 @@ def face_photograph(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
 
+    Returns
+    -------
+    FacePhotograph
+
     Raises
     ------
     ValueError

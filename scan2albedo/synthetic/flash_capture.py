@@ -197,6 +197,10 @@ def flash_capture(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
 
+    Returns
+    -------
+    FlashCapture
+
     Examples
     --------
     >>> few = FlashCaptureOptions(views=1, flashes=2, picture_size=48, levels=1)

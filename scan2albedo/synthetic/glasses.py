@@ -38,7 +38,9 @@ class SyntheticEyeglasses:
     mirror: IntArray
     """(V,) each vertex's counterpart on the other side."""
     shape: GlassesShape
+    """Its measures."""
     bend: GlassesBend
+    """How it was bent."""
 
     @property
     def keypoints(self) -> FloatArray:

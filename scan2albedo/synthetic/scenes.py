@@ -91,6 +91,13 @@ def light_at(
 ) -> PointLight:
     """Return a light given in degrees.
 
+    Parameters
+    ----------
+    azimuth_deg, elevation_deg : float
+        From +z toward +x, and toward +y.
+    distance_mm, intensity : float
+        As in `PointLight`.
+
     >>> light_at(90).direction.round(6)
     array([1., 0., 0.])
     """
@@ -213,6 +220,12 @@ def with_normal_error(image: GeometryImage, rms_deg: float, rng: np.random.Gener
     """Return the image with its normals tilted by a smooth random field, as an imperfect fit leaves them.
 
     The tilt has `rms_deg` root mean square over the surface and bumps of about 1/24 of the chart.
+
+    Parameters
+    ----------
+    image : GeometryImage
+    rms_deg : float
+    rng : numpy.random.Generator
     """
     mask, normal = image.mask, image.normal[image.mask]
     uv = texel_coordinates(max(image.shape))[mask.ravel()]

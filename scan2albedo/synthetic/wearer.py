@@ -39,9 +39,13 @@ class WearerOptions:
     elevation_deg: float = 8.0
     """Of all cameras but the middle one, which stands as much below."""
     distance_mm: float = 600.0
+    """From each camera to the point that all look at."""
     focal_px: float = 1800.0
+    """Of the cameras."""
     picture_size: int = 1024
+    """Height and width of the pictures in pixels."""
     label_noise_px: float = 1.0
+    """Standard deviation of the labels along each axis."""
     mask_noise_px: float = 1.0
     """Standard deviation by which a mask's outline is off, wandering over some six pixels."""
     outliers: int = 0
@@ -61,6 +65,7 @@ class Wearer:
     world_from_glasses: FloatArray
     """(4, 4) rigid."""
     sitter: Sitter
+    """Who wears them."""
     head_vertices: FloatArray
     """(H, 3) of all that can hide the glasses."""
     head_faces: IntArray

@@ -23,6 +23,8 @@ from scan2albedo.lighting.asrm import Reflectance
 from scan2albedo.reflectance import lobe_weights_of_phong, point_light_lobes, point_light_radiance
 from scan2albedo.synthetic.face_paint import paint_face
 
+pytestmark = pytest.mark.slow
+
 SIZE = 128
 FAR_MM = 1e7
 MATTE = Reflectance("lambert")

@@ -4,7 +4,8 @@ import pytest
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.nearest_surface import NearestSurface, weights_nearest_origin
+from scan2albedo.geometry.nearest_surface import NearestSurface
+from scan2albedo.geometry.triangle_distance import weights_nearest_origin
 
 
 def bumpy_grid(size: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -108,3 +109,51 @@ def test_triangles_without_area_or_with_coincident_corners_have_closest_points_t
             assert sum(weights) == pytest.approx(1)
             weights = weights_nearest_origin(*(corners[order] - corners[0]).ravel())
             assert sum(weights) == pytest.approx(1)
+
+
+def libigl_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+    tree = igl.AABB()
+    tree.init(vertices, faces)
+    squared, _, _ = tree.squared_distance(vertices, faces, points)
+    return np.sqrt(squared)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6])
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_the_exact_query_agrees_with_libigl_in_any_unit_and_place(scale, offset):
+    vertices, faces = bumpy_grid()
+    rng = np.random.default_rng(3)
+    points = scale * np.concatenate([rng.uniform(-5, 15, (300, 3)), vertices[faces].mean(1)]) + offset
+    vertices = scale * vertices + offset
+    hits = ClosestPointQuery(vertices, faces).query(points)
+    tolerance = 1e-9 * (scale + offset)
+    np.testing.assert_allclose(hits.distance, libigl_distance(vertices, faces, points), atol=tolerance)
+    np.testing.assert_allclose(
+        np.linalg.norm(points - hits.points, axis=1), hits.distance, rtol=1e-6, atol=tolerance
+    )
+
+
+def test_the_order_of_the_points_does_not_matter_to_the_exact_query():
+    vertices, faces = bumpy_grid()
+    points = np.random.default_rng(4).uniform([0, 0, -2], [10, 10, 2], (500, 3))
+    query, order = ClosestPointQuery(vertices, faces), np.random.default_rng(5).permutation(500)
+    np.testing.assert_allclose(
+        query.query(points[order]).distance, query.query(points).distance[order], atol=1e-12
+    )
+
+
+def test_thousands_of_coincident_triangles_and_slivers_are_searched_as_any():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1e6, 1e-6, 0], [5, 5, 5]])
+    faces = np.concatenate([np.tile([0, 1, 2], (5000, 1)), [[0, 1, 3], [4, 4, 4]]])
+    points = np.array([[0.2, 0.2, 1.0], [9e5, 0, 2], [5, 5, 6], [-1, 0, 0]])
+    hits = ClosestPointQuery(vertices, faces).query(points)
+    np.testing.assert_allclose(hits.distance, [1, 2, 1, 1], atol=1e-5)
+    assert hits.face[2] == 5001
+    assert np.isfinite(hits.barycentric).all()
+
+
+def test_a_mesh_without_faces_is_refused_and_no_points_have_no_answers():
+    vertices, faces = bumpy_grid(4)
+    with pytest.raises(ValueError, match="without faces has no closest points"):
+        ClosestPointQuery(vertices, faces[:0])
+    assert ClosestPointQuery(vertices, faces).query(np.empty((0, 3))).distance.shape == (0,)

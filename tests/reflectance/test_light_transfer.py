@@ -76,6 +76,7 @@ def test_shadows_of_a_ball_are_those_of_the_formula():
     assert (np.sqrt(shadow / size) > 0.1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_neither_unit_nor_place_matters(unit):
     cup = BALL * np.where(BALL[:, 2:] > 0.3, -0.5, 1.0) * [80, 80, 80]

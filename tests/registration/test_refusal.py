@@ -33,6 +33,7 @@ def blob(seed):
     return RawScan(unit * (90 * (1 + height))[:, None], np.asarray(mesh.faces), name="blob")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scan", [sphere(), cube(), blob(0), blob(1)], ids=lambda scan: scan.name)
 def test_bodies_without_a_face_are_refused(scan, model):
     with pytest.raises(RegistrationError, match=r"no face found.*covers \d+ %.*certainty of .*mm") as caught:
@@ -85,6 +86,7 @@ def test_half_a_face_is_enough(synthetic_scan, model, side):
     assert millimetres < 15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [-1, 1])
 def test_half_a_face_unlike_the_model_is_reported_as_unsure(ict_scan, model, side):
     example = ict_scan("person4", 304, noise_mm=0.3)

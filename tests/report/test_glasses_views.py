@@ -12,6 +12,8 @@ from scan2albedo.report import glasses_views
 from scan2albedo.report.glasses_views import SeenView, registration_panels
 from scan2albedo.synthetic import WearerOptions, wearer
 
+pytestmark = pytest.mark.slow
+
 EXACT = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0, mask_noise_px=0)
 
 

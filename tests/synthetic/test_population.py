@@ -13,6 +13,8 @@ from scan2albedo.synthetic.range_scan import two_pods
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import sit_down
 
+pytestmark = pytest.mark.slow
+
 SMALL = RawScanOptions(spacing_mm=8.0, picture_size=48, size=64)
 
 
@@ -57,7 +59,6 @@ def test_less_individuality_makes_people_more_alike():
     assert unlike(0.25) == pytest.approx(0.25 * unlike(1.0), rel=1e-6)
 
 
-@pytest.mark.slow
 def test_same_seed_same_scan_and_another_population_is_another(first):
     scan, _ = first
     same, _ = scanned(0, 0)

@@ -7,6 +7,8 @@ from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic import GlassesBend, WearerOptions, wearer
 
+pytestmark = pytest.mark.slow
+
 CLEAN = WearerOptions(picture_size=512, focal_px=900, label_noise_px=0, mask_noise_px=0)
 
 

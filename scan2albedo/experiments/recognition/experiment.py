@@ -53,6 +53,10 @@ def run_recognition_experiment(
     on_progress : callable, optional
         Called with every `TraceRow`: rank-1 errors by the first albedo among the persons done so far.
 
+    Returns
+    -------
+    RecognitionReport
+
     Raises
     ------
     ValueError

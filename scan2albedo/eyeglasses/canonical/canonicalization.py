@@ -40,6 +40,7 @@ class CanonicalizationOptions:
     spacing: str | float = "auto"
     """Of the weights' lattice, in the meshes' unit."""
     weights: WeightOptions = WeightOptions()
+    """How weights are solved, where none are given."""
     skip_failed: bool = False
     """Whether a frame that cannot be done is left out and told in the result, instead of ending the call."""
 
@@ -96,6 +97,7 @@ class CanonicalSet:
     """Frames on common ground."""
 
     frames: tuple[CanonicalEyeglasses, ...]
+    """In the order of the meshes given."""
     mean_keypoints: FloatArray
     """(20, 3) in the frames' unit; unless given, x to the wearer's left, z to the front, centroid at 0."""
     converged: bool
@@ -149,6 +151,10 @@ def canonicalize(
     options : CanonicalizationOptions
     on_progress : callable, optional
         Called with each row of the trace.
+
+    Returns
+    -------
+    CanonicalSet
 
     Raises
     ------

@@ -135,6 +135,14 @@ class CamerasFile(BaseModel):
 def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: Literal["mm", "cm", "m"] = "mm") -> None:
     """Write cameras as JSON, their matrices for points in `unit`.
 
+    Parameters
+    ----------
+    path : str or Path
+    cameras : sequence of Camera
+        With matrices for points in mm.
+    unit : {"mm", "cm", "m"}
+        Of the points that the matrices in the file take.
+
     Raises
     ------
     ValueError
@@ -153,6 +161,10 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: Literal["mm
 
 def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     """Return the cameras of a file, for points in mm whatever the file's unit.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

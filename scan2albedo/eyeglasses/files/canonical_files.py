@@ -25,6 +25,11 @@ _SHAPES: Shapes = {
 def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
     """Write a frame that `canonicalize` made, all but its plan, atomically.
 
+    Parameters
+    ----------
+    path : str or Path
+    frame : CanonicalEyeglasses
+
     Raises
     ------
     OutputError
@@ -35,6 +40,10 @@ def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
 
 def read_canonical(path: str | Path) -> CanonicalEyeglasses:
     """Return a frame that `write_canonical` wrote; its plan is empty.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

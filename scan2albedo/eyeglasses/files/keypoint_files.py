@@ -54,6 +54,13 @@ def write_keypoints(
 ) -> None:
     """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
 
+    Parameters
+    ----------
+    path : str or Path
+    keypoints : (20, 3) array_like of float
+    unit : {"mm", "cm", "m", "unknown"}
+        Of the key points; only told in the file.
+
     Raises
     ------
     ValueError
@@ -82,6 +89,10 @@ class KeyPoints:
 
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

@@ -29,6 +29,7 @@ class ViewLabels:
     """Labels of C views."""
 
     camera_names: tuple[str, ...]
+    """Of the C views."""
     pixels: FloatArray
     """(C, 20, 2) column and row, centres of pixels at integers; NaN where a key point is not labelled."""
 
@@ -118,6 +119,10 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
 
 def read_labels(path: str | Path) -> ViewLabels:
     """Return the labels of a file, NaN where one is missing.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

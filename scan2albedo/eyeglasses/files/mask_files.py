@@ -24,6 +24,14 @@ def mask_path(folder: str | Path, camera: Camera) -> Path:
 def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
     """Write masks (H, W), nonzero where glasses are, as black and white PNGs into a folder.
 
+    Parameters
+    ----------
+    folder : str or Path
+    masks : sequence of (H, W) arrays
+        One a camera.
+    cameras : sequence of Camera
+        They name the files.
+
     Raises
     ------
     ValueError
@@ -45,6 +53,12 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
 
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
     """Return a mask (H, W) a camera, True where any channel of its PNG is not zero.
+
+    Parameters
+    ----------
+    folder : str or Path
+        With a file ``<camera>.png`` for each camera.
+    cameras : sequence of Camera
 
     Raises
     ------

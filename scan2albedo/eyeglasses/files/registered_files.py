@@ -36,6 +36,11 @@ _SHAPES: Shapes = {
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
     """Write a frame that `register_on_face` placed, all but its plan and trace, atomically.
 
+    Parameters
+    ----------
+    path : str or Path
+    frame : RegisteredEyeglasses
+
     Raises
     ------
     OutputError
@@ -46,6 +51,10 @@ def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
 
 def read_registered(path: str | Path) -> RegisteredEyeglasses:
     """Return a frame that `write_registered` wrote; its plan and trace are empty.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

@@ -49,6 +49,14 @@ def write_start(
 ) -> None:
     """Write a pose (4, 4) as JSON, atomically.
 
+    Parameters
+    ----------
+    path : str or Path
+    world_from_glasses : (4, 4) array_like of float
+        Rigid.
+    unit : {"mm", "cm", "m"}
+        Of the translation; only told in the file.
+
     Raises
     ------
     ValueError
@@ -62,6 +70,10 @@ def write_start(
 
 def read_start(path: str | Path) -> FloatArray:
     """Return the pose (4, 4) of a file, its translation in mm.
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------

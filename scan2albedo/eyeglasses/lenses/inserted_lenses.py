@@ -32,7 +32,9 @@ class InsertedLens:
     side: int
     """0 is the wearer's left, 1 the right."""
     material: LensMaterial
+    """Power, tint and reflection."""
     rim: LensRim
+    """The edge that it fills."""
     vertices: FloatArray
     """(R + 1, 3), the centre first; rim points moved into their seat."""
     faces: IntArray

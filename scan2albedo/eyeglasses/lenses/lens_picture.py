@@ -141,6 +141,10 @@ def insert_lenses(
         their outlines.
     options : LensPictureOptions
 
+    Returns
+    -------
+    LensPicture
+
     Raises
     ------
     EyeglassesError

@@ -71,6 +71,10 @@ def find_lens_rim(
     count : int
         Points of the rim.
 
+    Returns
+    -------
+    LensRim
+
     Raises
     ------
     EyeglassesError

@@ -97,6 +97,11 @@ def environment_radiance(environment_linear: ArrayLike, directions: ArrayLike) -
         Rows from +y down to -y; columns by azimuth from -pi to pi, from +z toward +x.
     directions : (N, 3) array_like of float
         Of any length but zero.
+
+    Raises
+    ------
+    ValueError
+        When the map has another shape.
     """
     image = np.asarray(environment_linear, np.float64)
     if image.ndim != 3 or image.shape[2] != 3:

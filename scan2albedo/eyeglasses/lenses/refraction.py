@@ -58,6 +58,10 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
         need not be flat.
 
+    Returns
+    -------
+    RefractedRays
+
     Raises
     ------
     EyeglassesError

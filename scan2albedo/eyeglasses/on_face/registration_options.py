@@ -48,6 +48,7 @@ class FaceRegistrationOptions:
     outlines: int = 10
     """Most times that the outline is traced anew."""
     weights: WeightOptions = WeightOptions()
+    """How weights are solved, where the glasses bring none."""
 
     def __post_init__(self) -> None:
         for name in ("outline_stride", "steps", "outlines"):

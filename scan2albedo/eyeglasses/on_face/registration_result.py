@@ -59,9 +59,11 @@ class RegisteredEyeglasses:
     """(C,) of the frame's mask and the given one; NaN without. High values are no evidence of a good fit in
     space: frames millimetres off reach 0.97."""
     converged: bool
+    """False when the budget ended first or outlines did not settle."""
     iterations: int
     """Evaluations of the objective."""
     plan: Plan
+    """Steps that ran or were left out, and why."""
     trace: Trace
     """Errors in pixels."""
 

@@ -58,6 +58,11 @@ def bounded_biharmonic_weights(
 ) -> FloatArray:
     """Return the weights (V, K) of `solve_weights` alone.
 
+    Parameters
+    ----------
+    vertices, faces, handles, spacing, budget, options
+        As in `solve_weights`, which tells what they raise, too.
+
     Examples
     --------
     >>> import numpy as np

@@ -22,11 +22,12 @@ from scan2albedo.experiments.recognition.sessions import (
 )
 from scan2albedo.optimization import Budget
 
+pytestmark = pytest.mark.slow
+
 BOTH = ("oren-nayar", "lambert")
 FAILED = Session({}, np.zeros((128, 128), bool), "person-2-session-0: no face was found", BOTH)
 
 
-@pytest.mark.slow
 def test_scans_that_are_there_are_not_made_again(filled_cache, small_options):
     report = run_recognition_experiment(filled_cache, options=small_options)
     assert len(report.trace) == 0
@@ -181,7 +182,6 @@ def test_jobs_below_one_are_refused(small_options, tmp_path):
         run_recognition_experiment(tmp_path, options=small_options, jobs=0)
 
 
-@pytest.mark.slow
 def test_a_scan_goes_through_the_whole_pipeline(small_options):
     made = made_session(small_options, 0, 0)
     assert not made.failure
@@ -194,7 +194,6 @@ def test_a_scan_goes_through_the_whole_pipeline(small_options):
     assert lows[0] < 0.8 * lows[1]
 
 
-@pytest.mark.slow
 def test_ten_persons_are_recognised_by_their_albedo_and_hardly_by_their_texture(small_options, tmp_path):
     options = replace(small_options, persons=10, probes=1, brdfs=("oren-nayar",))
     report = run_recognition_experiment(tmp_path, options=options, jobs=2)

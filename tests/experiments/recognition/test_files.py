@@ -14,6 +14,8 @@ from scan2albedo.experiments.recognition import run_recognition_experiment
 from scan2albedo.experiments.recognition.files import RECORD, write_report
 from scan2albedo.optimization import Trace, TraceRow
 
+pytestmark = pytest.mark.slow
+
 
 def test_all_files_are_there(filled_cache, small_options, tmp_path):
     report = run_recognition_experiment(filled_cache, options=small_options)

@@ -6,6 +6,8 @@ import pytest
 from scan2albedo.eyeglasses import bounded_biharmonic_weights, solve_weights
 from scan2albedo.io import load_scan
 
+pytestmark = pytest.mark.slow
+
 FRAMES = {"sunglasses_khronos.glb": 3.0, "frame_giraut.stl": 2.0}
 """Files and lattice spacings in mm, coarse enough for a quick test."""
 

@@ -1,0 +1,141 @@
+"""Where a batch keeps its files below OUT."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from scan2albedo.errors import BatchError, Scan2AlbedoError
+from scan2albedo.io.atomic import make_folder, write_text
+from scan2albedo.io.batch_json import BatchScanRecord
+from scan2albedo.io.result_json import read_record, write_record
+
+CATALOGUE, RECORD = "catalogue.parquet", "batch.json"
+_KEPT = ".batch"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths of a batch.
+
+    Parameters
+    ----------
+    out : Path
+        Absolute.
+    """
+
+    out: Path
+
+    @classmethod
+    def of(cls, out: str | Path) -> Layout:
+        """Return the layout of a folder."""
+        return cls(Path(os.path.normpath(Path(out).absolute())))
+
+    @property
+    def rows(self) -> Path:
+        """Folder of a record for each scan that was tried."""
+        return self.out / _KEPT / "rows"
+
+    @property
+    def running(self) -> Path:
+        """Folder of a mark for each scan that is being processed."""
+        return self.out / _KEPT / "running"
+
+    @property
+    def catalogue(self) -> Path:
+        """The table of all scans."""
+        return self.out / CATALOGUE
+
+    @property
+    def record(self) -> Path:
+        """The record of the batch."""
+        return self.out / RECORD
+
+    def holds_a_batch(self) -> bool:
+        """Return whether a batch was begun here."""
+        return self.record.exists() or self.catalogue.exists() or any(self.rows.glob("*.json"))
+
+    def row_file(self, name: str) -> Path:
+        """Return where the record of a scan is."""
+        return self.rows / f"{name}.json"
+
+    def row(self, name: str) -> BatchScanRecord | None:
+        """Return the record of a scan, None when there is none that is whole."""
+        try:
+            return read_record(self.row_file(name), BatchScanRecord)
+        except Scan2AlbedoError:
+            return None
+
+    def keep(self, row: BatchScanRecord) -> None:
+        """Write the record of a scan, whole or not at all."""
+        make_folder(self.rows)
+        write_record(self.row_file(row.name), row)
+
+    def forget(self, name: str) -> None:
+        """Remove the record of a scan, and the mark that its result is whole."""
+        self.row_file(name).unlink(missing_ok=True)
+        (self.out / name / "result.json").unlink(missing_ok=True)
+
+    def begin_run(self, run: str) -> None:
+        """Make `run` the only one whose workers may write here."""
+        make_folder(self.rows)
+        shutil.rmtree(self.running, ignore_errors=True)
+        make_folder(self.running)
+        write_text(self.out / _KEPT / "run", run)
+
+    def end_run(self) -> None:
+        """Let no worker that is left write here any more."""
+        with suppress(OSError):
+            (self.out / _KEPT / "run").unlink()
+        shutil.rmtree(self.running, ignore_errors=True)
+
+    def is_running(self, run: str) -> bool:
+        """Return whether `run` is the one that may write here."""
+        try:
+            return (self.out / _KEPT / "run").read_text(encoding="utf-8") == run
+        except OSError:
+            return False
+
+    def mark(self, name: str, started_at: float) -> None:
+        """Note that a scan is being processed by this process since `started_at` (seconds since 1970)."""
+        write_text(self.running / name, json.dumps({"pid": os.getpid(), "started_at": started_at}))
+
+    def started_at(self, name: str) -> float | None:
+        """Return since when a scan is being processed, None when it is not, or no longer."""
+        try:
+            return float(json.loads((self.running / name).read_text(encoding="utf-8"))["started_at"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def unmark(self, name: str) -> None:
+        """Remove the mark of a scan."""
+        with suppress(OSError):
+            (self.running / name).unlink()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other batches out of the folder during the block; a killed process holds no lock.
+
+        Raises
+        ------
+        BatchError
+            When another batch works there.
+        """
+        import fcntl
+
+        make_folder(self.out / _KEPT)
+        with (self.out / _KEPT / "lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise BatchError(
+                    f"another batch works in {self.out}; wait for it, or choose another folder"
+                ) from None
+            except OSError:
+                pass  # a file system without locks
+            yield

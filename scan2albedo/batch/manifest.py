@@ -1,0 +1,247 @@
+"""Manifests: which scans a batch processes, under what names."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from scan2albedo.batch.columns import is_taken
+from scan2albedo.errors import BatchError
+from scan2albedo.io.load_scan import SUPPORTED_SCANS
+from scan2albedo.process_options import ProcessOptions
+
+SCAN = "scan"
+OWN_OPTIONS = ("unit", "model", "lights", "seed")
+"""Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
+
+_TABLES = (".csv", ".tsv")
+_DELIMITERS = ",;\t"
+_LONGEST_NAME = 200
+
+
+@dataclass(frozen=True)
+class ManifestScan:
+    """One scan of a manifest.
+
+    Parameters
+    ----------
+    name : str
+        Of the folder of its result.
+    source : str
+        The path as written in the manifest.
+    path : Path
+        Absolute.
+    own : mapping of str to str
+        Options of `OWN_OPTIONS` that the line sets.
+    extra : mapping of str to str
+        Cells of all other columns, as written.
+    where : str
+        Place in the manifest, for messages.
+    """
+
+    name: str
+    source: str
+    path: Path
+    own: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, str] = field(default_factory=dict)
+    where: str = ""
+
+    def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
+        """Return the batch's options with those that the line sets; a model's path starts from `folder`.
+
+        Raises
+        ------
+        BatchError
+            When a cell is no such option.
+        """
+        given: dict[str, Any] = {}
+        try:
+            given = {name: _value(name, text) for name, text in self.own.items() if text}
+            chosen = replace(batch, **given)
+        except ValueError as error:
+            raise BatchError(f"{self.where}: {error}") from error
+        if "model" in given and given["model"] not in ("default", "none"):
+            return replace(chosen, model=str((folder / given["model"]).absolute()))
+        return chosen
+
+
+@dataclass(frozen=True)
+class BatchManifest:
+    """The scans of a batch, one or more, no two of one name.
+
+    Parameters
+    ----------
+    path : Path
+        The file or folder.
+    scans : tuple of ManifestScan
+    extra_columns : tuple of str
+        Of the table, beside those with a meaning here.
+    """
+
+    path: Path
+    scans: tuple[ManifestScan, ...]
+    extra_columns: tuple[str, ...] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Folder from which relative paths start."""
+        return (self.path if self.path.is_dir() else self.path.parent).absolute()
+
+
+def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchManifest:
+    """Read a manifest: a table, a list of paths, or a folder.
+
+    - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
+      (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`. Cells of other
+      columns are kept as they are.
+    - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
+    - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
+
+    Whether the scans exist is not looked at: a missing one fails alone.
+
+    Parameters
+    ----------
+    path : path
+    leave_out : path, optional
+        Folder in which no scan is looked for: that of the results.
+
+    Returns
+    -------
+    BatchManifest
+
+    Raises
+    ------
+    BatchError
+        When there is no manifest, it lists nothing, lacks a column, has a name that cannot be a folder, or
+        two scans of one name; the message names the lines.
+    """
+    source = Path(path)
+    if source.is_dir():
+        files = sorted(_scans_below(source, leave_out))
+        scans = [_scan(str(f.relative_to(source)), source, where=str(f)) for f in files]
+        return _checked(BatchManifest(source, tuple(scans)))
+    if source.suffix.lower() in SUPPORTED_SCANS:
+        raise BatchError(f"{source}: is a scan; give a CSV file, a list of paths or a folder of scans")
+    text = _text(source)
+    if source.suffix.lower() in _TABLES:
+        return _checked(_of_table(source, text))
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
+    wanted = [(number, line) for number, line in lines if line and not line.startswith("#")]
+    folder = source.parent.absolute()
+    scans = [_scan(line, folder, where=f"{source}, line {number}") for number, line in wanted]
+    return _checked(BatchManifest(source, tuple(scans)))
+
+
+def _value(name: str, text: str) -> str | int:
+    if name not in ("seed", "lights"):
+        return text
+    if re.fullmatch("-?[0-9]+", text):
+        return int(text)
+    if name == "seed":
+        raise ValueError(f"seed is {text!r}, expected a whole number >= 0")
+    return text
+
+
+def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:
+    path = Path(os.path.normpath((folder / source).absolute()))
+    return ManifestScan(name or path.stem, source, path, where=where, **more)
+
+
+def _scans_below(folder: Path, leave_out: Path | None) -> Iterator[Path]:
+    out = None if leave_out is None else leave_out.resolve()
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(f for f in folders if not f.startswith(".") and Path(place, f).resolve() != out)
+        if "batch.json" in files:
+            folders.clear()
+        if "batch.json" in files or "result.json" in files:
+            continue
+        for file in files:
+            if Path(file).suffix.lower() in SUPPORTED_SCANS and not file.startswith("."):
+                yield Path(place, file)
+
+
+def _text(file: Path) -> str:
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise BatchError(
+            f"manifest {file} cannot be read ({error.strerror or error}); give a CSV file with a column "
+            f"{SCAN!r}, a list of paths or a folder"
+        ) from error
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BatchError(f"manifest {file} is no UTF-8 text; save it as CSV in UTF-8") from error
+    if "\0" in text:
+        raise BatchError(f"manifest {file} is no text file; give a CSV file or a list of paths")
+    return text
+
+
+def _of_table(file: Path, text: str) -> BatchManifest:
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    reader = csv.reader(StringIO(text, newline=""), delimiter=max(_DELIMITERS, key=first.count), strict=True)
+    try:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise BatchError(f"{file}, line {reader.line_num}: {error}; mend its quotes") from error
+    header = _header(file, rows[0][1] if rows else [])
+    extra = tuple(name for name in header if name not in (SCAN, "name", *OWN_OPTIONS))
+    scans = []
+    for line, row in rows[1:]:
+        where = f"{file}, line {line}"
+        if len(row) > len(header):
+            raise BatchError(
+                f"{where}: has {len(row)} cells, the header {len(header)}; put a cell that holds a separator "
+                "in quotes"
+            )
+        cells = dict.fromkeys(header, "") | dict(zip(header, row, strict=False))
+        if not (source := cells[SCAN].strip()):
+            raise BatchError(f"{where}: names no scan")
+        own = {name: cells[name].strip() for name in OWN_OPTIONS if name in cells}
+        kept = {name: cells[name] for name in extra}
+        name = cells.get("name", "").strip()
+        scans.append(_scan(source, file.parent.absolute(), where=where, name=name, own=own, extra=kept))
+    return BatchManifest(file, tuple(scans), extra)
+
+
+def _header(file: Path, cells: list[str]) -> list[str]:
+    known = (SCAN, "name", *OWN_OPTIONS)
+    header = [c.strip().lower() if c.strip().lower() in known else c.strip() for c in cells]
+    if SCAN not in header:
+        found = f"its first line has {', '.join(header)}" if header else "it is empty"
+        raise BatchError(
+            f"{file} lacks the column {SCAN} ({found}); begin it with a header such as scan,name"
+        )
+    folded = [name.casefold() for name in header]
+    if twice := [name for name in header if folded.count(name.casefold()) > 1]:
+        raise BatchError(f"{file} has the column {twice[0] or 'without a name'} twice; rename one")
+    if "" in header:
+        raise BatchError(f"{file}: column {header.index('') + 1} has no name; give it one")
+    if taken := [name for name in header if name not in known and is_taken(name)]:
+        raise BatchError(f"{file}: the catalogue has a column {taken[0]} of its own; rename it")
+    return header
+
+
+def _checked(manifest: BatchManifest) -> BatchManifest:
+    if not manifest.scans:
+        kinds = f" ({', '.join(SUPPORTED_SCANS)})" if manifest.path.is_dir() else ""
+        raise BatchError(f"{manifest.path} lists no scan{kinds}; nothing to do")
+    first: dict[str, ManifestScan] = {}
+    for scan in manifest.scans:
+        if scan.name.startswith(".") or set(scan.name) & set("/\\\0\n") or len(scan.name) > _LONGEST_NAME:
+            raise BatchError(
+                f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
+            )
+        other = first.setdefault(scan.name.casefold(), scan)
+        if other is not scan:
+            raise BatchError(
+                f"{other.where} and {scan.where}: both results would be named {scan.name}; give other names "
+                "(a CSV file with a column `name` can)"
+            )
+    return manifest

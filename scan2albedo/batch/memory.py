@@ -1,0 +1,103 @@
+"""How many workers the memory carries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from scan2albedo.io.images import SUPPORTED_IMAGES
+from scan2albedo.io.input_hash import files_of_scan
+
+MB = 1 << 20
+
+_BASE_MB = 450.0
+_TEXEL_BYTES = 400.0
+_MESH_BYTES_PER_BYTE = 25.0
+_PIXEL_BYTES = 160.0
+_KEPT_FREE = 0.1
+
+_CGROUP_FILES = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+
+
+@dataclass(frozen=True)
+class JobLimit:
+    """How many jobs fit into memory.
+
+    Parameters
+    ----------
+    jobs : int
+        At least one.
+    worker_mb : float
+        What a worker may need at its highest.
+    available_mb : float
+    """
+
+    jobs: int
+    worker_mb: float
+    available_mb: float
+
+    def note(self, asked: int) -> str:
+        """Return one sentence for the user when jobs were cut, else an empty one."""
+        if self.jobs >= asked:
+            return ""
+        return (
+            f"{self.jobs} of {asked} jobs: a worker may need {self.worker_mb / 1024:.1f} GB and "
+            f"{self.available_mb / 1024:.1f} GB are available"
+        )
+
+
+def job_limit(asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0) -> JobLimit:
+    """Return how many of the jobs asked for the available memory carries.
+
+    Parameters
+    ----------
+    asked : int
+    scans : iterable of Path
+        The largest of them counts.
+    size : int
+        Height and width of the geometry images.
+    running_mb : float
+        Peak of a worker that was measured, when it is higher than the estimate.
+    """
+    largest = max((_scan_mb(path) for path in scans), default=0.0)
+    worker = max(_BASE_MB + size * size * _TEXEL_BYTES / MB + largest, running_mb)
+    available = available_mb()
+    fitting = int((1 - _KEPT_FREE) * available / worker)
+    return JobLimit(max(1, min(asked, fitting)), worker, available)
+
+
+def available_mb() -> float:
+    """Return the memory that may still be taken, of the machine or of its container."""
+    import psutil
+
+    available = float(psutil.virtual_memory().available)
+    for limit, used in _CGROUP_FILES:
+        with suppress(OSError, ValueError):  # no such container, or no limit ("max")
+            available = min(available, int(Path(limit).read_text()) - int(Path(used).read_text()))
+    return max(available, 0.0) / MB
+
+
+def _scan_mb(path: Path) -> float:
+    """Return what a scan adds, from the sizes of its files and textures; 0 where it is missing."""
+    total = 0.0
+    with suppress(OSError, ValueError):
+        for file in files_of_scan(path):
+            pixels = _pixels(file) if file.suffix.lower() in SUPPORTED_IMAGES else 0
+            total += pixels * _PIXEL_BYTES if pixels else file.stat().st_size * _MESH_BYTES_PER_BYTE
+    return total / MB
+
+
+def _pixels(image: Path) -> int:
+    """Return the number of pixels from the image's header, 0 when it tells none."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(image) as opened:
+            return opened.size[0] * opened.size[1]
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError):
+        return 0

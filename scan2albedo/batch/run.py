@@ -1,0 +1,289 @@
+"""`run_batch`: many scans, each in a worker, with a catalogue of what became of them."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from scan2albedo import __version__
+from scan2albedo.batch.catalogue import catalogue_table, write_catalogue
+from scan2albedo.batch.execution import run_in_processes, run_on_cluster
+from scan2albedo.batch.fingerprints import model_sha256, options_sha256
+from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.manifest import BatchManifest, read_manifest
+from scan2albedo.batch.memory import job_limit
+from scan2albedo.batch.report import BatchProgress, BatchReport
+from scan2albedo.batch.resume import Resumed, remove_leftovers, verified
+from scan2albedo.batch.worker import ScanTask
+from scan2albedo.errors import BatchError
+from scan2albedo.io.batch_json import BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
+from scan2albedo.io.result_json import installed_versions, write_record
+from scan2albedo.process_options import ProcessOptions
+
+CATALOGUE_INTERVAL_S = 30.0
+"""Seconds between two writings of the catalogue while scans are processed."""
+
+OnBatchProgress = Callable[[BatchProgress], None]
+
+
+def run_batch(
+    manifest: str | Path | BatchManifest,
+    out: str | Path,
+    *,
+    options: ProcessOptions | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
+    timeout_s: float | None = None,
+    on_progress: OnBatchProgress | None = None,
+) -> BatchReport:
+    """Process many scans, each in a worker with one thread; one that fails stops no other.
+
+    Parameters
+    ----------
+    manifest : path or BatchManifest
+        A CSV file, a list of paths or a folder; see `read_manifest`.
+    out : path
+        Folder that gets a subfolder for each scan, `catalogue.parquet` and `batch.json`.
+    options : ProcessOptions, optional
+        For all scans; lines of the manifest may set their own unit, model, lights and seed.
+    jobs : int, optional
+        Local processes; one a core when omitted, and never more than the available memory carries.
+    scheduler : str, optional
+        Address of a dask scheduler whose workers, with one thread each, process the scans instead. They need
+        this package and the same paths.
+    resume : bool
+        Keep scans of earlier runs whose input, options and files still have the same hashes.
+    timeout_s : float, optional
+        Seconds after which a scan is given up, with its worker.
+    on_progress : callable, optional
+        Called with a `BatchProgress` whenever a scan has ended.
+
+    Returns
+    -------
+    BatchReport
+
+    Raises
+    ------
+    BatchError
+        When the manifest is at fault, `out` holds a batch already and `resume` is not given, another batch
+        works there, or no worker can be had.
+    ModelError
+        When a model's file is missing.
+    OutputError
+        When `out` cannot be written.
+    ValueError
+        For a number of jobs or seconds that is none.
+    """
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"jobs is {jobs}, expected at least 1")
+    if timeout_s is not None and not timeout_s > 0:
+        raise ValueError(f"timeout_s is {timeout_s}, expected seconds above 0")
+    layout = Layout.of(out)
+    if not isinstance(manifest, BatchManifest):
+        manifest = read_manifest(manifest, leave_out=layout.out)
+    from scan2albedo.result_files import check_writable
+
+    options = ProcessOptions() if options is None else options
+    tasks = _tasks(manifest, layout, options, timeout_s)
+    check_writable(layout.out)
+    with layout.locked():
+        if layout.holds_a_batch() and not resume:
+            raise BatchError(f"{out} holds a batch already; give --resume to go on, or another folder")
+        asked = jobs or _cores()
+        run = _Run(manifest, layout, options, asked, scheduler, on_progress, tasks[0].run)
+        return run.report(tasks, resume)
+
+
+def _tasks(
+    manifest: BatchManifest, layout: Layout, options: ProcessOptions, timeout_s: float | None
+) -> list[ScanTask]:
+    run, tasks = secrets.token_hex(8), []
+    models: dict[str, str | None] = {}
+    if options.model not in ("default", "none"):
+        options = replace(options, model=str(Path(options.model).absolute()))
+    for scan in manifest.scans:
+        chosen = scan.options(options, manifest.folder)
+        if chosen.model not in models:
+            models[chosen.model] = model_sha256(chosen.model)
+        tasks.append(
+            ScanTask(
+                name=scan.name,
+                source=scan.source,
+                path=str(scan.path),
+                out=str(layout.out),
+                options=chosen,
+                options_sha256=options_sha256(chosen, models[chosen.model]),
+                model_sha256=models[chosen.model],
+                run=run,
+                version=__version__,
+                timeout_s=timeout_s,
+            )
+        )
+    return tasks
+
+
+@dataclass
+class _Run:
+    """One run of a batch: what has ended, and when the catalogue was written."""
+
+    manifest: BatchManifest
+    layout: Layout
+    options: ProcessOptions
+    asked: int
+    scheduler: str | None
+    on_progress: OnBatchProgress | None
+    run: str
+    rows: dict[str, BatchScanRecord] = field(default_factory=dict)
+    resumed: Resumed = field(default_factory=Resumed)
+    notes: list[str] = field(default_factory=list)
+    jobs: int = 1
+    started_at: datetime = field(default_factory=lambda: datetime.now(UTC))
+    start: float = field(default_factory=time.monotonic)
+    written: float = 0.0
+
+    def report(self, tasks: Sequence[ScanTask], resume: bool) -> BatchReport:
+        """Process what is to be done and return what came of all."""
+        self.layout.begin_run(self.run)
+        status: BatchStatus = "interrupted"
+        try:
+            todo = self.taken_up(tasks) if resume else tasks
+            self.start = time.monotonic()
+            self.write("running")
+            for row in self.outcomes(todo):
+                self.rows[row.name] = row
+                self.tell(last=row)
+                if time.monotonic() - self.written > CATALOGUE_INTERVAL_S:
+                    self.write("running")
+            status = "ended"
+        finally:
+            with _undisturbed():
+                self.layout.end_run()
+                remove_leftovers(self.layout)
+                self.write(status)
+        return BatchReport(
+            self.layout.out,
+            self.progress(),
+            self.failures(),
+            self.jobs,
+            self.resumed.files_verified,
+            tuple(self.notes),
+        )
+
+    def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
+        """Keep what holds of earlier runs, remove what they left behind, and return the other tasks."""
+        if removed := remove_leftovers(self.layout):
+            self.note(f"removed {removed} half-written files and folders of a run that was killed")
+        self.resumed = verified(tasks, self.layout)
+        self.rows |= self.resumed.kept
+        self.note(self.resumed.note())
+        return self.resumed.todo
+
+    def outcomes(self, tasks: Sequence[ScanTask]) -> Iterator[BatchScanRecord]:
+        if not tasks:
+            return iter(())
+        if self.scheduler is not None:
+            return run_on_cluster(tasks, self.layout, self.scheduler, self.set_jobs)
+        return run_in_processes(tasks, self.layout, self.limited)
+
+    def set_jobs(self, jobs: int) -> None:
+        self.jobs = jobs
+
+    def limited(self, tasks: Sequence[ScanTask]) -> int:
+        """Return how many processes to use for these tasks: what memory carries, by now."""
+        asked = min(self.asked, len(tasks))
+        peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
+        limit = job_limit(
+            asked,
+            [Path(task.path) for task in tasks],
+            max(task.options.texels for task in tasks),
+            max((peak for peak in peaks if peak is not None), default=0.0),
+        )
+        if note := limit.note(asked):
+            self.note(note)
+        self.jobs = limit.jobs
+        return limit.jobs
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+        self.tell(note=text)
+
+    def tell(self, last: BatchScanRecord | None = None, note: str = "") -> None:
+        if self.on_progress is not None:
+            self.on_progress(replace(self.progress(), last=last, note=note))
+
+    def progress(self) -> BatchProgress:
+        failed = len(self.failures())
+        return BatchProgress(
+            total=len(self.manifest.scans),
+            done=len(self.rows) - failed,
+            failed=failed,
+            kept=len(self.resumed.kept),
+            elapsed_s=time.monotonic() - self.start,
+        )
+
+    def failures(self) -> dict[str, str]:
+        rows = (self.rows.get(scan.name) for scan in self.manifest.scans)
+        return {row.name: row.reason for row in rows if row is not None and row.status == "failed"}
+
+    def write(self, status: BatchStatus) -> None:
+        """Write the catalogue and the record of the batch, each whole or not at all."""
+        self.written = time.monotonic()
+        write_catalogue(self.layout.catalogue, catalogue_table(self.manifest, self.rows))
+        write_record(self.layout.record, self.record(status))
+
+    def record(self, status: BatchStatus) -> BatchRecord:
+        progress, failures = self.progress(), self.failures()
+        return BatchRecord(
+            scan2albedo_version=__version__,
+            versions=installed_versions(),
+            run=self.run,
+            status=status,
+            manifest=str(self.manifest.path),
+            options=dict(self.options.plain()),
+            jobs=self.jobs,
+            jobs_asked=self.asked,
+            scheduler=self.scheduler,
+            started_at=self.started_at,
+            finished_at=None if status == "running" else datetime.now(UTC),
+            seconds=progress.elapsed_s,
+            scans=progress.total,
+            done=progress.done,
+            failed=progress.failed,
+            not_run=progress.left,
+            kept=progress.kept,
+            files_verified=self.resumed.files_verified,
+            scans_per_hour=progress.scans_per_hour,
+            failures=tuple(
+                BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
+                for scan in self.manifest.scans
+                if scan.name in failures
+            ),
+            notes=tuple(self.notes),
+        )
+
+
+def _cores() -> int:
+    from joblib import cpu_count
+
+    return int(cpu_count())
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Let no Ctrl-C end the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

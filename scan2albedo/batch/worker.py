@@ -1,0 +1,227 @@
+"""What a worker does: one scan after the other, in one thread, telling what became of each."""
+
+from __future__ import annotations
+
+import os
+import platform
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scan2albedo.batch.fingerprints import folder_sha256
+from scan2albedo.batch.layout import Layout
+from scan2albedo.errors import BatchError, Scan2AlbedoError
+from scan2albedo.io.batch_json import BatchScanRecord
+from scan2albedo.io.input_hash import input_sha256
+
+if TYPE_CHECKING:
+    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.process_options import ProcessOptions
+    from scan2albedo.process_result import ProcessResult
+
+_ONE_AT_A_TIME = threading.Lock()
+_PARENT_INTERVAL_S = 0.5
+_MODELS_KEPT = 4
+
+
+@dataclass(frozen=True)
+class ScanTask:
+    """One scan to process; paths are absolute, for workers may run elsewhere.
+
+    Parameters
+    ----------
+    name, source : str
+        As in the manifest.
+    path, out : str
+    options : ProcessOptions
+    options_sha256 : str
+    model_sha256 : str or None
+    run : str
+        Of the batch; a worker of an older run writes nothing.
+    version : str
+        Of the package that made the task.
+    timeout_s : float or None
+        Seconds after which the worker's process ends itself.
+    """
+
+    name: str
+    source: str
+    path: str
+    out: str
+    options: ProcessOptions
+    options_sha256: str
+    model_sha256: str | None
+    run: str
+    version: str
+    timeout_s: float | None = None
+
+    def failed(self, reason: str, **figures: Any) -> BatchScanRecord:
+        """Return the record of this scan as one that failed."""
+        return self.record("failed", reason=" ".join(reason.split()), **figures)
+
+    def record(self, status: str, **figures: Any) -> BatchScanRecord:
+        """Return a record of this scan, finished now."""
+        return BatchScanRecord(
+            run=self.run,
+            name=self.name,
+            source=self.source,
+            status=status,  # type: ignore[arg-type]
+            options_sha256=self.options_sha256,
+            finished_at=datetime.now(UTC),
+            **figures,
+        )
+
+
+def begin_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, and end when it has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
+
+
+def process_task(task: ScanTask) -> BatchScanRecord:
+    """Process one scan, write its files and its record, and return that; it tells of any failure."""
+    layout = Layout(Path(task.out))
+    earlier = layout.row(task.name)
+    if earlier is not None and earlier.run == task.run:
+        return earlier  # a scheduler asks again when it has lost the answer
+    with _ONE_AT_A_TIME, _marked(task, layout):
+        row = _attempted(task, layout)
+        if layout.is_running(task.run):
+            layout.keep(row)
+        return row
+
+
+def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
+    start, cpu = time.perf_counter(), time.process_time()
+    known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
+    status = "done"
+    try:
+        known |= _processed(task, layout)
+    except Scan2AlbedoError as error:
+        status, known["reason"] = "failed", str(error)
+    except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
+        status, known["reason"] = "failed", f"{type(error).__name__}: {error}"
+    if status == "failed":
+        known |= _input(task)
+        _remove_older_result(layout.out / task.name)
+    known["reason"] = " ".join(known.get("reason", "").split())
+    return task.record(
+        status,
+        seconds=time.perf_counter() - start,
+        cpu_seconds=time.process_time() - cpu,
+        peak_memory_mb=peak_memory_mb(),
+        **known,
+    )
+
+
+def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
+    """Process a scan and return what its record tells of it."""
+    from scan2albedo import __version__
+
+    if __version__ != task.version:
+        raise BatchError(f"the worker has scan2albedo {__version__}, the batch {task.version}; install one")
+    layout.forget(task.name)
+    # Hashed before it is read: a file that changes meanwhile is stale at once.
+    known: dict[str, Any] = {"input_sha256": input_sha256(task.path)}
+    with _one_thread():
+        from scan2albedo.pipeline import process
+        from scan2albedo.result_files import write_result
+
+        chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
+        result = process(task.path, name=task.name, **chosen)
+        if not layout.is_running(task.run):
+            raise BatchError("the batch has ended; nothing is written")
+        begin = time.perf_counter()
+        folder = write_result(result, layout.out, pictures=task.options.pictures)
+        known["timings_s"] = {**result.timings_s, "files": time.perf_counter() - begin}
+    known["files"] = folder_sha256(folder)
+    return known | _figures(result)
+
+
+def _figures(result: ProcessResult) -> dict[str, Any]:
+    return {
+        "model": str(result.options["model"]),
+        "metrics": result.metrics(),
+        "plan_ran": tuple(step.stage for step in result.plan if step.ran),
+        "plan_skipped": tuple(step.stage for step in result.plan if not step.ran),
+    }
+
+
+def _input(task: ScanTask) -> dict[str, str]:
+    with suppress(Scan2AlbedoError):
+        return {"input_sha256": input_sha256(task.path)}
+    return {}
+
+
+def _remove_older_result(folder: Path) -> None:
+    """Remove the files of an earlier result, so that nobody takes them for those of this input."""
+    from scan2albedo.result_files import FILES
+
+    with suppress(OSError):
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)
+        folder.rmdir()
+
+
+@lru_cache(_MODELS_KEPT)
+def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
+    """Return the model, read once a worker as long as its files' hash is the same."""
+    from scan2albedo.pipeline import chosen_model
+
+    return chosen_model(model) or "none"
+
+
+@contextmanager
+def _marked(task: ScanTask, layout: Layout) -> Iterator[None]:
+    """Show that the scan is being processed, and let the process end when it takes too long.
+
+    The alarm has no handler: it ends the process even in the midst of compiled code, which no exception
+    could leave in order.
+    """
+    with suppress(Scan2AlbedoError):
+        layout.mark(task.name, time.time())
+    if task.timeout_s is not None:
+        signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
+    try:
+        yield
+    finally:
+        if task.timeout_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        layout.unmark(task.name)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Hold every library to one thread during the block; processes share the cores."""
+    import cv2
+    import numba
+    from threadpoolctl import threadpool_limits
+
+    import scan2albedo.pipeline  # noqa: F401  loads the libraries that are to be limited
+
+    numba.set_num_threads(1)
+    cv2.setNumThreads(1)
+    with threadpool_limits(limits=1):
+        yield
+
+
+def peak_memory_mb() -> float:
+    """Return the highest resident memory of this process so far, in MB of 2^20 bytes."""
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def _end_with_parent(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_PARENT_INTERVAL_S)
+    os._exit(1)

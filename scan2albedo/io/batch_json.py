@@ -1,0 +1,71 @@
+"""Records of a batch: one of each scan that was tried, and one of the whole."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AwareDatetime, Field
+
+from scan2albedo.io.result_json import Figures, Number, OptionalNumber, Record
+
+BatchStatus = Literal["running", "ended", "interrupted"]
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class BatchScanRecord(Record):
+    """What became of one scan: `OUT/.batch/rows/<name>.json`."""
+
+    format_version: Literal[1] = 1
+    run: str = Field(description="Of the batch's run that wrote it.")
+    name: str = Field(min_length=1, description="Of the result's folder.")
+    source: str = Field(description="Path as the manifest has it.")
+    status: Literal["done", "failed"]
+    reason: str = Field("", description="Why it failed, one line.")
+    model: str | None = Field(None, description="Name of the face model; none without one.")
+    input_sha256: Sha256 | None = Field(None, description="See input_sha256; null when it cannot be read.")
+    options_sha256: Sha256 = Field(description="Of the options, the version and the model's file.")
+    seconds: OptionalNumber = Field(None, description="Wall-clock, files and hashes included.")
+    cpu_seconds: OptionalNumber = Field(None, description="Of the worker's process.")
+    peak_memory_mb: OptionalNumber = Field(None, description="Highest resident memory of the worker so far.")
+    worker: str = Field("", description="Host and process.")
+    finished_at: AwareDatetime
+    metrics: Figures = Field(default={}, description="As in result.json.")
+    timings_s: dict[str, Number] = Field(default={}, description="Wall-clock seconds of each stage.")
+    plan_ran: tuple[str, ...] = ()
+    plan_skipped: tuple[str, ...] = ()
+    files: dict[str, Sha256] = Field(default={}, description="SHA-256 of every file of the result.")
+
+
+class BatchFailure(Record):
+    """A scan that failed."""
+
+    name: str
+    source: str
+    reason: str
+
+
+class BatchRecord(Record):
+    """The content of `batch.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
+    run: str = Field(description="Of the last run.")
+    status: BatchStatus = Field(description="A run that was killed is still called running.")
+    manifest: str = Field(description="Path as given.")
+    options: Figures = Field(description="Of the batch; lines of the manifest may set others.")
+    jobs: int = Field(ge=1, description="Processes that worked.")
+    jobs_asked: int = Field(ge=1)
+    scheduler: str | None = None
+    started_at: AwareDatetime
+    finished_at: AwareDatetime | None = None
+    seconds: Number = Field(description="Of the last run.")
+    scans: int = Field(ge=0)
+    done: int = Field(ge=0)
+    failed: int = Field(ge=0)
+    not_run: int = Field(ge=0)
+    kept: int = Field(ge=0, description="Done in an earlier run, files verified.")
+    files_verified: int = Field(ge=0)
+    scans_per_hour: OptionalNumber = Field(None, description="Of the last run, failed ones included.")
+    failures: tuple[BatchFailure, ...] = ()
+    notes: tuple[str, ...] = ()

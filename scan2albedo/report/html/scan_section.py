@@ -1,0 +1,247 @@
+"""What the page tells of one scan."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.io.result_json import ResultRecord
+from scan2albedo.report.html.light_rows import LightRow, alternative_lights, angles_text, light_rows
+from scan2albedo.report.html.mesh_data import Topologies
+from scan2albedo.report.html.residual import Residual, residual_of_result
+from scan2albedo.report.html.rows import flattened
+from scan2albedo.report.html.texts import (
+    label_of,
+    number_text,
+    seconds_text,
+    size_text,
+    unit_of,
+    value_text,
+)
+from scan2albedo.report.html.textures import TextureStyle, picture_url
+from scan2albedo.report.html.trace_chart import StageChart, read_trace, stage_charts
+from scan2albedo.report.html.viewer_data import viewed_face, viewer_entry
+
+UNCERTAIN_ALBEDO = 0.1
+"""Relative deviation of the albedo from which the page warns."""
+_OVERVIEW_WIDTH, _BATCH_OVERVIEW_WIDTH = 1800, 1000
+
+
+@dataclass(frozen=True)
+class SectionStyle:
+    """How much of a scan goes into the page."""
+
+    texture: TextureStyle
+    overview_width: int
+    overview_quality: int
+    residual: bool
+
+    @classmethod
+    def single(cls, texture_size: int, residual: bool) -> SectionStyle:
+        """Return the style of a page of one scan: textures without loss."""
+        return cls(TextureStyle(texture_size, None), _OVERVIEW_WIDTH, 88, residual)
+
+    @classmethod
+    def batch(cls, texture_size: int) -> SectionStyle:
+        """Return the style of one scan among many."""
+        return cls(TextureStyle(texture_size, 88), _BATCH_OVERVIEW_WIDTH, 76, False)
+
+
+@dataclass(frozen=True)
+class TimeBar:
+    """One stage's part of the run time."""
+
+    stage: str
+    text: str
+    share: float
+    start: float
+
+
+@dataclass(frozen=True)
+class ScanSection:
+    """One scan as the template shows it."""
+
+    anchor: str
+    name: str
+    record: ResultRecord
+    headline: tuple[str, ...]
+    warnings: tuple[str, ...]
+    viewer: Mapping[str, Any] | None
+    viewer_missing: str
+    residual_note: str
+    overview: tuple[str, int, int] | None
+    charts: tuple[StageChart, ...]
+    single_points: tuple[StageChart, ...]
+    """Stages of which a single row was recorded: told in words."""
+    trace_missing: str
+    times: tuple[TimeBar, ...]
+    seconds: str
+    figures: Mapping[str, list[tuple[str, str, str]]]
+    lights: tuple[LightRow, ...]
+    alternatives: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str, str], ...]
+    options: tuple[tuple[str, str], ...]
+
+
+def scan_section(
+    folder: Path,
+    record: ResultRecord,
+    page: Path,
+    topologies: Topologies,
+    style: SectionStyle,
+    *,
+    anchor: str,
+    name: str,
+) -> ScanSection:
+    """Return what the page at `page` tells of the result in `folder`.
+
+    Files that are missing or damaged leave their part out, and the page says which and why.
+    """
+    viewer, missing, residual = _viewer(folder, record, topologies, style)
+    trace, trace_missing = _trace(folder)
+    total = sum(record.timings_s.values())
+    return ScanSection(
+        anchor=anchor,
+        name=name,
+        record=record,
+        headline=_headline(record, total),
+        warnings=_warnings(record),
+        viewer=viewer,
+        viewer_missing=missing,
+        residual_note=residual.source,
+        overview=picture_url(folder / "overview.png", style.overview_width, style.overview_quality),
+        charts=tuple(chart for chart in trace if chart.drawn),
+        single_points=tuple(chart for chart in trace if not chart.drawn),
+        trace_missing=trace_missing,
+        times=_times(record, total),
+        seconds=seconds_text(total),
+        figures=_figures(record),
+        lights=light_rows(record),
+        alternatives=alternative_lights(record),
+        files=file_links(folder, record.files, page),
+        options=tuple((label_of(key), _option_text(value)) for key, value in record.options.items()),
+    )
+
+
+def _viewer(
+    folder: Path, record: ResultRecord, topologies: Topologies, style: SectionStyle
+) -> tuple[Mapping[str, Any] | None, str, Residual]:
+    unknown = Residual(None, "")
+    try:
+        viewed = viewed_face(folder, record)
+        residual = residual_of_result(folder, record, viewed.face.mesh) if style.residual else unknown
+        return viewer_entry(viewed, record, topologies, style.texture, residual.distance_mm), "", residual
+    except Scan2AlbedoError as error:
+        return None, " ".join(str(error).split()), unknown
+
+
+def _trace(folder: Path) -> tuple[list[StageChart], str]:
+    try:
+        charts = stage_charts(read_trace(folder / "trace.csv"))
+    except Scan2AlbedoError as error:
+        return [], " ".join(str(error).split())
+    return charts, "" if charts else "no iterative stage ran"
+
+
+def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
+    parts = []
+    figures = flattened(record.metrics, "metrics")
+    residual = figures.get("metrics_fit_residual_mean_mm")
+    if residual is not None:
+        parts.append(f"fit {number_text(residual)} mm mean")
+    if record.lights:
+        where = angles_text((light.azimuth_deg, light.elevation_deg) for light in record.lights)
+        parts.append(f"{len(record.lights)} light{'s' if len(record.lights) > 1 else ''} at {where}")
+    elif record.parameters.get("brdf") == "spherical-harmonics":
+        parts.append("light as spherical harmonics")
+    else:
+        parts.append("no directed light" if record.parameters else "no albedo (see the plan)")
+    deviation = figures.get("metrics_albedo_uncertainty_albedo_deviation")
+    if deviation is not None:
+        parts.append(f"albedo ± {number_text(100 * deviation, 2)} %")
+    return (*parts, seconds_text(total))
+
+
+def _warnings(record: ResultRecord) -> tuple[str, ...]:
+    """Return what a person should know before using the result."""
+    found = [
+        f"{stage.replace('_', ' ')} did not converge: its budget ended, or it stopped improving"
+        for stage, figures in record.metrics.items()
+        if isinstance(figures, Mapping) and figures.get("converged") is False
+    ]
+    figures = flattened(record.metrics, "metrics")
+    deviation = figures.get("metrics_albedo_uncertainty_albedo_deviation")
+    if deviation is not None and deviation > UNCERTAIN_ALBEDO:
+        found.append(
+            f"the light is known badly: that alone makes the albedo uncertain by "
+            f"{number_text(100 * deviation, 2)} %"
+        )
+    return tuple(found)
+
+
+def _times(record: ResultRecord, total: float) -> tuple[TimeBar, ...]:
+    bars, start = [], 0.0
+    for stage, seconds in record.timings_s.items():
+        share = seconds / total if total > 0 else 0.0
+        bars.append(TimeBar(stage.replace("_", " "), seconds_text(seconds), share, start))
+        start += share
+    return tuple(bars)
+
+
+def _figures(record: ResultRecord) -> dict[str, list[tuple[str, str, str]]]:
+    """Return (label, value, unit) of each stage's figures; those told elsewhere are left out."""
+    groups: dict[str, list[tuple[str, str, str]]] = {}
+    for stage, figures in record.metrics.items():
+        if not isinstance(figures, Mapping):
+            continue
+        leaves = flattened(figures, "")
+        shown = {k[1:]: v for k, v in leaves.items() if not k.startswith("_parameters")}
+        groups[stage.replace("_", " ")] = [
+            (label_of(key), value_text(key, value), unit_of(key)) for key, value in shown.items()
+        ]
+    reflectance = [
+        (label_of(key), value_text(key, value), unit_of(key))
+        for key, value in record.parameters.items()
+        if not isinstance(value, list | dict)
+    ]
+    if reflectance:
+        groups["reflectance"] = reflectance
+    return groups
+
+
+def _option_text(value: Any) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, list | tuple):
+        return ", ".join(_option_text(part) for part in value) or "none"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_option_text(part)}" for key, part in value.items())
+    return value_text("", value)
+
+
+def file_links(folder: Path, names: tuple[str, ...], page: Path) -> tuple[tuple[str, str, str], ...]:
+    """Return (name, link relative to the page or "", size) of a result's files."""
+    links = []
+    for name in names:
+        file = folder / name
+        try:
+            size = size_text(file.stat().st_size)
+        except OSError:
+            links.append((name, "", "missing"))
+            continue
+        links.append((name, relative_link(file, page), size))
+    return tuple(links)
+
+
+def relative_link(file: Path, page: Path) -> str:
+    """Return a link from a page to a file; nothing in a name can make it another kind of link."""
+    try:
+        relative = os.path.relpath(file.resolve(), page.resolve().parent)
+    except ValueError:  # another drive
+        return file.resolve().as_uri()
+    return quote(Path(relative).as_posix(), safe="/")

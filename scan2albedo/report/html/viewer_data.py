@@ -1,0 +1,150 @@
+"""What the viewer of one scan needs, from the files of its result."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.applications.loading import fitted_mesh, load_result
+from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
+from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.io.geometry_image_files import read_geometry_image
+from scan2albedo.io.result_json import ResultRecord
+from scan2albedo.lighting.shadow_map import shadow_offset_mm
+from scan2albedo.report.html.mesh_data import Topologies, ViewMesh, encoded, mesh_entry, thinned_chart
+from scan2albedo.report.html.textures import TextureStyle, gray_entry, texture_entry
+
+_ALBEDO_SHOWN, _ALBEDO_PERCENTILE = 0.55, 90
+"""Where the albedo's own picture puts which percentile, as previews do: its scale is not known."""
+RESIDUAL_SCALE_MM = 2.0
+_NO_RESIDUAL = 255
+
+
+@dataclass(frozen=True)
+class ViewedFace:
+    """A face as its files tell it, `has_albedo` False where they hold a shape alone."""
+
+    face: ProcessedFace
+    has_albedo: bool
+
+
+def viewed_face(folder: Path, record: ResultRecord) -> ViewedFace:
+    """Return the face of a result; of one without an albedo, its shape in grey.
+
+    Raises
+    ------
+    Scan2AlbedoError
+        When a file is missing or damaged; the message names it.
+    """
+    if record.parameters:
+        return ViewedFace(load_result(folder), True)
+    image = read_geometry_image(folder / "geometry_image.npz")
+    model = str(record.options.get("model", NO_MODEL))
+    grey = np.full((*image.shape, 3), 0.5, np.float32)
+    face = ProcessedFace.of(record.name, image, grey, model_name=model)
+    if model == NO_MODEL:
+        return ViewedFace(face, False)
+    return ViewedFace(replace(face, mesh=fitted_mesh(folder, image)), False)
+
+
+def viewer_entry(
+    viewed: ViewedFace,
+    record: ResultRecord,
+    topologies: Topologies,
+    style: TextureStyle,
+    residual_mm: NDArray[np.float64] | None = None,
+) -> dict[str, Any]:
+    """Return all of a scan's viewer as JSON can hold it.
+
+    Parameters
+    ----------
+    viewed : ViewedFace
+    record : ResultRecord
+    topologies : Topologies
+        Gets the triangles.
+    style : TextureStyle
+    residual_mm : (V,) float64, optional
+        Of the mesh's vertices; NaN where there is no scan.
+    """
+    face, image = viewed.face, viewed.face.image
+    mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
+    entry = {
+        **mesh_entry(mesh, topologies),
+        "hasAlbedo": viewed.has_albedo,
+        "albedo": texture_entry(face.albedo_linear, image.mask, style),
+        "albedoExposure": _albedo_exposure(face),
+        "reflectance": _reflectance(face),
+        "lights": [_light(light) for light in record.lights],
+        "harmonics": _harmonics(record),
+        "castsShadows": face.casts_shadows,
+        "shadowOffset": shadow_offset_mm(_size(face.mesh), face.shadow_offset_mm),
+        "reach": float(np.linalg.norm(face.mesh.vertices, axis=1).max()),
+        "frame": _frame(face),
+    }
+    if image.texture_linear is not None:
+        entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
+    if image.specular_scale is not None and face.reflectance.specular_strength > 0:
+        entry["gloss"] = gray_entry(image.specular_scale.astype(np.float64), image.mask, style)
+    if residual_mm is not None:
+        entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": _residual_bytes(residual_mm)}
+    return entry
+
+
+def _reflectance(face: ProcessedFace) -> dict[str, Any]:
+    skin = face.reflectance
+    return {
+        "brdf": skin.brdf,
+        "roughness": skin.roughness,
+        "strength": skin.specular_strength,
+        "exponent": skin.exponent,
+    }
+
+
+def _light(light: Any) -> dict[str, Any]:
+    return {
+        "azimuth": light.azimuth_deg,
+        "elevation": light.elevation_deg,
+        "distance": light.distance_mm,
+        "intensity": light.intensity,
+    }
+
+
+def _harmonics(record: ResultRecord) -> list[float] | None:
+    """Return the light as 9 rows of 3 coefficients of the shading, row by row, where it was found as such."""
+    rows = record.parameters.get("sh_coefficients")
+    if record.parameters.get("brdf") != "spherical-harmonics" or rows is None:
+        return None
+    flat = np.asarray(rows, np.float64)
+    return flat.ravel().tolist() if flat.shape == (9, 3) and np.isfinite(flat).all() else None
+
+
+def _frame(face: ProcessedFace) -> dict[str, Any]:
+    """Return what the portrait's camera is made of, as `applications.default_camera` has it."""
+    middle, radius, depth = portrait_frame(face.mesh.vertices)
+    return {
+        "middle": middle.tolist(),
+        "radius": radius,
+        "margin": PORTRAIT_MARGIN,
+        "depth": depth,
+        "distance": max(DISTANCE_MM, 4 * radius),
+    }
+
+
+def _size(mesh: FaceMesh) -> float:
+    return float(np.ptp(mesh.vertices, axis=0).max())
+
+
+def _albedo_exposure(face: ProcessedFace) -> float:
+    brightest = face.albedo_linear[face.mask].max(-1)
+    bright = float(np.percentile(brightest, _ALBEDO_PERCENTILE)) if len(brightest) else 0.0
+    return _ALBEDO_SHOWN / bright if bright > 0 and math.isfinite(bright) else 1.0
+
+
+def _residual_bytes(residual_mm: NDArray[np.float64]) -> str:
+    parts = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
+    return encoded(np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(parts)).astype(np.uint8).tobytes())

@@ -1,0 +1,115 @@
+"""Manifests of tiny coloured balls, and a stand-in for the stages that is done at once."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from scan2albedo.batch import execution, run, worker
+
+
+@pytest.fixture(scope="session")
+def ball_text():
+    """PLY of a coloured ball of 162 vertices, 180 mm wide."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(2, 90.0)
+    color = np.clip(128 + sphere.vertices, 0, 255).astype(int)
+    head = [
+        "ply\nformat ascii 1.0",
+        f"element vertex {len(sphere.vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"property uchar {name}" for name in ("red", "green", "blue")),
+        f"element face {len(sphere.faces)}\nproperty list uchar int vertex_indices\nend_header",
+    ]
+    points = [
+        f"{x:.4f} {y:.4f} {z:.4f} {r} {g} {b}"
+        for (x, y, z), (r, g, b) in zip(sphere.vertices, color, strict=True)
+    ]
+    return "\n".join([*head, *points, *(f"3 {a} {b} {c}" for a, b, c in sphere.faces)]) + "\n"
+
+
+@pytest.fixture
+def scans_in(tmp_path, ball_text):
+    """Write a manifest of balls with the given names; names that begin with "no" have no file."""
+
+    def written(*names, folder="scans", **columns):
+        place = tmp_path / folder
+        place.mkdir(exist_ok=True)
+        with (place / "manifest.csv").open("w", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(["scan", *columns])
+            for i, name in enumerate(names):
+                table.writerow([f"{name}.ply", *(values[i] for values in columns.values())])
+                if not name.startswith("no"):
+                    # A comment makes each input another one.
+                    (place / f"{name}.ply").write_text(
+                        ball_text.replace("ply\n", f"ply\ncomment {name}\n", 1)
+                    )
+        return place / "manifest.csv"
+
+    return written
+
+
+def stand_in(diary):
+    """Make what replaces the stages: two small files, or what the scan's name says."""
+
+    # Everything is inside, so that it travels to workers by value.
+    def written(task, layout):
+        import os
+        import signal
+        import time
+        from pathlib import Path
+
+        from scan2albedo.batch.fingerprints import folder_sha256
+        from scan2albedo.io.input_hash import input_sha256
+
+        tries = len(list(diary.glob(f"{task.name}@*")))
+        (diary / f"{task.name}@{tries}").write_text(str(os.getpid()))
+        layout.forget(task.name)
+        sha256 = input_sha256(task.path)
+        if task.name.startswith("kills") and (tries == 0 or "always" in task.name):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if task.name.startswith("raises"):
+            raise ZeroDivisionError("of a kind\nnobody thought of")
+        if task.name.startswith("sleeps") and tries == 0:
+            time.sleep(60)
+        if task.name.startswith("waits"):
+            time.sleep(0.5)
+        folder = Path(task.out) / task.name
+        folder.mkdir(exist_ok=True)
+        (folder / "albedo.exr").write_text(task.name)
+        (folder / "result.json").write_text(task.name)
+        return {"input_sha256": sha256, "files": folder_sha256(folder), "metrics": {"seconds": 1.0}}
+
+    return written
+
+
+@pytest.fixture
+def tries(tmp_path):
+    """How often a scan was begun, by name."""
+    (tmp_path / "diary").mkdir()
+    return lambda name: len(list((tmp_path / "diary").glob(f"{name}@*")))
+
+
+@pytest.fixture
+def quick_stages(monkeypatch, tmp_path, tries):
+    """Real workers, without the stages."""
+    written = stand_in(tmp_path / "diary")
+
+    def quick_task(task):
+        from scan2albedo.batch import worker
+
+        worker._processed = written
+        return worker.process_task(task)
+
+    monkeypatch.setattr(execution.worker, "process_task", quick_task)
+    return tries
+
+
+@pytest.fixture
+def no_workers(monkeypatch, tmp_path, tries):
+    """Neither workers nor stages."""
+    monkeypatch.setattr(worker, "_processed", stand_in(tmp_path / "diary"))
+    monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
+    return tries

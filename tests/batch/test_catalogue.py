@@ -1,0 +1,103 @@
+"""The catalogue: columns of the same names and types, whatever became of the scans."""
+
+from datetime import UTC, datetime
+
+import duckdb
+import pandas as pd
+import pyarrow as pa
+import pytest
+
+from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
+from scan2albedo.batch.manifest import BatchManifest, ManifestScan
+from scan2albedo.errors import BatchError
+from scan2albedo.io.batch_json import BatchScanRecord
+
+SHA = "0" * 64
+
+
+def manifest(tmp_path, *names):
+    scans = [
+        ManifestScan(name, f"{name}.ply", tmp_path / f"{name}.ply", extra={"age": "4"}) for name in names
+    ]
+    return BatchManifest(tmp_path / "list.csv", tuple(scans), ("age",))
+
+
+def row(name, status="done", **more):
+    return BatchScanRecord(
+        run="r",
+        name=name,
+        source="old.ply",
+        status=status,
+        options_sha256=SHA,
+        finished_at=datetime(2026, 1, 2, tzinfo=UTC),
+        **more,
+    )
+
+
+DONE = {
+    "model": "default annotated face model",
+    "input_sha256": SHA,
+    "seconds": 3,
+    "metrics": {
+        "seconds": 2,
+        "fit": {"converged": True, "scale": float("nan")},
+        "albedo": {"lights": 2, "parameters": {"brdf": "lambert"}, "uncertainty": {"x": [1, 2]}},
+        "new-stage": {"figure": 7, "good": False},
+    },
+    "timings_s": {"load": 0.5, "files": 1},
+    "plan_ran": ("register", "fit"),
+    "plan_skipped": ("albedo.inpainting",),
+    "files": {"albedo.exr": SHA, "result.json": SHA},
+}
+
+
+def test_a_row_tells_what_became_of_a_scan(tmp_path):
+    rows = {"a": row("a", **DONE), "b": row("b", "failed", reason="no face")}
+    table = catalogue_table(manifest(tmp_path, "a", "b", "c"), rows)
+    a, b, c = table.to_pylist()
+    assert (a["status"], b["status"], c["status"]) == ("done", "failed", "not run")
+    assert (a["folder"], b["folder"], b["reason"]) == ("a", None, "no face")
+    assert a["source"] == "a.ply"
+    assert (a["path_albedo_exr"], a["path_fitted_glb"]) == ("a/albedo.exr", None)
+    assert (a["plan_ran"], a["plan_skipped"]) == ("register, fit", "albedo.inpainting")
+    assert (a["seconds"], a["seconds_load"], a["seconds_fit"]) == (3.0, 0.5, None)
+    assert (a["metrics_albedo_lights"], a["metrics_fit_converged"]) == (2.0, True)
+    assert a["metrics_fit_scale"] is None
+    assert (a["metrics_new_stage_figure"], a["metrics_new_stage_good"]) == (7.0, False)
+    assert a["age"] == "4"
+    assert a["finished_at"] == datetime(2026, 1, 2, tzinfo=UTC)
+
+
+def test_types_are_the_same_when_all_failed_and_none_was_run(tmp_path):
+    scans = manifest(tmp_path, "a")
+    tables = [
+        catalogue_table(scans, rows) for rows in ({}, {"a": row("a", "failed")}, {"a": row("a", **DONE)})
+    ]
+    assert tables[0].schema == tables[1].schema
+    done = tables[2].schema
+    assert [field for field in done if not field.name.startswith("metrics_new_stage")] == list(
+        tables[0].schema
+    )
+    kinds = {pa.string(), pa.float64(), pa.bool_(), pa.timestamp("us", tz="UTC")}
+    assert set(done.types) == kinds
+
+
+def test_pandas_and_duckdb_read_it(tmp_path):
+    rows = {"a": row("a", **DONE), "b": row("b", "failed")}
+    path = tmp_path / "catalogue.parquet"
+    write_catalogue(path, catalogue_table(manifest(tmp_path, "a", "b", "c"), rows))
+    counts = duckdb.sql(f"SELECT status, count(*) FROM '{path}' GROUP BY status ORDER BY status").fetchall()
+    assert counts == [("done", 1), ("failed", 1), ("not run", 1)]
+    frame = pd.read_parquet(path)
+    assert frame["seconds"].dtype == float
+    assert str(frame["finished_at"].dt.tz) == "UTC"
+    assert list(frame["name"]) == list(load_catalogue(tmp_path).to_pandas()["name"]) == ["a", "b", "c"]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_none_and_a_damaged_one_are_told(tmp_path):
+    with pytest.raises(BatchError, match="no such file"):
+        load_catalogue(tmp_path)
+    (tmp_path / "catalogue.parquet").write_bytes(b"PAR1 cut short")
+    with pytest.raises(BatchError, match="no whole catalogue"):
+        load_catalogue(tmp_path)

@@ -1,0 +1,79 @@
+"""The same batch on a dask cluster."""
+
+import json
+import sys
+import threading
+import time
+
+import pytest
+
+from scan2albedo.batch import load_catalogue, run_batch
+from scan2albedo.batch.layout import Layout
+from scan2albedo.errors import BatchError, MissingDependencyError
+from scan2albedo.process_options import ProcessOptions
+
+TINY = ProcessOptions(model="none", size=32, pictures=False)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        processes=True,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs="CRITICAL",
+    ) as cluster:
+        yield cluster
+
+
+@pytest.mark.slow
+def test_a_worker_process_is_killed_in_the_middle(scans_in, tmp_path, quick_stages, cluster):
+    import psutil
+
+    names = ("a", "b", "sleeps", "c", "raises", "nofile", "d")
+    layout = Layout.of(tmp_path / "out")
+    killed = []
+
+    def kill_once():
+        while not quick_stages("sleeps"):
+            time.sleep(0.05)
+        killed.append(json.loads((layout.running / "sleeps").read_text())["pid"])
+        psutil.Process(killed[0]).kill()
+
+    killer = threading.Thread(target=kill_once)
+    killer.start()
+    manifest = scans_in(*names)
+    report = run_batch(manifest, layout.out, options=TINY, scheduler=cluster.scheduler_address)
+    killer.join()
+    assert len(killed) == 1
+    assert quick_stages("sleeps") == 2
+    assert report.failures.keys() == {"raises", "nofile"}
+    assert report.jobs == 2
+    assert report.progress.done == 5
+
+
+@pytest.mark.slow
+def test_a_scan_that_kills_every_worker_fails_alone(scans_in, tmp_path, quick_stages, cluster):
+    names = ("a", "kills-always", "b", "c")
+    address = cluster.scheduler_address
+    report = run_batch(scans_in(*names), tmp_path / "out", options=TINY, scheduler=address)
+    assert report.failures.keys() == {"kills-always"}
+    assert "KilledWorker" in report.failures["kills-always"]
+    assert {row["status"] for row in load_catalogue(tmp_path / "out").to_pylist()} == {"done", "failed"}
+    assert quick_stages("kills-always") == 4
+
+
+@pytest.mark.slow
+def test_no_scheduler_is_one_clear_error(scans_in, tmp_path, monkeypatch):
+    monkeypatch.setattr("scan2albedo.batch.backends._CONNECT_S", 1)
+    with pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+
+
+def test_without_dask_the_command_that_installs_it_is_told(scans_in, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[cluster\]'"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")

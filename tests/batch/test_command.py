@@ -1,0 +1,160 @@
+"""`scan2albedo batch` as a user runs it."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from scan2albedo.batch import load_albedos, load_catalogue, run_batch
+from scan2albedo.batch.layout import Layout
+from scan2albedo.cli import app
+from scan2albedo.process_options import ProcessOptions
+
+TINY = ("--model", "none", "--size", "32", "--unit", "mm", "--no-pictures")
+COMMAND = [sys.executable, "-m", "scan2albedo.cli", "batch"]
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, ["batch", *map(str, arguments)])
+
+
+def test_exit_statuses_and_the_summary(scans_in, tmp_path, no_workers):
+    some = invoke(scans_in("a", "nofile"), "-o", tmp_path / "some", *TINY, "--json")
+    assert some.exit_code == 1
+    assert json.loads(some.stdout)["failures"][0]["name"] == "nofile"
+    assert "batch: 1 of 2 done, 1 failed" in some.stderr
+    assert "failed: nofile:" in some.stderr
+    assert invoke(scans_in("nofile"), "-o", tmp_path / "none", *TINY).exit_code == 2
+    assert invoke(scans_in("a"), "-o", tmp_path / "all", *TINY).exit_code == 0
+    again = invoke(scans_in("a"), "-o", tmp_path / "all", *TINY, "--resume", "--json")
+    assert again.exit_code == 0
+    assert "batch: kept 1 (hashes verified), 0 to do" in again.stderr
+    assert json.loads(again.stdout)["kept"] == 1
+
+
+def test_a_fault_of_the_manifest_is_one_line_and_leaves_nothing(tmp_path):
+    failed = subprocess.run(
+        [*COMMAND, "none.csv", "-o", "out"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert failed.returncode == 2
+    assert failed.stderr.startswith("scan2albedo: error: manifest none.csv cannot be read")
+    assert len(failed.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", [("--timeout", "0"), ("--lights", "many"), ("--jobs", "-1")])
+def test_wrong_flags_are_2(wrong, tmp_path, scans_in):
+    assert invoke(scans_in("a"), "-o", tmp_path / "out", *wrong).exit_code == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_it_has_the_flags_of_process():
+    from typer.main import get_command
+
+    commands = get_command(app).commands
+    flags = {option for parameter in commands["process"].params for option in parameter.opts} - {"scans"}
+    assert "--pictures" in flags
+    assert flags <= {option for parameter in commands["batch"].params for option in parameter.opts}
+
+
+def started(manifest, out, rows):
+    """Begin a batch and return its process when it has that many rows; its lines go into a file."""
+    with (manifest.parent / "stderr").open("w") as said:
+        process = subprocess.Popen([*COMMAND, manifest, "-o", out, *TINY, "--jobs", "2"], stderr=said)
+    deadline = time.monotonic() + 200
+    while len(list(Layout.of(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
+        assert process.poll() is None, (manifest.parent / "stderr").read_text()
+        time.sleep(0.05)
+    return process
+
+
+def state(out, names):
+    """Hash and time of every file of the given scans."""
+    files = [path for name in names for path in sorted((out / name).iterdir())]
+    return {p: (hashlib.sha256(p.read_bytes()).hexdigest(), p.stat().st_mtime_ns) for p in files}
+
+
+@pytest.mark.slow
+def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
+    names = [f"ball{i}" for i in range(6)]
+    manifest, out = scans_in(*names), tmp_path / "out"
+    process = started(manifest, out, 2)
+    process.kill()
+    process.wait()
+    layout = Layout.of(out)
+    time.sleep(1.5)  # workers end with their parent
+    finished = [path.stem for path in layout.rows.glob("*.json")]
+    assert 2 <= len(finished) < 6
+    before = state(out, finished)
+    assert len(before) >= 2 * 8
+    done = subprocess.run(
+        [*COMMAND, manifest, "-o", out, *TINY, "--resume", "--json"],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"kept {len(finished)} (hashes verified), {6 - len(finished)} to do" in done.stderr
+    assert json.loads(done.stdout)["kept"] == len(finished)
+    assert state(out, finished) == before
+    assert [row["status"] for row in load_catalogue(out).to_pylist()] == ["done"] * 6
+    assert not list(out.rglob("*.part*"))
+    names_found, albedo_linear, _ = load_albedos(out)
+    assert names_found == names
+    assert np.isfinite(albedo_linear).all()
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_neither_workers_nor_half_files(scans_in, tmp_path):
+    import psutil
+
+    manifest, out = scans_in(*(f"ball{i}" for i in range(6))), tmp_path / "out"
+    process = started(manifest, out, 1)
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 130
+    said = (manifest.parent / "stderr").read_text()
+    assert "Traceback" not in said
+    assert len([line for line in said.splitlines() if "interrupted" in line]) == 1
+    _, alive = psutil.wait_procs(children, timeout=5)
+    assert alive == []
+    assert not list(out.rglob("*.part*"))
+    assert json.loads((out / "batch.json").read_text())["status"] == "interrupted"
+    assert {row["status"] for row in load_catalogue(out).to_pylist()} == {"done", "not run"}
+
+
+@pytest.mark.slow
+def test_a_face_reaches_numpy(tmp_path):
+    from raw_scan_files import write_obj
+
+    from scan2albedo.synthetic import RawScanOptions, raw_scan
+
+    scan, _ = raw_scan(0, options=RawScanOptions(size=64, picture_size=300, spacing_mm=4.0))
+    write_obj(scan, tmp_path / "face.obj")
+    options = ProcessOptions(size=64, pictures=False)
+    report = run_batch(tmp_path, tmp_path / "out", options=options, jobs=1)
+    assert report.failures == {}
+    (row,) = load_catalogue(tmp_path / "out").to_pylist()
+    assert row["model"] == "default annotated face model"
+    assert row["metrics_fit_residual_mean_mm"] < 1.0
+    assert row["metrics_albedo_lights"] >= 1
+    assert 300 < row["peak_memory_mb"] < 2000
+    assert row["cpu_seconds"] > 0
+    assert row["path_fitted_glb"] == "face/fitted.glb"
+    assert f":{os.getpid()}" not in row["worker"]
+    names, albedo_linear, masks = load_albedos(tmp_path / "out", 32)
+    assert names == ["face"]
+    assert 0.02 < albedo_linear[masks].mean() < 1.5

@@ -1,0 +1,51 @@
+"""Workers that die take at most one scan with them, and only after a second chance."""
+
+import pytest
+
+from scan2albedo.batch import load_catalogue, run_batch
+from scan2albedo.errors import BatchError
+from scan2albedo.process_options import ProcessOptions
+
+TINY = ProcessOptions(model="none", size=32, pictures=False)
+
+
+def statuses(out):
+    return {row["name"]: row["status"] for row in load_catalogue(out).to_pylist()}
+
+
+def test_a_worker_that_dies_costs_at_most_its_own_scan(scans_in, tmp_path, quick_stages):
+    names = ("a", "kills", "kills-always", "waits", "b", "raises", "nofile")
+    report = run_batch(scans_in(*names), tmp_path / "out", options=TINY, jobs=2)
+    failed = dict.fromkeys(("kills-always", "raises", "nofile"), "failed")
+    assert statuses(tmp_path / "out") == dict.fromkeys(("a", "kills", "waits", "b"), "done") | failed
+    assert "died twice (SIGKILL(-9))" in report.failures["kills-always"]
+    assert report.failures["raises"] == "ZeroDivisionError: of a kind nobody thought of"
+    assert "cannot be read" in report.failures["nofile"]
+    assert (quick_stages("kills"), quick_stages("kills-always")) == (2, 2)
+
+
+@pytest.mark.slow
+def test_one_job_has_a_process_of_its_own_that_may_die(scans_in, tmp_path, quick_stages):
+    run_batch(scans_in("a", "kills-always", "b"), tmp_path / "out", options=TINY, jobs=1)
+    assert statuses(tmp_path / "out") == {"a": "done", "kills-always": "failed", "b": "done"}
+
+
+@pytest.mark.slow
+def test_a_scan_that_takes_too_long_is_given_up(scans_in, tmp_path, quick_stages):
+    manifest = scans_in("sleeps", "a", "b")
+    report = run_batch(manifest, tmp_path / "out", options=TINY, jobs=2, timeout_s=1.5)
+    assert report.failures == {"sleeps": "took longer than 1.5 s (--timeout)"}
+    assert quick_stages("sleeps") == 1
+
+
+@pytest.mark.slow
+def test_processes_that_die_before_any_scan_end_the_batch(scans_in, tmp_path, monkeypatch):
+    def die(task):
+        import os
+
+        os._exit(3)
+
+    monkeypatch.setattr("scan2albedo.batch.execution.worker.process_task", die)
+    with pytest.raises(BatchError, match=r"die before they begin a scan \(EXIT\(3\)\)"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY, jobs=1)
+    assert statuses(tmp_path / "out") == {"a": "not run"}

@@ -1,0 +1,109 @@
+"""Manifests in every form, and one clear error for each fault."""
+
+from pathlib import Path
+
+import pytest
+
+from scan2albedo.batch import read_manifest
+from scan2albedo.errors import BatchError
+from scan2albedo.process_options import ProcessOptions
+
+
+def write(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_table_with_options_and_columns_of_its_own(tmp_path):
+    file = write(
+        tmp_path / "list.csv",
+        "\ufeffScan;name;unit;lights;seed;Model;person; age of x \n"
+        "a/one.ply;Anna;cm;2;7;mine.obj;p 1 ; 4\n\n/far/two.OBJ;;;;;;p2\n",
+    )
+    manifest = read_manifest(file)
+    first, second = manifest.scans
+    assert (first.name, second.name) == ("Anna", "two")
+    assert (first.path, second.path) == (tmp_path / "a" / "one.ply", Path("/far/two.OBJ"))
+    assert manifest.extra_columns == ("person", "age of x")
+    assert first.extra == {"person": "p 1 ", "age of x": " 4"}
+    assert second.extra == {"person": "p2", "age of x": ""}
+    batch = ProcessOptions(size=64, seed=1)
+    own = first.options(batch, manifest.folder)
+    assert (own.unit, own.lights, own.seed, own.size) == ("cm", 2, 7, 64)
+    assert own.model == str(tmp_path / "mine.obj")
+    assert second.options(batch, manifest.folder) == batch
+
+
+def test_a_list_of_paths(tmp_path):
+    file = write(tmp_path / "list.txt", "# of today\none.ply\n\n sub/two.obj \n")
+    assert [scan.name for scan in read_manifest(file).scans] == ["one", "two"]
+    assert read_manifest(file).scans[1].path == tmp_path / "sub" / "two.obj"
+
+
+def test_a_folder_without_textures_results_and_hidden_files(tmp_path):
+    for name in ("one.OBJ", "one.mtl", "one.png", "sub/two.ply", ".hidden.ply", ".cache/three.ply"):
+        write(tmp_path / name, "")
+    write(tmp_path / "earlier" / "two" / "fitted.glb", "")
+    write(tmp_path / "earlier" / "two" / "result.json", "")
+    write(tmp_path / "batch" / "batch.json", "")
+    write(tmp_path / "batch" / "x" / "fitted.glb", "")
+    write(tmp_path / "out" / "y.ply", "")
+    manifest = read_manifest(tmp_path, leave_out=tmp_path / "out")
+    assert [scan.source for scan in manifest.scans] == ["one.OBJ", "sub/two.ply"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "lacks the column scan (it is empty)"),
+        ("path,name\na.ply,x\n", "lacks the column scan (its first line has path, name)"),
+        ("scan\n\n", "lists no scan"),
+        ("scan,name\na.ply,x\nb.ply,X\n", "line 2 and "),
+        ("scan\na.ply\nsub/A.obj\n", "both results would be named A"),
+        ("scan,name\na.ply,../x\n", "cannot name a folder"),
+        ("scan,name\na.ply,.x\n", "cannot name a folder"),
+        ("scan,status\na.ply,x\n", "has a column status of its own"),
+        ("scan,path_albedo\na.ply,x\n", "of its own"),
+        ("scan,x,x\na.ply,1,2\n", "has the column x twice"),
+        ("scan,,x\na.ply,1,2\n", "column 2 has no name"),
+        ("scan,x\n,1\n", "line 2: names no scan"),
+        ("scan\na.ply,b\n", "line 2: has 2 cells, the header 1"),
+        ('scan\n"a.ply\n', "mend its quotes"),
+        ("scan\na\0.ply\n", "no text file"),
+    ],
+)
+def test_a_faulty_table_is_one_clear_error(tmp_path, text, words):
+    with pytest.raises(BatchError) as caught:
+        read_manifest(write(tmp_path / "list.csv", text))
+    assert words in str(caught.value)
+    assert "list.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "words"),
+    [
+        ("unit", "yard", "unit is 'yard'"),
+        ("lights", "many", "lights is 'many', expected 'auto'"),
+        ("lights", "0", "lights is 0"),
+        ("seed", "-1", "seed is -1"),
+        ("seed", "x", "seed is 'x', expected a whole number"),
+    ],
+)
+def test_an_option_that_is_none_is_named_with_its_line(tmp_path, column, cell, words):
+    manifest = read_manifest(write(tmp_path / "list.csv", f"scan,{column}\na.ply,{cell}\n"))
+    with pytest.raises(BatchError, match="line 2") as caught:
+        manifest.scans[0].options(ProcessOptions(), manifest.folder)
+    assert words in str(caught.value)
+
+
+def test_what_is_no_manifest(tmp_path):
+    with pytest.raises(BatchError, match="cannot be read"):
+        read_manifest(tmp_path / "none.csv")
+    with pytest.raises(BatchError, match="is a scan"):
+        read_manifest(write(tmp_path / "a.ply", ""))
+    with pytest.raises(BatchError, match=r"lists no scan \(\.obj"):
+        read_manifest(write(tmp_path / "empty" / "x.png", "").parent)
+    (tmp_path / "latin.csv").write_bytes(b"scan\n\xe4.ply\n")
+    with pytest.raises(BatchError, match="no UTF-8"):
+        read_manifest(tmp_path / "latin.csv")

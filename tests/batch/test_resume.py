@@ -1,0 +1,111 @@
+"""What a second run keeps, and what it does again."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from scan2albedo.batch import load_catalogue, run_batch
+from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.resume import remove_leftovers
+from scan2albedo.errors import BatchError
+from scan2albedo.process_options import ProcessOptions
+
+TINY = ProcessOptions(model="none", size=32, pictures=False)
+
+
+def stamps(folder):
+    return {path: path.stat().st_mtime_ns for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
+    names = ("same", "input", "content", "missing", "row", "gone", "raises", "nofile")
+    manifest, out = scans_in(*names), tmp_path / "out"
+    run_batch(manifest, out, options=TINY)
+    before = stamps(out / "same")
+    with (manifest.parent / "input.ply").open("a") as file:
+        file.write("\n")
+    (out / "content" / "albedo.exr").write_text("Content")  # as long as before
+    (out / "missing" / "albedo.exr").unlink()
+    Layout.of(out).row_file("row").write_text('{"cut": ')
+    (manifest.parent / "gone.ply").unlink()
+    told = []
+    report = run_batch(manifest, out, options=TINY, resume=True, on_progress=told.append)
+    assert [no_workers(name) for name in names] == [1, 2, 2, 2, 2, 2, 2, 2]
+    assert stamps(out / "same") == before
+    assert (report.progress.kept, report.files_verified, report.progress.done) == (1, 2, 5)
+    assert told[0].note == (
+        "kept 1 (hashes verified), 7 to do "
+        "(1 with a changed scan, 2 with changed or missing files, 1 not run, "
+        "1 without their scan, 2 failed before)"
+    )
+    rows = {row["name"]: row for row in load_catalogue(out).to_pylist()}
+    assert rows["gone"]["status"] == "failed"
+    assert rows["gone"]["path_albedo_exr"] is None
+    assert not (out / "gone").exists()
+    assert (out / "content" / "albedo.exr").read_text() == "content"
+    assert json.loads((out / "batch.json").read_text())["kept"] == 1
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"size": 64}, {"pictures": True}, {"lights": 1}])
+def test_another_option_does_all_again(scans_in, tmp_path, no_workers, change):
+    manifest = scans_in("a")
+    for options in (TINY, ProcessOptions(**(TINY.arguments() | change))):
+        run_batch(manifest, tmp_path / "out", options=options, resume=True)
+    assert no_workers("a") == 2
+
+
+def test_an_option_of_one_line_does_that_line_again(scans_in, tmp_path, no_workers):
+    for seed in ("1", "2"):
+        run_batch(scans_in("a", "b", seed=["", seed]), tmp_path / "out", options=TINY, resume=True)
+    assert (no_workers("a"), no_workers("b")) == (1, 2)
+
+
+def test_another_content_of_the_models_file_does_all_again(scans_in, tmp_path, no_workers):
+    manifest, model = scans_in("a"), tmp_path / "model.obj"
+    for text in ("v 0 0 0\n", "v 0 0 0\n", "v 0 0 1\n"):
+        model.write_text(text)
+        options = ProcessOptions(model=str(model), size=32)
+        run_batch(manifest, tmp_path / "out", options=options, resume=True)
+    assert no_workers("a") == 2
+
+
+def test_a_batch_is_not_begun_over_another(scans_in, tmp_path, no_workers):
+    run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+    with pytest.raises(BatchError, match="holds a batch already; give --resume"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+    assert no_workers("a") == 1
+
+
+def test_two_batches_in_one_folder_are_refused(scans_in, tmp_path):
+    layout = Layout.of(tmp_path / "out")
+    with layout.locked(), pytest.raises(BatchError, match="another batch works in"):
+        run_batch(scans_in("a"), layout.out, options=TINY, resume=True)
+
+
+def test_leftovers_of_dead_processes_go_and_those_of_others_stay(tmp_path):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    layout = Layout.of(tmp_path)
+    layout.begin_run("r")
+    for name in (f".a-{dead.pid}-x1.part", f".b-{os.getpid()}-x2.part"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "albedo.exr").touch()
+    (tmp_path / ".catalogue-00.part.parquet").touch()
+    (layout.rows / ".a-00.part.json").touch()
+    assert remove_leftovers(layout) == 3
+    assert [path.name for path in tmp_path.glob(".*.part*")] == [f".b-{os.getpid()}-x2.part"]
+
+
+def test_a_worker_of_an_older_run_writes_nothing(scans_in, tmp_path, no_workers):
+    from scan2albedo.batch import read_manifest
+    from scan2albedo.batch.run import _tasks
+    from scan2albedo.batch.worker import process_task
+
+    layout = Layout.of(tmp_path / "out")
+    (task,) = _tasks(read_manifest(scans_in("raises")), layout, TINY, None)
+    layout.begin_run("another")
+    assert process_task(task).status == "failed"
+    assert list(layout.rows.iterdir()) == []

@@ -1,0 +1,102 @@
+"""Folders of results, made without the pipeline: its files are what a report stands on."""
+
+import csv
+from functools import cache, partial
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from scan2albedo.io.geometry_image_files import write_geometry_image
+from scan2albedo.io.images import write_exr
+from scan2albedo.io.result_json import InputRecord, LightRecord, PlanRecord, ResultRecord, write_record
+from scan2albedo.synthetic import Material, face, hemisphere, light_at
+
+MATERIAL = Material(0.3, 0.15, 20.0)
+LIGHTS = (light_at(35, 20, intensity=2.0), light_at(-50, 5, intensity=0.8))
+TRACE = [("fit", 0.5, 0.4, 1, 2.0, "mm"), ("fit", 1.5, 1.4, 9, 0.2, "mm"), ("icp", 0.1, 0.1, 3, 0.7, "mm")]
+
+
+@cache
+def _scene(size):
+    """A face, or in few texels a hemisphere, which is made at once."""
+    make = hemisphere if size < 64 else partial(face, 0)
+    return make(size=size, material=MATERIAL, bits=None, lights=list(LIGHTS))
+
+
+def _record(name, **changes):
+    fields = {
+        "scan2albedo_version": "0.1.0",
+        "versions": {"python": "3.11"},
+        "name": name,
+        "seed": 0,
+        "options": {"model": "none", "size": 32, "unit": "auto", "skip": []},
+        "input": InputRecord(sha256="0" * 64, vertices=10, faces=20, texture_size=(64, 32)),
+        "plan": (
+            PlanRecord(stage="fit", ran=False, reason="no model was asked for"),
+            PlanRecord(stage="albedo.shadows", ran=True, reason="it shades itself", evidence="at most 28 %"),
+        ),
+        "metrics": {
+            "seconds": 12.5,
+            "fit": {"residual_mean_mm": 0.125, "converged": True},
+            "registration": {"rmse_mm": 1.5, "confidence": 0.9},
+            "albedo": {
+                "lights": 2,
+                "uncertainty": {
+                    "direction_deviation_deg": [0.5, 1.25],
+                    "intensity_deviation": [0.01, 0.02],
+                    "albedo_deviation": 0.0123,
+                    "alternatives": [{"lights_deg": [[-20.0, 5.0]], "excess": 0.015}],
+                },
+            },
+        },
+        "lights": tuple(LightRecord.of(light) for light in LIGHTS),
+        "parameters": {
+            "ambient": 1.0,
+            "brdf": "oren-nayar",
+            "sigma_rad": MATERIAL.sigma_rad,
+            "specular_strength": MATERIAL.specular_strength,
+            "specular_exponent": MATERIAL.specular_exponent,
+        },
+        "timings_s": {"load": 0.001, "albedo": 12.499},
+        "notes": (),
+        "files": ("albedo.exr", "trace.csv", "overview.png", "result.json"),
+    }
+    return ResultRecord(**{**fields, **changes})
+
+
+@pytest.fixture(scope="session")
+def write_scan():
+    """Write the files of a result: (folder, name, size, **fields of its record) -> folder."""
+
+    def write(folder, name=None, size=32, **changes):
+        folder.mkdir(parents=True, exist_ok=True)
+        scene = _scene(size)
+        write_geometry_image(folder / "geometry_image.npz", scene.image)
+        write_exr(folder / "albedo.exr", scene.albedo_linear.astype(np.float32))
+        Image.new("RGB", (60, 40), (200, 180, 160)).save(folder / "overview.png")
+        with (folder / "trace.csv").open("w", newline="") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(["stage", "elapsed_s", "cpu_s", "evaluations", "error", "unit"])
+            rows.writerows(TRACE)
+        write_record(folder / "result.json", _record(name or folder.name, **changes))
+        return folder
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def one_scan(write_scan, tmp_path_factory):
+    return write_scan(tmp_path_factory.mktemp("one") / "anna")
+
+
+@pytest.fixture(scope="session")
+def some_scans(write_scan, tmp_path_factory):
+    """Four scans of different residuals, and one whose result.json was cut short."""
+    out = tmp_path_factory.mktemp("some")
+    for k, residual in enumerate((0.1, 0.4, 0.2, 0.3)):
+        metrics = {"seconds": 10.0 + k, "fit": {"residual_mean_mm": residual}}
+        write_scan(out / f"scan-{k}", metrics=metrics)
+    damaged = write_scan(out / "scan-9") / "result.json"
+    damaged.write_text(damaged.read_text()[:200])
+    return out

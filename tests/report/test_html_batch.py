@@ -1,0 +1,165 @@
+"""A batch's page: its table from a catalogue or from the result files, failures, what is shown in full."""
+
+import math
+from datetime import datetime, timedelta
+
+import pytest
+
+from scan2albedo import report
+from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.report.html.batch_section import batch_section
+from scan2albedo.report.html.catalogue import rows_of_catalogue
+from scan2albedo.report.html.rows import DONE, FAILED, ScanRow, flattened, rows_of_folders
+from scan2albedo.report.html.selection import RESIDUAL, selected_rows
+from tests.report.pages import check
+
+EVIL = "<img src=x onerror=alert(1)>"
+START = datetime(2026, 1, 1, 12)
+
+
+def write_catalogue(out, entries):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    out.mkdir(exist_ok=True)
+    columns = list(dict.fromkeys(name for entry in entries for name in entry))
+    table = pyarrow.table({name: [entry.get(name) for entry in entries] for name in columns})
+    parquet.write_table(table, out / "catalogue.parquet")
+
+
+def entry(name, status=DONE, **more):
+    return {"name": name, "status": status, "reason": None, "folder": None, **more}
+
+
+def test_result_files_make_the_table_and_a_damaged_one_is_a_failure_with_its_reason(some_scans, tmp_path):
+    lines = []
+    made = report.write_report(some_scans, tmp_path / "page.html", on_progress=lines.append)
+    assert (made.scans, made.done, made.failed, made.sections) == (5, 4, 1, 4)
+    assert len(lines) == 4
+    page = check(made.path.read_text(encoding="utf-8"))
+    words = page.words()
+    assert "4 done 1 failed" in words
+    assert "scan-9/result.json: the file: Invalid JSON" in words
+    assert [row["data-status"] for row in page.all("tr") if "data-status" in row] == ["done"] * 4 + ["failed"]
+    assert "#scan-1" in page.links()
+    assert [d["id"] for d in page.all("details")] == ["scan-1", "scan-2", "scan-3", "scan-4"]
+    assert "Worst fits scan-1 0.4 mm scan-3 0.3 mm" in words
+
+
+def test_the_worst_are_shown_then_the_median_and_the_best():
+    rows = [ScanRow(str(k), DONE, folder=k, values={RESIDUAL: v}) for k, v in enumerate((1, 5, 3, 2, 4, 6))]
+    rows.append(ScanRow("failed", FAILED, "why"))
+    chosen = selected_rows(rows, 4)
+    assert [rows[k].values[RESIDUAL] for k in chosen.rows] == [6, 5, 3, 1]
+    assert "greatest fit residual, then the median and the best" in chosen.reason
+    assert selected_rows(rows, 0).rows == ()
+    assert len(selected_rows(rows, 99).rows) == 6
+    assert [rows[k].values[RESIDUAL] for k in selected_rows(rows, 2).rows] == [6, 5]
+
+
+def test_scans_without_a_fit_are_chosen_by_their_albedo():
+    name = "metrics_albedo_uncertainty_albedo_deviation"
+    rows = [ScanRow(str(k), DONE, folder=k, values={name: v}) for k, v in enumerate((0.1, 0.3, 0.2))]
+    assert selected_rows(rows, 1).rows == (1,)
+
+
+def test_a_catalogue_makes_the_table_with_the_users_columns(write_scan, tmp_path):
+    out = tmp_path / "batch"
+    write_catalogue(
+        out,
+        [
+            entry("anna", folder="anna", seconds=10.0, finished_at=START, worker="w1", cohort=EVIL, age=40),
+            entry("ben", FAILED, reason="no face", finished_at=START, worker="w2", cohort="B", age=None),
+            entry("cleo", "not run", cohort="B", age=31),
+            entry("gone", folder="gone", seconds=20.0, finished_at=START + timedelta(seconds=50)),
+        ],
+    )
+    write_scan(out / "anna")
+    made = report.write_report(out)
+    assert (made.scans, made.done, made.failed, made.sections) == (4, 2, 1, 1)
+    page = check(made.path.read_text(encoding="utf-8"))
+    words = page.words()
+    for told in ("1× no face", "1 not run", EVIL, "Cohort", "Age", "its files are not here", "workers 2"):
+        assert told in words
+    # Two scans within the 60 s from 11:59:50 to 12:00:50.
+    assert "throughput 120 scans/h" in words
+    assert [a for a in page.all("img") if a.get("onerror")] == []
+    ages = [c["data-value"] for c in page.all("td") if c.get("data-value") in ("40.0", "31.0")]
+    assert ages == ["40.0", "31.0"]
+
+
+def test_names_of_a_catalogue_are_text(tmp_path):
+    write_catalogue(tmp_path / "b", [entry(EVIL, FAILED, reason="</td><script>alert(1)</script>")])
+    page = check(report.write_report(tmp_path / "b").path.read_text(encoding="utf-8"))
+    assert EVIL in page.words()
+    assert "</td><script>alert(1)</script>" in page.words()
+    assert len(page.all("script")) == 1
+
+
+def test_columns_of_any_type_become_text_or_numbers(tmp_path):
+    more = {"stages": ["fit", "albedo"], "when": START, "share": math.nan, "good": True}
+    write_catalogue(tmp_path, [entry("a", **more)])
+    (row,) = rows_of_catalogue(tmp_path / "catalogue.parquet")
+    assert row.values == {"stages": "fit, albedo", "when": "2026-01-01 12:00:00", "share": None, "good": True}
+    assert row.number("good") is None
+
+
+def test_a_damaged_catalogue_and_one_of_something_else_are_refused(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    file = tmp_path / "catalogue.parquet"
+    file.write_bytes(b"PAR1 but not really")
+    with pytest.raises(Scan2AlbedoError, match=r"catalogue\.parquet: cannot be read as Parquet"):
+        report.write_report(tmp_path)
+    parquet.write_table(pyarrow.table({"x": [1]}), file)
+    with pytest.raises(Scan2AlbedoError, match="no column name and no column status"):
+        report.write_report(tmp_path)
+
+
+def test_an_empty_catalogue_makes_a_page(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    text = pyarrow.array([], pyarrow.string())
+    parquet.write_table(pyarrow.table({"name": text, "status": text}), tmp_path / "catalogue.parquet")
+    assert "0 done" in check(report.write_report(tmp_path).path.read_text(encoding="utf-8")).words()
+
+
+def test_a_table_that_would_be_too_long_keeps_failures(tmp_path):
+    rows = [ScanRow(str(k), FAILED if k == 90 else DONE, values={"seconds": float(k)}) for k in range(100)]
+    section = batch_section(rows, {50: "scan-51"}, tmp_path / "page.html", 10)
+    assert len(section.rows) == 10
+    assert section.rows_left_out == 90
+    assert {"90", "50"} <= {row.name for row in section.rows}
+    assert section.counts == {"done": 99, "failed": 1}
+    running = batch_section([ScanRow("a", "running")], {}, tmp_path / "page.html", 10)
+    assert running.counts == {"done": 0, "running": 1}
+
+
+def test_distributions_count_the_scans_that_are_done(tmp_path):
+    rows = [
+        ScanRow(str(k), DONE, values={"seconds": 1.0 + k, "metrics_albedo_lights": k % 3}) for k in range(30)
+    ]
+    rows.append(ScanRow("f", FAILED, values={"seconds": 1e9}))
+    rows.append(ScanRow("d", DONE))
+    charts = {chart.column: chart for chart in batch_section(rows, {}, tmp_path / "p.html", 99).histograms}
+    assert set(charts) == {"seconds", "metrics_albedo_lights"}
+    assert sum(bar.count for bar in charts["seconds"].bars) == 30
+    assert charts["seconds"].missing == 1
+    assert [bar.count for bar in charts["metrics_albedo_lights"].bars] == [10, 10, 10]
+    assert [text for _, text in charts["metrics_albedo_lights"].ticks] == ["0", "1", "2"]
+
+
+def test_rows_of_result_files_have_the_columns_of_a_catalogue(one_scan):
+    (row,) = rows_of_folders([one_scan])
+    assert row.values["metrics_fit_residual_mean_mm"] == 0.125
+    assert row.values["metrics_albedo_uncertainty_direction_deviation_deg"] == 1.25
+    assert row.values["seconds"] == 12.5
+    assert row.values["seconds_albedo"] == 12.499
+    assert row.values["plan_ran"] == "albedo.shadows"
+    assert row.values["plan_skipped"] == "fit"
+
+
+def test_lists_of_other_things_are_no_columns():
+    assert flattened({"a": [{"b": 1}], "c": None}, "m") == {"m_c": None}

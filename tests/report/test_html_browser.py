@@ -1,0 +1,255 @@
+"""The page in a headless Chromium: the picture is the library's, and everything on it works."""
+
+import base64
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from devtools import Browser, chromium
+from PIL import Image
+
+from scan2albedo import report
+from scan2albedo.applications import RelightOptions, default_camera, load_result, relight
+from scan2albedo.lighting import PointLight
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(chromium() is None, reason="there is no Chromium: apt-get install chromium"),
+]
+SIZE = 256
+FIRST = "[...scan2albedo.viewers.values()][0]"
+EVIL = "<img src=x onerror=document.title='broken'>"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with Browser() as opened:
+        yield opened
+        assert opened.messages == []
+        own = ("file:", "about:", "data:")
+        assert [url for url in opened.requests if not url.startswith(own)] == []
+
+
+@pytest.fixture(scope="module")
+def face_folder(write_scan, tmp_path_factory):
+    return write_scan(tmp_path_factory.mktemp("browser") / "face", size=128)
+
+
+@pytest.fixture(scope="module")
+def page(face_folder):
+    return report.write_report(face_folder).path
+
+
+@pytest.fixture
+def opened(browser, page):
+    browser.look(1400, 1000)
+    browser.open(page)
+    browser.wait(f"{FIRST}.painter")
+    return browser
+
+
+def pixels(browser, **state):
+    """Return (H, W, 4) what the viewer draws in a state, row 0 on top."""
+    text = browser.run(
+        f"(() => {{ let text = ''; for (const byte of {FIRST}.pixels({SIZE}, {json.dumps(state)})) "
+        "text += String.fromCharCode(byte); return btoa(text); })()"
+    )
+    return np.frombuffer(base64.b64decode(text), np.uint8).reshape(SIZE, SIZE, 4)[::-1].astype(float)
+
+
+def shown(browser):
+    return np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB")).astype(float)
+
+
+CASES = {
+    "as scanned": ((0, 0), None, True),
+    "hard light from the side": ((0, 0), [(60, 20, None, 2.5)], True),
+    "without shadows": ((0, 0), [(60, 20, None, 2.5)], False),
+    "two lights, one near, turned": ((35, 10), [(-60, 30, None, 2.0), (40, -10, 700.0, 1.5)], True),
+    "from above, seen from below": ((-20, -15), [(0, 65, None, 2.5)], True),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_picture_is_the_librarys(opened, face_folder, case):
+    (azimuth, elevation), given, shadows = CASES[case]
+    face = load_result(face_folder)
+    lights = list(face.lights) if given is None else [
+        PointLight(math.radians(a), math.radians(e), math.inf if d is None else d, i) for a, e, d, i in given
+    ]  # fmt: skip
+    camera = default_camera(
+        face, (SIZE, SIZE), azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation)
+    )
+    picture = relight(face, lights, options=RelightOptions(shadows=shadows)).picture(
+        camera, shape=(SIZE, SIZE)
+    )
+    state = {
+        "mode": "relit", "ambient": 1, "exposure": -1, "shadows": shadows,
+        "view": {"azimuth": azimuth, "elevation": elevation, "zoom": 1},
+        "lights": [
+            {
+                "azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad),
+                "distance": None if math.isinf(light.distance_mm) else light.distance_mm,
+                "intensity": light.intensity, "on": True,
+            }
+            for light in lights
+        ],
+    }  # fmt: skip
+    drawn = pixels(opened, **state)
+    inside = (picture.alpha == 1) & (drawn[..., 3] == 255)
+    assert inside.mean() > 0.25
+    assert ((picture.alpha > 0.5) != (drawn[..., 3] > 127)).mean() < 0.01
+    off = np.abs(drawn[..., :3] - picture.srgb(0.5))[inside].max(-1)
+    # In steps of 8 bits; shadows differ on their outlines alone.
+    assert np.median(off) <= 1
+    assert off.mean() < 1.5
+    assert np.mean(off > 16) < 0.015
+
+
+def test_shadows_and_highlights_are_in_the_picture(opened):
+    light = {"azimuth": 60, "elevation": 20, "distance": None, "intensity": 2.5, "on": True}
+    state = {"mode": "relit", "exposure": -1, "ambient": 1, "lights": [light]}
+    with_shadows, without = (pixels(opened, **state, shadows=cast) for cast in (True, False))
+    darker = (without - with_shadows)[..., :3].max(-1) > 20
+    assert 0.002 < darker.mean() < 0.2
+    assert (with_shadows <= without + 1).all()
+    off = pixels(opened, **{**state, "lights": [{**light, "on": False}]}, shadows=True)
+    assert off[..., :3].mean() < 0.8 * with_shadows[..., :3].mean()
+
+
+def test_every_mode_draws_something_else(opened):
+    modes = opened.run("[...document.querySelectorAll('.modes input')].map(radio => radio.value)")
+    assert modes == ["relit", "albedo", "scanned", "light", "normals"]
+    drawn = [pixels(opened, mode=mode) for mode in modes]
+    for k in range(len(drawn)):
+        for other in drawn[:k]:
+            # As scanned and relit as scanned are to be alike, and no more than that.
+            assert np.abs(drawn[k] - other).max() > 2
+    # The synthetic texture has a scale of its own, so the two agree up to that.
+    relit = pixels(opened, mode="relit", exposure=-2)
+    both = np.stack([picture[relit[..., 3] == 255][:, :3].ravel() for picture in (relit, drawn[2])])
+    assert np.corrcoef(both)[0, 1] > 0.98
+
+
+def test_dragging_wheel_keys_and_double_click_turn_and_reset(opened):
+    browser = opened
+    before = shown(browser)
+    x, y = browser.run(
+        "(() => { const b = document.querySelector('.stage').getBoundingClientRect();"
+        "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+    )
+    browser.drag(x, y, 120, 30)
+    view = browser.run(f"{FIRST}.state.view")
+    assert view["azimuth"] < -10
+    assert view["elevation"] > 2
+    browser.run("new Promise(done => setTimeout(done, 100))")
+    assert np.abs(shown(browser) - before).mean() > 1
+    browser.mouse("mouseWheel", x, y, deltaX=0, deltaY=-120)
+    browser.wait(f"{FIRST}.state.view.zoom > 1.1")
+    browser.run("document.querySelector('.stage').focus()")
+    browser.key("ArrowRight")
+    assert browser.run(f"{FIRST}.state.view.azimuth") == pytest.approx(view["azimuth"] + 5)
+    azimuth = browser.run(f"{FIRST}.state.lights[0].azimuth")
+    browser.key("ArrowRight", shift=True)
+    assert browser.run(f"{FIRST}.state.lights[0].azimuth") == pytest.approx(azimuth + 5)
+    for count in (1, 2):
+        browser.mouse("mousePressed", x, y, clickCount=count)
+        browser.mouse("mouseReleased", x, y, clickCount=count)
+    assert browser.run(f"{FIRST}.state.view") == {"azimuth": 0, "elevation": 0, "zoom": 1}
+
+
+def test_controls_change_the_light_and_the_presets_bring_it_back(opened):
+    scanned = pixels(opened)
+    opened.run(
+        "(() => { const s = document.querySelector('.light-detail input[type=range]'); s.value = -80;"
+        "s.dispatchEvent(new Event('input')); })()"
+    )
+    assert opened.run(f"{FIRST}.state.lights[0].azimuth") == -80
+    assert np.abs(pixels(opened) - scanned).mean() > 2
+    buttons = "[...document.querySelectorAll('.presets button')]"
+    opened.run(f"{buttons}[0].click()")
+    assert opened.run(f"{buttons}[0].getAttribute('aria-pressed')") == "true"
+    assert np.abs(pixels(opened) - scanned).max() == 0
+    opened.run("[...document.querySelectorAll('.chip')].at(-1).click()")
+    assert opened.run(f"{FIRST}.state.lights.length") == 3
+    for _ in range(3):
+        opened.run("document.querySelector('.light-detail button').click()")
+    assert opened.run(f"{FIRST}.state.lights.length") == 0
+    assert np.abs(pixels(opened) - scanned).mean() > 2
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+def test_both_schemes_fit_the_window(browser, page, width):
+    grounds = []
+    for dark in (False, True):
+        browser.look(width, 900, dark=dark, phone=width == 400)
+        browser.open(page)
+        browser.wait(f"{FIRST}.painter")
+        assert browser.run("document.documentElement.scrollWidth") <= width
+        grounds.append(shown(browser)[2, 2].mean())
+    assert grounds[0] > 200
+    assert grounds[1] < 60
+
+
+def test_a_chart_tells_the_values_under_the_pointer(opened):
+    opened.run("document.querySelector('.chart svg').scrollIntoView({behavior: 'instant', block: 'center'})")
+    x, y = opened.run(
+        "(() => { const b = document.querySelector('.chart svg').getBoundingClientRect();"
+        "return [b.right - 20, b.y + b.height / 2]; })()"
+    )
+    opened.mouse("mouseMoved", x, y)
+    assert opened.run("document.querySelector('.chart .reading').textContent") == (
+        "0.2 mm · 1.5 s · 1.4 s CPU · evaluation 9"
+    )
+
+
+@pytest.fixture(scope="module")
+def batch(some_scans, write_scan, tmp_path_factory):
+    out = tmp_path_factory.mktemp("batch")
+    write_scan(out / "evil", name=EVIL)
+    for folder in some_scans.iterdir():
+        if folder.is_dir():
+            (out / folder.name).symlink_to(folder)
+    return report.write_report(out).path
+
+
+NAMES = "[...document.querySelectorAll('.scan-table tbody th')].map(cell => cell.textContent)"
+
+
+def test_the_table_is_sorted_filtered_and_leads_to_the_scans(browser, batch):
+    browser.look(1400, 1000)
+    browser.open(batch)
+    heads = browser.run("[...document.querySelectorAll('.scan-table thead button')].map(b => b.textContent)")
+    column = heads.index("Fit, mean mm")
+    browser.run(f"document.querySelectorAll('.scan-table thead button')[{column}].click()")
+    assert browser.run(NAMES) == ["scan-1", "scan-3", "scan-2", EVIL, "scan-0", "scan-9"]
+    browser.run(f"document.querySelectorAll('.scan-table thead button')[{column}].click()")
+    assert browser.run(NAMES) == ["scan-0", EVIL, "scan-2", "scan-3", "scan-1", "scan-9"]
+    browser.run("document.querySelector('.failures-first').click()")
+    assert browser.run(NAMES)[0] == "scan-9"
+    browser.run("document.querySelector('[data-show=failed]').click()")
+    assert browser.run(NAMES) == ["scan-9"]
+    browser.run(
+        "document.querySelector('[data-show=\"\"]').click();"
+        "(() => { const s = document.querySelector('[type=search]'); s.value = 'SCAN-2';"
+        "s.dispatchEvent(new Event('input')); })()"
+    )
+    assert browser.run(NAMES) == ["scan-2"]
+    assert browser.run("document.querySelector('.counted').textContent") == "1 of 6 scans"
+    browser.run("document.querySelector('.scan-table tbody a').click()")
+    browser.wait("document.querySelector('details[open] canvas')")
+    assert browser.run("document.querySelector('details[open] .scan-name').textContent") == "scan-2"
+    assert browser.run("document.title") != "broken"
+
+
+def test_only_some_viewers_stay_awake(browser, batch):
+    browser.look(1400, 1000)
+    browser.open(batch)
+    browser.run("document.querySelectorAll('details.scan').forEach(section => { section.open = true; })")
+    for _ in range(2):
+        for k in range(5):
+            browser.run(f"document.querySelectorAll('.stage')[{k}].scrollIntoView({{behavior: 'instant'}})")
+            browser.wait(f"[...scan2albedo.viewers.values()][{k}].painter")
+    assert browser.run("[...scan2albedo.viewers.values()].filter(viewer => viewer.painter).length") <= 4

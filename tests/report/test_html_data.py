@@ -1,0 +1,192 @@
+"""Meshes, textures, residuals and charts of the page, against what they were made of."""
+
+import base64
+import io
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from scan2albedo.applications.processed_face import FaceMesh
+from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.geometry.mesh import face_areas
+from scan2albedo.io.color import decode_srgb_integers
+from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.result_json import InputRecord, RegistrationRecord, write_record
+from scan2albedo.optimization import TraceRow
+from scan2albedo.report.html.axes import Axis
+from scan2albedo.report.html.mesh_data import Topologies, ViewMesh, mesh_entry, octahedral, thinned_chart
+from scan2albedo.report.html.residual import residual_of_result
+from scan2albedo.report.html.textures import TextureStyle, gray_entry, texture_entry
+from scan2albedo.report.html.trace_chart import MOST_POINTS, read_trace, stage_charts
+
+
+def numbers(text, dtype, columns):
+    return np.frombuffer(base64.b64decode(text), dtype).reshape(-1, columns).astype(float)
+
+
+def pixels(entry):
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(entry["data"]))))
+
+
+def sheet(size, height=lambda x, y: 0 * x):
+    """A square of 1 mm texels over the plane."""
+    y, x = np.mgrid[0:size, 0:size].astype(float)
+    normal = np.zeros((size, size, 3))
+    normal[..., 2] = 1
+    return GeometryImage(np.stack([x, -y, height(x, y)], -1), normal, np.ones((size, size), bool))
+
+
+def test_meshes_survive_16_bits():
+    ball = trimesh.creation.icosphere(3, 90.0)
+    mesh = ViewMesh(ball.vertices + 40, ball.faces, (ball.vertices[:, :2] + 90) / 180, ball.vertex_normals)
+    topologies = Topologies()
+    entry = mesh_entry(mesh, topologies)
+    place = numbers(entry["positions"], "<u2", 3) / 65535 * entry["span"] + entry["low"]
+    assert np.abs(place - mesh.vertices).max() <= 180 / 65535 / 2 + 1e-9
+    kept = topologies.of_key[entry["topology"]]
+    np.testing.assert_array_equal(numbers(kept["faces"], "<u2", 3), mesh.faces)
+    assert np.abs(numbers(kept["uv"], "<u2", 2) / 65535 - mesh.uv).max() < 1e-5
+    # The same triangles again are kept once.
+    assert mesh_entry(mesh, topologies)["topology"] == entry["topology"]
+    assert len(topologies.of_key) == 1
+
+
+def test_octahedral_normals_are_off_by_5_thousandths_of_a_degree_at_most():
+    normals = np.random.default_rng(0).normal(size=(5000, 3))
+    normals[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    e = octahedral(normals) / 32767
+    back = np.column_stack([e, 1 - np.abs(e).sum(1)])
+    under = back[:, 2] < 0
+    back[under, :2] = ((1 - np.abs(back[:, 1::-1])) * np.where(back[:, :2] >= 0, 1, -1))[under]
+    back /= np.linalg.norm(back, axis=1, keepdims=True)
+    assert np.degrees(np.linalg.norm(back - normals, axis=1)).max() < 0.005
+
+
+@pytest.mark.parametrize("most", [800, 300, 60])
+def test_a_thinned_chart_covers_what_the_chart_covers(most):
+    image = sheet(49)
+    row, column = np.mgrid[0:49, 0:49]
+    mask = (row - 24) ** 2 + (column - 24) ** 2 < 500
+    mask[:, 20] = False  # a seam
+    image = GeometryImage(image.position, image.normal, mask)
+    full, thin = FaceMesh.of_chart(image), thinned_chart(image, most)
+    area = [face_areas(m.vertices, m.faces).sum() for m in (full, thin)]
+    assert area[1] == pytest.approx(area[0])
+    assert len(thin.vertices) < 0.75 * len(full.vertices)
+    corners = thin.vertices[thin.faces]
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+
+
+def test_a_mirrored_chart_faces_the_way_of_its_normals():
+    image = sheet(12)
+    position, mask = image.position.copy(), image.mask.copy()
+    mask[:, 5] = False
+    position[:, 6:, 0] = 40 - position[:, 6:, 0]
+    vertices, faces = GeometryImage(position, image.normal, mask).triangulated()
+    corners = vertices[faces]
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+
+
+def test_textures_hold_the_linear_values_to_8_bits_of_srgb():
+    rng = np.random.default_rng(1)
+    linear, mask = rng.uniform(0.001, 0.2, (40, 30, 3)).astype(np.float32), np.ones((40, 30), bool)
+    entry = texture_entry(linear, mask, TextureStyle(64, None))
+    back = decode_srgb_integers(pixels(entry)) / entry["factor"]
+    # Half a step is 0.0045 of white at most; the brightest 0.1 % of the texels is clipped.
+    assert np.abs(back - linear).max() < 0.005 * 0.2
+    small = texture_entry(linear, mask, TextureStyle(10, 90))
+    assert pixels(small).shape == (10, 8, 3)
+    assert small["type"] == "image/jpeg"
+
+
+def test_textures_are_carried_on_beyond_the_mask_and_may_be_black():
+    linear, mask = np.zeros((8, 8, 3)), np.zeros((8, 8), bool)
+    mask[:, :4], linear[:, :4] = True, 0.5
+    assert (pixels(texture_entry(linear, mask, TextureStyle(8, None))) == 255).all()
+    black = texture_entry(np.zeros((8, 8, 3)), mask, TextureStyle(8, None))
+    assert black["factor"] == 1.0
+    assert (pixels(black) == 0).all()
+    gloss = gray_entry(np.where(mask, 2.0, 0.0), mask, TextureStyle(8, None))
+    assert gloss["scale"] == 2.0
+    assert (pixels(gloss) == 255).all()
+
+
+def half_a_millimetre_off(folder):
+    """Write a scan that lies 0.5 mm under a square, as a result's input, and return the square."""
+    vertices, faces = sheet(30).triangulated()
+    scan = folder / "scan.ply"
+    trimesh.Trimesh(vertices + (0, 0, 99.5), faces, process=False).export(scan)
+    pose = np.eye(4)
+    pose[2, 3] = -100
+    rows = tuple(map(tuple, pose))
+    registration = {"rmse_mm": 1.0, "converged": True, "confidence": 1.0, "iterations": 1}
+    write_record(
+        folder / "registration.json",
+        RegistrationRecord(model_from_scan=rows, fitted_from_scan=rows, **registration),
+    )
+    inside = (vertices[:, :2] * (1, -1) > 3).all(1) & (vertices[:, :2] * (1, -1) < 26).all(1)
+    return scan, FaceMesh(vertices, faces, np.zeros((len(vertices), 2))), inside
+
+
+def test_residuals_are_measured_again_from_the_input(write_scan, tmp_path):
+    from scan2albedo.io.result_json import ResultRecord, read_record
+
+    scan, mesh, inside = half_a_millimetre_off(tmp_path)
+    source = InputRecord(file=str(scan), sha256=input_sha256(scan), vertices=900, faces=1682)
+    write_scan(tmp_path / "r", input=source, options={"unit": "mm"})
+    record = read_record(tmp_path / "r" / "result.json", ResultRecord)
+    (tmp_path / "registration.json").rename(tmp_path / "r" / "registration.json")
+    found = residual_of_result(tmp_path / "r", record, mesh)
+    assert np.nanmax(np.abs(found.distance_mm[inside] - 0.5)) < 1e-4
+    assert found.source == "measured again against scan.ply: 0.500 mm in the mean"
+    scan.write_bytes(scan.read_bytes() + b"\n")
+    assert "no longer the scan" in residual_of_result(tmp_path / "r", record, mesh).source
+    scan.unlink()
+    assert "no longer there" in residual_of_result(tmp_path / "r", record, mesh).source
+
+
+def rows(errors, stage="fit"):
+    return [TraceRow(stage, 0.1 * k, 0.1 * k, k, error, "mm") for k, error in enumerate(errors)]
+
+
+def test_error_axes_are_logarithmic_where_the_error_falls_by_much():
+    (falling,), (slow,) = stage_charts(rows([8.0, 2.0, 0.1])), stage_charts(rows([0.3, 0.2]))
+    assert falling.error.log
+    assert not slow.error.log
+    assert falling.places[0][1] < falling.places[1][1] < falling.places[2][1]
+    assert len(falling.ticks("error")) >= 2
+
+
+def test_long_traces_keep_their_first_and_last_points():
+    (chart,) = stage_charts(rows(np.linspace(2, 1, 5001)))
+    assert len(chart.rows) <= MOST_POINTS + 1
+    assert (chart.rows[0].error, chart.rows[-1].error) == (2.0, 1.0)
+    assert chart.summary == "2 → 1 mm after 5,000 evaluations"
+
+
+def test_an_error_that_hardly_changes_is_a_line_that_hardly_rises():
+    axis = Axis.of([1.0261790, 1.0261791], 0, 100)
+    assert abs(axis.place(1.0261791) - axis.place(1.0261790)) < 0.1
+    assert len({f"{tick:.6g}" for tick in axis.ticks()}) == len(axis.ticks())
+
+
+@pytest.mark.parametrize("values", [[0.0], [3.0, 3.0], [-1.0, 1e-9], [1e-12, 1e12], [5e7, 5.1e7]])
+def test_axes_hold_any_values(values):
+    axis = Axis.of(values, 10, 110, log_from=50)
+    assert all(10 <= axis.place(value) <= 110 for value in values)
+    assert 1 <= len(axis.ticks()) <= 12
+
+
+def test_traces_leave_out_what_is_not_finite_and_refuse_other_files(tmp_path):
+    file = tmp_path / "trace.csv"
+    file.write_text("stage,elapsed_s,cpu_s,evaluations,error,unit\na,1,1,1,nan,mm\na,2,2,2,0.5,mm\n")
+    assert [row.error for row in read_trace(file)] == [0.5]
+    file.write_text("x,y\n1,2\n")
+    with pytest.raises(Scan2AlbedoError, match="line 2 is no row of a trace"):
+        read_trace(file)
+    with pytest.raises(Scan2AlbedoError, match="cannot be read"):
+        read_trace(tmp_path / "none.csv")

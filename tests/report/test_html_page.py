@@ -1,0 +1,161 @@
+"""One scan's page: whole, safe, and it says what the files say."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from scan2albedo import report
+from scan2albedo.errors import OutputError, Scan2AlbedoError
+from scan2albedo.report.html.page import data_json
+from tests.report.pages import check
+
+EVIL = "<script>alert('x')</script>\"'&<!--"
+
+
+def written(folder, path, **options):
+    made = report.write_report(folder, path, options=report.ReportOptions(**options))
+    assert made.size_bytes == made.path.stat().st_size
+    return check(made.path.read_text(encoding="utf-8"))
+
+
+def test_a_scan_gets_a_page_beside_its_files(one_scan):
+    made = report.write_report(one_scan)
+    assert made.path == one_scan / "report.html"
+    assert (made.scans, made.done, made.failed, made.sections) == (1, 1, 0, 1)
+    words = check(made.path.read_text(encoding="utf-8")).words()
+    for told in (
+        "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 1.2 % · 12.5 s",
+        "albedo · shadows ran it shades itself at most 28 %",
+        "left out no model was asked for",
+        "± 0.5°",
+        "Other lights explain the image nearly as well: (−20°, 5°) at 1.5 % more cost",
+        "fit 2 → 0.2 mm after 9 evaluations",
+        "icp : 0.7 mm after 3 evaluations, recorded once",
+        "0" * 64,
+    ):
+        assert told in words
+
+
+def test_the_viewer_gets_lights_reflectance_and_textures(one_scan, tmp_path):
+    page = written(one_scan, tmp_path / "a.html")
+    data = {a["id"]: json.loads(text) for _, a, text in page.raw if a.get("type") == "application/json"}
+    face = data["scan-face"]
+    assert f"topology-{face['topology']}" in data
+    assert [light["azimuth"] for light in face["lights"]] == pytest.approx([35, -50])
+    assert face["reflectance"] == {"brdf": "oren-nayar", "roughness": 0.3, "strength": 0.15, "exponent": 20.0}
+    assert face["albedo"]["type"] == "image/png"
+    assert {"texture", "frame", "positions", "normals"} <= set(face)
+    assert "residual" not in face
+    assert "No fit residual to switch to: nothing was fitted" in page.words()
+
+
+def test_whatever_a_result_holds_is_text(write_scan, tmp_path):
+    folder = write_scan(
+        tmp_path / "evil",
+        name=EVIL,
+        notes=(EVIL,),
+        options={EVIL: EVIL, "model": "none"},
+        versions={EVIL: EVIL},
+        timings_s={EVIL: 1.0},
+        files=(EVIL,),
+    )
+    (folder / "trace.csv").write_text(
+        "stage,elapsed_s,cpu_s,evaluations,error,unit\n<b>x,1,1,1,1,<i>\n<b>x,2,2,2,2,<i>\n"
+    )
+    page = written(folder, tmp_path / "page.html")
+    assert page.words().count(EVIL) >= 6
+    assert not page.all("i")
+    assert len([raw for raw in page.raw if raw[0] == "script"]) == 3
+
+
+def test_data_inside_scripts_cannot_end_them():
+    text = data_json({"a": "</script><!-- & \u2028"})
+    assert not set("<>&\u2028") & set(text)
+    assert json.loads(text)["a"] == "</script><!-- & \u2028"
+
+
+def test_links_are_relative_to_the_page_and_never_another_kind(write_scan, tmp_path):
+    folder = write_scan(tmp_path / "javascript:alert(1)" / "50% #1?")
+    page = written(folder, tmp_path / "pages.html")
+    assert "javascript%3Aalert%281%29/50%25%20%231%3F/trace.csv" in page.links()
+    inside = written(folder, folder / "report.html")
+    assert "trace.csv" in inside.links()
+
+
+def test_files_that_are_missing_leave_their_part_out_and_say_so(write_scan, tmp_path):
+    folder = write_scan(tmp_path / "poor")
+    for name in ("geometry_image.npz", "trace.csv", "overview.png"):
+        (folder / name).unlink()
+    page = written(folder, tmp_path / "page.html")
+    assert "There is nothing to turn" in page.words()
+    assert "geometry_image.npz" in page.words()
+    assert "No error against time" in page.words()
+    assert not page.all("img")
+
+
+def test_a_damaged_trace_names_the_line(write_scan, tmp_path):
+    folder = write_scan(tmp_path / "scan")
+    (folder / "trace.csv").write_text("stage,elapsed_s,cpu_s,evaluations,error,unit\nfit,one,1,1,1,mm\n")
+    assert "line 2 is no row of a trace" in written(folder, tmp_path / "page.html").words()
+
+
+def test_a_result_without_an_albedo_shows_its_shape(write_scan, tmp_path):
+    folder = write_scan(tmp_path / "grey", parameters={}, lights=(), metrics={"seconds": 1.0})
+    (folder / "albedo.exr").unlink()
+    page = written(folder, tmp_path / "page.html")
+    assert "no albedo (see the plan)" in page.words()
+    assert "the shape is shown in grey" in page.words()
+
+
+def test_warnings_and_notes_are_told_apart(write_scan, tmp_path):
+    metrics = {"fit": {"converged": False}, "albedo": {"uncertainty": {"albedo_deviation": 0.36}}}
+    folder = write_scan(tmp_path / "bad", metrics=metrics, notes=("unit: mm",))
+    words = written(folder, tmp_path / "page.html").words()
+    assert "Worth a look fit did not converge" in words
+    assert "uncertain by 36 %" in words
+    assert "Noted on the way unit: mm" in words
+
+
+def test_harmonic_light_is_carried_over(write_scan, tmp_path):
+    rows = np.arange(27.0).reshape(9, 3).tolist()
+    parameters = {"brdf": "spherical-harmonics", "sh_coefficients": rows}
+    folder = write_scan(tmp_path / "sh", parameters=parameters, lights=())
+    page = written(folder, tmp_path / "page.html")
+    face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
+    assert face["harmonics"] == list(range(27))
+    assert face["reflectance"]["brdf"] == "lambert"
+
+
+def test_folders_without_results_and_damaged_ones_are_refused_with_their_names(write_scan, tmp_path):
+    with pytest.raises(Scan2AlbedoError, match="no such folder"):
+        report.write_report(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(Scan2AlbedoError, match="holds no"):
+        report.write_report(tmp_path / "empty")
+    folder = write_scan(tmp_path / "cut")
+    (folder / "result.json").write_text("{")
+    with pytest.raises(Scan2AlbedoError, match=r"cut/result.json"):
+        report.write_report(folder)
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(one_scan, tmp_path):
+    with pytest.raises(OutputError, match="missing"):
+        report.write_report(one_scan, tmp_path / "missing" / "page.html")
+    assert os.listdir(tmp_path) == []
+
+
+def test_options_out_of_range_are_refused():
+    with pytest.raises(ValueError, match="scans is -1"):
+        report.ReportOptions(scans=-1)
+
+
+@pytest.mark.slow
+def test_a_page_of_512_texels_stays_small(write_scan, tmp_path):
+    folder = write_scan(tmp_path / "large", size=512)
+    assert report.write_report(folder).size_bytes < 15e6
+    for k in range(2):
+        write_scan(tmp_path / "batch" / f"scan-{k}", size=512)
+    # Forty such scans stay below 60 MB.
+    assert report.write_report(tmp_path / "batch").size_bytes < 2 * 1.5e6

@@ -1,0 +1,223 @@
+"""A batch of synthetic raw scans, some of them broken: throughput, scaling, memory, and a kill in the middle.
+
+    python tools/bench_batch.py [--scans 200] [--jobs 2] [--subset 20] [--size 512] [--out FOLDER]
+
+Scans are made once and kept in FOLDER/scans; results are made anew. Commands run as a user runs them.
+Rates count wall-clock time, so other work on the machine lowers them; CPU seconds stand beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+from raw_scan_files import write_obj
+
+import scan2albedo as s2a
+from scan2albedo.batch.layout import Layout
+from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+
+COMMAND = [sys.executable, "-m", "scan2albedo", "batch"]
+POLL_S = 0.2
+
+
+def make_scan(path: Path, seed: int) -> float:
+    """Write the scan of another person than those of other seeds; return the CPU seconds it took."""
+    start = time.process_time()
+    if not path.exists():
+        scan, _ = raw_scan(seed, options=RawScanOptions(size=64))
+        unfinished = path.with_name(f"unfinished-{path.name}")
+        write_obj(scan, unfinished)
+        for extension in (".png", ".mtl", ".obj"):  # the OBJ last: with it the scan is whole
+            text = unfinished.with_suffix(extension)
+            if extension != ".png":
+                text.write_text(text.read_text().replace(unfinished.stem, path.stem))
+            text.rename(path.with_suffix(extension))
+    return time.process_time() - start
+
+
+def truncated(good: Path, path: Path) -> None:
+    text = good.read_text()
+    path.write_text(text[: int(0.9 * len(text))].rsplit("/", 1)[0])
+
+
+def with_nan(good: Path, path: Path) -> None:
+    lines = good.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("v "))
+    lines[first : first + 2000] = ["v nan nan nan"] * 2000
+    path.write_text("\n".join(lines))
+
+
+def without_face(good: Path, path: Path) -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(5, 90.0)
+    ball.export(path, include_texture=False)
+
+
+def without_texture(good: Path, path: Path) -> None:
+    path.write_text(good.read_text().replace(good.stem, path.stem))
+    path.with_suffix(".mtl").write_text("newmtl skin\nmap_Kd lost.png\n")
+
+
+def empty(good: Path, path: Path) -> None:
+    path.write_bytes(b"")
+
+
+BROKEN: dict[str, tuple[Callable[[Path, Path], None], str]] = {
+    "truncated": (truncated, "failed"),
+    "nan": (with_nan, "failed"),
+    "no_face": (without_face, "failed"),
+    "no_texture": (without_texture, "done"),
+    "empty": (empty, "failed"),
+}
+"""How a scan is spoilt, and what is expected of it: without its texture a face has a shape, but no albedo."""
+
+
+def make_scans(folder: Path, count: int, jobs: int) -> Path:
+    """Write good scans, broken ones among them, and their manifest."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"person-{seed:04d}.obj" for seed in range(count)]
+    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+        made = joblib.Parallel(n_jobs=jobs)(
+            joblib.delayed(make_scan)(path, seed) for seed, path in enumerate(paths)
+        )
+    print(f"{count} scans: {np.median(made):.1f} s CPU each to make (median; 0 where kept)")
+    rows = [(path.name, f"p{i:04d}", "good") for i, path in enumerate(paths)]
+    for i, (kind, (spoil, _)) in enumerate(BROKEN.items()):
+        spoil(paths[0], folder / f"broken-{kind}.obj")
+        rows.insert((i + 1) * len(rows) // (len(BROKEN) + 1), (f"broken-{kind}.obj", "", kind))
+    return write_manifest(folder / "manifest.csv", rows)
+
+
+def write_manifest(path: Path, rows: list[tuple[str, str, str]]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([("scan", "person", "kind"), *rows])
+    return path
+
+
+def subset(manifest: Path, count: int) -> Path:
+    """Write a manifest of the first good scans."""
+    with manifest.open(newline="", encoding="utf-8") as file:
+        rows = [tuple(row) for row in csv.reader(file)][1:]
+    good = [row for row in rows if row[2] == "good"][:count]
+    return write_manifest(manifest.with_name("subset.csv"), good)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one command: its exit status, JSON summary, lines and catalogue."""
+
+    status: int
+    summary: dict[str, Any]
+    lines: list[str]
+    rows: list[dict[str, Any]]
+
+    def show(self, title: str) -> None:
+        done = [row for row in self.rows if row["status"] == "done"]
+        cpu = [row["cpu_seconds"] for row in done]
+        peak = max((row["peak_memory_mb"] for row in done), default=float("nan"))
+        print(f"\n{title}: exit status {self.status}")
+        for line in self.lines:
+            print(f"    {line}")
+        rate = self.summary["scans_per_hour"] or float("nan")
+        print(
+            f"  {rate:.0f} scans/h; {np.median(cpu) if cpu else float('nan'):.1f} s CPU a scan (median), "
+            f"{peak:.0f} MB peak of a worker"
+        )
+
+
+def run(manifest: Path, out: Path, *arguments: str) -> Outcome:
+    """Run the command to its end."""
+    ended = subprocess.run(
+        [*COMMAND, manifest, "-o", out, "--json", *arguments], capture_output=True, text=True, check=False
+    )
+    if not ended.stdout:
+        raise SystemExit(f"the batch ended with {ended.returncode}: {ended.stderr}")
+    lines = [line for line in ended.stderr.splitlines() if not line.endswith("left")]
+    rows = s2a.batch.load_catalogue(out).to_pylist()
+    return Outcome(ended.returncode, json.loads(ended.stdout), lines, rows)
+
+
+def check_broken(rows: list[dict[str, Any]]) -> None:
+    """Print what became of the broken scans, and whether that was expected."""
+    for row in rows:
+        if row["kind"] in BROKEN:
+            expected = BROKEN[row["kind"]][1]
+            verdict = "as expected" if row["status"] == expected else f"EXPECTED {expected}"
+            told = row["reason"] or ("with albedo" if row["path_albedo_exr"] else "without albedo")
+            print(f"  {row['kind']:12}{row['status']:8}{verdict}: {told[:110]}")
+
+
+def state(out: Path, names: list[str]) -> dict[Path, tuple[str, int]]:
+    """Return the hash and the time of every file of the given scans."""
+    files = [path for name in names for path in (out / name).iterdir()]
+    return {p: (hashlib.sha256(p.read_bytes()).hexdigest(), p.stat().st_mtime_ns) for p in files}
+
+
+def kill_and_resume(manifest: Path, out: Path, arguments: list[str]) -> None:
+    """Kill a batch with SIGKILL when half is done, resume it, and print whether what was done stayed."""
+    rows = Layout.of(out).rows
+    wanted = len(manifest.read_text().splitlines()) // 2
+    process = subprocess.Popen([*COMMAND, manifest, "-o", out, *arguments], stderr=subprocess.DEVNULL)
+    while len(list(rows.glob("*.json"))) < wanted and process.poll() is None:
+        time.sleep(POLL_S)
+    process.kill()
+    process.wait()
+    time.sleep(1.0)  # workers end with their parent
+    finished = sorted(path.stem for path in rows.glob("*.json"))
+    before = state(out, finished)
+    resumed = run(manifest, out, "--resume", *arguments)
+    resumed.show(f"killed (SIGKILL) with {len(finished)} done, then --resume")
+    same = state(out, finished) == before
+    print(f"  {len(before)} files of {len(finished)} finished scans: {'untouched' if same else 'CHANGED'}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scans", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--subset", type=int, default=20, help="scans for one job, and for the kill")
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--out", type=Path, help="kept afterwards; a folder that is gone when omitted")
+    arguments = parser.parse_args()
+    folder = arguments.out or Path(tempfile.mkdtemp())
+    try:
+        bench(folder, arguments)
+    finally:
+        if arguments.out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def bench(folder: Path, arguments: argparse.Namespace) -> None:
+    manifest = make_scans(folder / "scans", arguments.scans, arguments.jobs)
+    few = subset(manifest, arguments.subset)
+    for name in ("all", "one", "killed"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    options = ["--size", str(arguments.size)]
+    many = [*options, "--jobs", str(arguments.jobs)]
+    whole = run(manifest, folder / "all", *many)
+    whole.show(f"{len(whole.rows)} scans, {arguments.jobs} jobs")
+    check_broken(whole.rows)
+    alone = run(few, folder / "one", *options, "--jobs", "1")
+    alone.show(f"{len(alone.rows)} scans, 1 job")
+    ratio = whole.summary["scans_per_hour"] / alone.summary["scans_per_hour"]
+    print(f"\n{arguments.jobs} jobs are {ratio:.2f} times as fast as 1")
+    kill_and_resume(few, folder / "killed", many)
+
+
+if __name__ == "__main__":
+    main()

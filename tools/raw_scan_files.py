@@ -1,0 +1,25 @@
+"""Raw scans as files: OBJ with its material and texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from scan2albedo.io import RawScan
+from scan2albedo.io.images import write_png
+
+
+def write_obj(scan: RawScan, path: Path) -> None:
+    """Write a textured scan as OBJ, MTL and PNG of one stem, in mm."""
+    if scan.uv is None or scan.texture_linear is None:
+        raise ValueError(f"{scan.name} has no texture")
+    write_png(path.with_suffix(".png"), scan.texture_linear)
+    path.with_suffix(".mtl").write_text(f"newmtl skin\nmap_Kd {path.stem}.png\n", encoding="utf-8")
+    corners, index = np.unique(scan.uv.reshape(-1, 2), axis=0, return_inverse=True)
+    triangles = np.stack([scan.faces, index.reshape(-1, 3)], axis=2).reshape(-1, 6) + 1
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f"mtllib {path.stem}.mtl\nusemtl skin\n")
+        np.savetxt(file, scan.vertices, "v %.4f %.4f %.4f")
+        np.savetxt(file, corners, "vt %.6f %.6f")
+        np.savetxt(file, triangles, "f %d/%d %d/%d %d/%d")
