@@ -1,9 +1,9 @@
 """Do stages keep a budget in seconds, and have they done by then what they had done without one?
 
-A stage runs without limit, and its trace tells when it had 90 % of what it gained: t*. Run with t* seconds it
-should reach the same, and end then. The machine's other work shows in the wall clock, which budgets are
-counted by; so the overrun is given in CPU seconds: the part of the wall time beyond the budget, times the
-run's own CPU time over its wall time.
+A stage runs without limit, and its trace tells when the logarithm of its error had gained 90 % of all that it
+gained: t*. Run with t* seconds it should reach the same, and end then. The machine's other work shows in the
+wall clock, which budgets are counted by; so the overrun is given in CPU seconds: the part of the wall time
+beyond the budget, times the run's own CPU time over its wall time.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ TINY_S = (0.01, 0.1)
 """Budgets in which hardly anything can be done."""
 _GAINED = 0.9
 _FEWEST_ROWS = 3
+_LEAST_ERROR = 1e-12
 _REPEATS = 3
 
 Budgeted = Callable[[float | None, ProgressCallback | None], float]
@@ -116,7 +117,7 @@ def budget_table(rows: Sequence[BudgetRow]) -> str:
 
 
 def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAINED) -> float:
-    """Return when the last yardstick of a trace had gained `share` of all that it gained.
+    """Return when the logarithm of a trace's last yardstick had gained `share` of all that it gained.
 
     Parameters
     ----------
@@ -137,9 +138,9 @@ def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAINED)
         return math.inf
     every = list(yardsticks.values())
     chosen = next((points for points in reversed(every) if len(points) >= _FEWEST_ROWS), every[-1])
-    least = min(error for _, error in chosen)
-    enough = chosen[0][1] - share * (chosen[0][1] - least)
-    return next(seconds for seconds, error in chosen if error <= enough)
+    heights = [math.log(max(error, _LEAST_ERROR)) for _, error in chosen]
+    enough = heights[0] - share * (heights[0] - min(heights))
+    return next(s for (s, _), height in zip(chosen, heights, strict=True) if height <= enough)
 
 
 def checked_budgets(

@@ -1,61 +1,50 @@
-"""What quality "draft", "standard" and "best" mean for each stage: points of the measured fronts."""
+"""The presets of quality as settings of the sweeps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from scan2albedo.benchmarks.sweep import Setting
 
-PRESETS: dict[str, dict[str, dict[str, Any]]] = {
-    "register": {
-        "draft": {"anchor_spacing_mm": 60.0, "kept_starts": 60, "candidates": 2, "settling_iterations": 10},
-        "best": {"scan_spacing_mm": 3.0, "model_spacing_mm": 4.0},
-    },
-    "fit": {
-        "draft": {"steps": 2},
-        "best": {"levels": (0, 0, 0) + (1,) * 9},
-    },
-    "geometry_image": {"draft": {"size": 256}, "best": {"size": 1024}},
-    "albedo": {
-        "draft": {"sizes": (32, 64), "start_directions": 20},
-        "best": {"sizes": (64, 256), "starts": 6, "descent_iterations": 20},
-    },
-    "weights": {"draft": {"tolerance": 1e-4, "finest": 1 / 85}, "best": {"thin_part": 0.02}},
-    "glasses": {
-        "draft": {"outlines": 2, "steps": 5, "outline_stride": 2},
-        "best": {"outlines": 20, "steps": 80},
-    },
+STANDARD = "standard"
+GLASSES: dict[str, dict[str, Any]] = {
+    "draft": {"outlines": 2, "steps": 5, "outline_stride": 2},
+    "best": {"outline_correlation_px": 40.0},
 }
-"""Fields of each stage's options that differ from the defaults; standard is the default."""
-
-
-def _options(stage: str, fields: dict[str, Any]) -> Any:
-    """Return what a stage's settings hold, with some fields changed."""
-    if stage == "geometry_image":
-        from scan2albedo.benchmarks.sampling import SizeOptions
-
-        return SizeOptions(**fields)
-    if stage == "weights":
-        from scan2albedo.benchmarks.weights import SpacingOptions
-        from scan2albedo.eyeglasses.weighting.options import WeightOptions
-
-        return SpacingOptions(options=WeightOptions(**fields))
-    from scan2albedo.albedo import EstimateOptions
-    from scan2albedo.eyeglasses import FaceRegistrationOptions
-    from scan2albedo.fitting import FitOptions
-    from scan2albedo.registration import RegistrationOptions
-
-    known: dict[str, Callable[..., Any]] = {
-        "register": RegistrationOptions,
-        "fit": FitOptions,
-        "albedo": EstimateOptions,
-        "glasses": FaceRegistrationOptions,
-    }
-    return known[stage](**fields)
+WEIGHTS: dict[str, dict[str, Any]] = {
+    "draft": {"tolerance": 1e-4, "finest": 1 / 85},
+    "best": {"coarsest": 1 / 150, "max_nodes": 20_000},
+}
+"""Fields that differ from the defaults, of stages that `process` does not have: those of `quality.PRESETS` are
+the others'."""
 
 
 def preset_settings(stage: str) -> list[Setting]:
     """Return the presets of a stage as settings; the standard one is the default and left out."""
-    named = PRESETS.get(stage, {})
-    return [Setting("preset", name, _options(stage, fields)) for name, fields in named.items()]
+    if stage in ("glasses", "weights"):
+        named = _own_presets(stage)
+    else:
+        from scan2albedo.quality import PRESETS
+
+        named = {name: _of_process(stage, quality) for name, quality in PRESETS.items() if name != STANDARD}
+    return [Setting("preset", name, options) for name, options in named.items()]
+
+
+def _of_process(stage: str, quality: Any) -> Any:
+    """Return what a quality holds for a stage of `process`."""
+    if stage == "geometry_image":
+        from scan2albedo.benchmarks.sampling import SizeOptions
+
+        return SizeOptions(quality.size)
+    return {"register": quality.registration, "fit": quality.fit, "albedo": quality.albedo}[stage]
+
+
+def _own_presets(stage: str) -> dict[str, Any]:
+    if stage == "glasses":
+        from scan2albedo.eyeglasses import FaceRegistrationOptions
+
+        return {name: FaceRegistrationOptions(**fields) for name, fields in GLASSES.items()}
+    from scan2albedo.benchmarks.weights import SpacingOptions
+    from scan2albedo.eyeglasses.weighting.options import WeightOptions
+
+    return {name: SpacingOptions(options=WeightOptions(**fields)) for name, fields in WEIGHTS.items()}

@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from scan2albedo.benchmarks.presets import PRESETS, preset_settings
+from scan2albedo.benchmarks.presets import preset_settings
 from scan2albedo.benchmarks.run import STAGES, benchmark_of, run_benchmarks
 from scan2albedo.cli import app
 
@@ -18,10 +18,13 @@ def test_every_stage_has_its_default_first():
         assert len(set(names)) == len(names), name
 
 
-def test_presets_are_settings_of_their_stages():
-    for stage in PRESETS:
-        assert stage in STAGES
-        assert {s.value for s in preset_settings(stage)} <= {"draft", "best"}
+@pytest.mark.parametrize("stage", list(STAGES))
+def test_presets_are_settings_of_their_stages(stage):
+    presets = preset_settings(stage)
+    default = benchmark_of(stage).settings(False)[0]
+    assert [s.value for s in presets] == ["draft", "best"]
+    assert all(type(s.options) is type(default.options) for s in presets)
+    assert presets[0].options != default.options
 
 
 def test_an_unknown_stage_is_named():

@@ -43,11 +43,15 @@ def compare_masks(
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
     own, face = sampler.mask(motion, view)
     union = own | mask
+    if not union.any():
+        return MaskAgreement(0.0, np.zeros(weights.shape[1]))
+    box, corner = _box_around(union)
     limit = max(_NEAR_PX, _NEAR * noise_px)
     differing = np.zeros(weights.shape[1])
     for here, there in ((mask, own), (own, mask)):
-        away = cv2.distanceTransform((~there).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        rows, columns = np.nonzero(here & (away > limit))
+        # Distances in the box around both masks are those of the whole picture.
+        away = cv2.distanceTransform((~there[box]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        rows, columns = np.nonzero(here[box] & (away > limit)) + corner[:, None]
         if not len(rows):
             continue
         if here is own:
@@ -61,6 +65,13 @@ def compare_masks(
             owner = front[cKDTree(pixels[front]).query(np.stack([columns, rows], 1))[1]]
         differing += weights[owner].sum(0)
     return MaskAgreement(float((own & mask).sum() / max(union.sum(), 1)), differing)
+
+
+def _box_around(mask: BoolArray) -> tuple[tuple[slice, slice], NDArray[np.int64]]:
+    """Return the smallest box that holds a mask, which is not empty, and its first row and column."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return box, np.array([rows[0], columns[0]])
 
 
 def contradicted(agreements: list[MaskAgreement], count: int) -> BoolArray:

@@ -230,7 +230,8 @@ class _Run:
     def _require_unmirrored(self, at: Linearization) -> None:
         """Raise where the labels fit far better with left and right exchanged."""
         here = _labels_px(at)
-        if here <= self.options.label_noise_px:
+        # A descent that the budget cut short fits badly without being mirrored.
+        if here <= self.options.label_noise_px or self.meter.exhausted:
             return
         views = tuple(replace(view, labels=view.labels[list(MIRROR)]) for view in self.given.views)
         objective = RegistrationObjective(self.given.keypoints, views, self.options)
