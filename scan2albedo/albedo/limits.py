@@ -36,8 +36,8 @@ def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
     median, brightest = np.percentile(albedo, (50, _BRIGHTEST))
     if brightest > _GLARING * median > 0:
         at_end.append(
-            f"the brightest {100 - _BRIGHTEST:.1f} % of the albedo is {brightest / median:.0f} times its median: is a "
-            "lamp too near to be modelled, or white on black?"
+            f"the brightest {100 - _BRIGHTEST:.1f} % of the albedo is {brightest / median:.0f} times its "
+            "median: is a lamp too near to be modelled, or white on black?"
         )
     if not at_end:
         return PlanStep("albedo.limits", False, "the light lies within what is searched", "no limit reached")
