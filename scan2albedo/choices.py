@@ -7,7 +7,7 @@ from numbers import Integral
 
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.io.units import MM_PER_UNIT
-from scan2albedo.sampling.size import SMALLEST_SIZE
+from scan2albedo.sampling.size import LARGEST_SIZE, SMALLEST_SIZE
 
 FORCEABLE = (
     "register.depth_annealing",
@@ -59,10 +59,10 @@ def check_choices(size: int, lights: int | str, brdf: str, unit: str) -> None:
     ValueError
         Naming the choice, what was got and what was expected.
     """
-    if size < SMALLEST_SIZE:
-        raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}")
-    if lights != "auto" and (not isinstance(lights, Integral) or lights < 1):
-        raise ValueError(f"lights is {lights!r}, expected 'auto' or a whole number >= 1")
+    if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= LARGEST_SIZE:
+        raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}, at most {LARGEST_SIZE}")
+    if lights != "auto" and (not isinstance(lights, Integral) or not 1 <= lights <= 4):
+        raise ValueError(f"lights is {lights!r}, expected 'auto' or a whole number from 1 to 4")
     if brdf not in BRDFS:
         raise ValueError(f"brdf is {brdf!r}, expected one of {', '.join(BRDFS)}")
     if unit != "auto" and unit not in MM_PER_UNIT:

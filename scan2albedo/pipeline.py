@@ -18,7 +18,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.template_file import TEMPLATE_FILES, model_from_file
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.io import GeometryImage, RawScan, load_scan
-from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.optimization import Budget, Plan, PlanStep, ProgressCallback, Trace, checked_seed
 from scan2albedo.process_result import ProcessResult
 from scan2albedo.quality import Quality, quality_of
 from scan2albedo.registration import Registration, RegistrationOptions, register
@@ -97,13 +97,15 @@ def process(
         results cannot be written.
     ValueError
         For an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced, or is both, a
-        size or number of lights out of range.
+        size or number of lights out of range, a seed or budget that is none.
     """
     check_stage_names(skip, force)
     chosen = quality_of(quality)
     size = chosen.size if size is None else size
     check_choices(size, lights, brdf, unit)
-    run = _Run(Budget.of(budget), chosen, frozenset(skip), frozenset(force), seed, size, on_progress)
+    run = _Run(
+        Budget.of(budget), chosen, frozenset(skip), frozenset(force), checked_seed(seed), size, on_progress
+    )
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         from scan2albedo.result_files import check_writable

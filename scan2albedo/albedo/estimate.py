@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Integral
@@ -14,8 +15,15 @@ from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.evidence import LightFound, LightSearch
 from scan2albedo.albedo.finishing import inpainted, rectified
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import median_value, usable_texels, value_channel
+from scan2albedo.albedo.levels import (
+    median_value,
+    toward_viewer,
+    usable_texels,
+    value_channel,
+    with_every_normal,
+)
 from scan2albedo.albedo.light_search import LeastSquaresSearch
+from scan2albedo.albedo.limits import limits_step
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.result import AlbedoEstimate, shade_image
@@ -25,6 +33,8 @@ from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.optimization import Budget, Meter, ProgressCallback
 from scan2albedo.optimization.plan import Plan, PlanStep
 
+_LEAST_FACING = 0.1
+"""Part of the texels that has to face the viewer."""
 BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
 
 
@@ -48,7 +58,8 @@ def estimate_albedo(
     Parameters
     ----------
     image : GeometryImage
-        With `texture_linear`. Texels not seen, black or saturated do not vote, but get an albedo.
+        With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not vote, but get
+        an albedo; the nearest normal then serves.
     lights : "auto" or int
         Number of lights; "auto" adds lights while the evidence pays for them, one at least.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
@@ -78,6 +89,16 @@ def estimate_albedo(
         For an unknown `brdf`, `lights` that is neither "auto" nor 1 to 4, a zero `view_direction`, or
         roughness asked of a Lambertian surface.
 
+    Warns
+    -----
+    UserWarning
+        When less than a tenth of the texels faces `view_direction`.
+
+    Notes
+    -----
+    What no picture tells is told: the plan's row `albedo.limits` ran where the light found is at an end of
+    what is searched, such as the least intensity where there is no light, or one that is not modelled.
+
     References
     ----------
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
@@ -88,6 +109,8 @@ def estimate_albedo(
     if brdf == "lambert" and options.roughness:
         raise ValueError("options.roughness is True, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image, options)
+    image = with_every_normal(image)
+    _warn_when_turned_away(toward_viewer(image, usable, view), view)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     if brdf == "spherical-harmonics":
         return _divide_harmonics(image, usable, view, options, meter)
@@ -117,6 +140,18 @@ def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
     x, y, z = (view / length).tolist()
     return x, y, z
+
+
+def _warn_when_turned_away(facing: float, view: tuple[float, float, float]) -> None:
+    """Warn when lights are sought where the surface cannot be lit from: its viewer sees its back."""
+    if facing < _LEAST_FACING:
+        warnings.warn(
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
+            "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
+            "normals outward",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _divide(
@@ -153,7 +188,7 @@ def _divide(
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, rectification, inpainting)),
+        plan=Plan((*found.steps, limits_step(found.solution), rectification, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
@@ -172,8 +207,9 @@ def _in_time(options: EstimateOptions, meter: Meter) -> EstimateOptions:
     """Return the options; without what makes a good albedo better when the budget's seconds have ended."""
     if not meter.out_of_time:
         return options
-    unasked = [name for name in ("rectification", "inpainting") if getattr(options, name) is None]
-    return replace(options, **dict.fromkeys(["shrink", *unasked], False))
+    return replace(
+        options, shrink=False, rectification=bool(options.rectification), inpainting=bool(options.inpainting)
+    )
 
 
 def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:

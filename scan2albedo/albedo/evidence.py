@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.albedo.problem import Problem, Solution, Yardstick
+from scan2albedo.albedo.problem import Problem, Solution, Yardstick, cost_removed
 from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
 from scan2albedo.albedo.shadow_caster import shadow_caster
 from scan2albedo.albedo.uncertainty import LightUncertainty
@@ -170,7 +170,7 @@ class LightSearch:
             polish(coarse, Solution(model, x, c), evaluations) for c, x in starts[:COARSE_STARTS:COARSE_STEP]
         ]
         fewer = polish(coarse, replace(plain, cost=math.inf), evaluations)
-        return 1 - min(solution.cost for solution in tried) / fewer.cost
+        return cost_removed(min(solution.cost for solution in tried), fewer.cost)
 
     def _count_lights(
         self,
@@ -212,7 +212,7 @@ class LightSearch:
                 trial, trial_rows = inherited, [*kept_rows, *more_rows]
             # Both have to be equally well polished for their costs to be compared.
             trial, current = polish(middle, trial, each), polish(middle, current, each)
-            gain = 1 - trial.cost / current.cost
+            gain = cost_removed(trial.cost, current.cost)
             intensities = trial.hypothesis.rows[:, 4]
             share = float(intensities.min() / intensities.max())
             evidence = (
@@ -255,7 +255,7 @@ class LightSearch:
         }
         while wanted:
             trials = {part: self._free(problem, current, part) for part in wanted}
-            gains = {part: 1 - trial.cost / current.cost for part, trial in trials.items()}
+            gains = {part: cost_removed(trial.cost, current.cost) for part, trial in trials.items()}
             best = max(wanted, key=lambda part: gains[part] / wanted[part])
             if gains[best] < wanted[best]:
                 break

@@ -28,10 +28,11 @@ def shading_direction(level: Level) -> FloatArray:
     .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
     """
     basis = np.column_stack([np.ones(len(level.normal)), level.normal])
-    weight, found = level.weight, np.zeros(4)
+    weight: FloatArray = level.weight
+    found: FloatArray = np.zeros(4)
     for _ in range(_ROUNDS):
         scaled = basis * weight[:, None]
-        found = np.linalg.lstsq(scaled.T @ basis, scaled.T @ level.value, rcond=None)[0]
+        found = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ level.value, rcond=None)[0], float)
         weight = level.weight / np.maximum(np.abs(basis @ found - level.value), _LEAST_RESIDUAL)
     length = float(np.linalg.norm(found[1:]))
     return found[1:] / length if length > _LEAST_RESIDUAL else np.array([0.0, 0.0, 1.0])

@@ -50,6 +50,8 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     for _ in range(_ROUNDS):
         # A few steps at a time, so that a budget can end the fit between them.
         if meter.exhausted:
+            if not meter.rows:
+                meter.record(float(np.mean(np.abs(residual(free)))))
             break
         step = least_squares(residual, free, loss="soft_l1", f_scale=0.05, max_nfev=8)
         moved = float(np.abs(step.x - free).max())

@@ -17,6 +17,8 @@ _FLOOR = np.float32(1e-4)
 """Albedo below this counts as this in logarithms."""
 _OWN_STEP = np.float32(0.6)
 """Weight of two copies' own difference where copies from different places meet."""
+_HOLD = np.float32(1e-4)
+"""Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
 _SETTLED = np.float32(1e-3)
 """Blending ends when no log albedo moves by more than this."""
 
@@ -37,7 +39,8 @@ def resynthesize(
     known texels by sum min(1, x), with x the squared difference over the texture's own variance.
 
     The gradients that the copies had where they came from are then integrated inwards from the border [2]_:
-    no step is left where two copies meet, or where their level or colour differs from the border's.
+    no step is left where two copies meet, or where their level or colour differs from the border's. Far from
+    any border small errors of gradients add up: no channel gets darker or brighter than all that is known.
 
     Parameters
     ----------
@@ -51,6 +54,11 @@ def resynthesize(
     Returns
     -------
     (H, W, 3) float64; unchanged outside `target`, and everywhere when there is no source.
+
+    Raises
+    ------
+    ValueError
+        When texels of `source` or `context` are not finite.
 
     Notes
     -----
@@ -67,6 +75,8 @@ def resynthesize(
     if not target.any() or not origin.any():
         return albedo
     known = origin if context is None else origin | (context & ~target)
+    if bad := int((~np.isfinite(albedo[known]).all(1)).sum()):
+        raise ValueError(f"{bad} of {int(known.sum())} texels to copy from or compare with are not finite")
     radius = max(4, round(_RADIUS * max(target.shape)))
     window = surroundings(target, radius)
     if not origin[window].any():
@@ -84,6 +94,7 @@ def resynthesize(
         copies,
         around,
         _near_offsets(reach),
+        np.argwhere(copies),
         rng.integers(-radius, radius + 1, (len(order), _PROBES, 2), np.int32),
         np.float32(1 / max(_variance(field, copies), 1e-6)),
         _NEIGHBOURS,
@@ -91,7 +102,8 @@ def resynthesize(
     )
     _blend(filled, field, order, came_from, around, 2 * layers + 1)
     result = albedo.copy()
-    result[window][target[window]] = np.exp(filled[inside], dtype=np.float64)
+    new = np.exp(filled[inside], dtype=np.float64)
+    result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
     return result
 
 
@@ -161,11 +173,12 @@ def _variance(field, chosen):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fill(field, order, origin, context, offsets, jumps, precision, neighbours, rng):  # type: ignore[no-untyped-def]
+def _fill(field, order, origin, context, offsets, places, jumps, precision, neighbours, rng):  # type: ignore[no-untyped-def]
     """Return `field` with the texels of `order` filled one after another, and where they came from.
 
     The places are (H, W, 2) rows and columns, -1 where nothing was copied. `jumps` (T, P, 2) lead to the
-    random places that are tried; when none of them serves, farther ones are drawn from `rng`.
+    random places that are tried; when none of them serves, farther ones are drawn from `rng`, and from the
+    sources' own `places` (S, 2) when even those that reach across the image miss.
     """
     height, width = origin.shape
     result, known = field.copy(), context.copy()
@@ -197,6 +210,8 @@ def _fill(field, order, origin, context, offsets, jumps, precision, neighbours, 
             elif attempt < found + probes:
                 i, j = row + jumps[t, attempt - found, 0], column + jumps[t, attempt - found, 1]
                 attempt += 1
+            elif reach == height + width:
+                i, j = places[int(rng.integers(0, len(places)))]
             else:
                 reach = min(2 * reach, height + width)
                 i, j = (
@@ -230,7 +245,8 @@ def _fill(field, order, origin, context, offsets, jumps, precision, neighbours, 
 def _blend(filled, field, order, came_from, context, diameter):  # type: ignore[no-untyped-def]
     """Integrate the copies' gradients over the texels of `order`, in place, by successive over-relaxation.
 
-    Minimises sum |u_q - u_p - g_pq|^2 over neighbours p, q, of which one at least was copied. Across the
+    Minimises sum |u_q - u_p - g_pq|^2 over neighbours p, q, of which one at least was copied, plus a little
+    of |u_p - its copy|^2, so that nothing drifts away where the border is far. Across the
     border g is the step beside the place the copy came from. Where two copies from different places meet it
     is a mean of that and of their own difference: the one alone takes a quarter of the texture's
     variance away, the other adds some.
@@ -264,7 +280,9 @@ def _blend(filled, field, order, came_from, context, diameter):  # type: ignore[
                     break
         for k in range(degree[t], 4):
             links[t, k, 0], links[t, k, 1] = row, column
-        share[t] = np.float32(1) / np.float32(max(degree[t], 1))
+        for c in range(3):
+            pull[t, c] += _HOLD * filled[row, column, c]
+        share[t] = np.float32(1) / (np.float32(degree[t]) + _HOLD)
     # The best factor for a square of this side; the error falls by e in diameter / (2 pi) sweeps.
     relaxation = np.float32(2.0 / (1.0 + np.sin(np.pi / (diameter + 1))))
     for _ in range(10 * diameter):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 
 _BLACK = 1e-6
 """Parts of the brightest texel up to which a texel is black."""
+_SHORT = 0.5
+"""Normals shorter than this are not known."""
 _CHOICE_SIDE = 15
 """Side [texels] of the square over which channels are compared."""
 
@@ -90,6 +92,25 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.boo
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
+def known_normals(image: GeometryImage) -> NDArray[np.bool_]:
+    """Return (H, W) where the normal is known: not 0."""
+    return np.asarray(np.linalg.norm(image.normal, axis=-1) > _SHORT)
+
+
+def with_every_normal(image: GeometryImage) -> GeometryImage:
+    """Return the image with normals that are not known (0) taken from the nearest texel that has one."""
+    known = known_normals(image)
+    if known[image.mask].all():
+        return image
+    nearest = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
+    return replace(image, normal=np.where(known[..., None], image.normal, image.normal[tuple(nearest)]))
+
+
+def toward_viewer(image: GeometryImage, usable: NDArray[np.bool_], view: tuple[float, float, float]) -> float:
+    """Return which part of the usable texels faces the viewer."""
+    return float(np.mean(image.normal[usable] @ np.asarray(view) > 0))
+
+
 def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:
     """Return the median V of the usable texels: the unit in which the search measures V."""
     assert image.texture_linear is not None
@@ -108,6 +129,8 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
     ------
     LightingError
         When there is no texture, or fewer than `options.minimal_texels` such texels; says why.
+    GeometryImageError
+        For normals of another length than 1, or 0 where none is known.
     """
     if image.texture_linear is None:
         raise LightingError(
@@ -115,18 +138,20 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
         )
     if not image.mask.any():
         raise LightingError("the mask of the geometry image is empty: there is no surface to light")
+    image.check_normals()
     seen = image.seen
     value = value_channel(image.texture_linear)
     black = value <= _BLACK * value[seen].max(initial=0.0)
     clipped = value >= options.saturation_linear
-    usable = seen & ~black & ~clipped & (np.linalg.norm(image.normal, axis=-1) > 0.5)
+    usable = seen & ~black & ~clipped & known_normals(image)
     if int(usable.sum()) < options.minimal_texels:
+        with_normal = known_normals(image) & seen
         raise LightingError(
             f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
             f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
-            f"saturated {int((seen & clipped).sum())}); at least {options.minimal_texels} are needed: "
-            "check the texture's exposure and `texture_valid`, and options.saturation_linear for textures "
-            "that go beyond 1"
+            f"saturated {int((seen & clipped).sum())}, with a normal {int(with_normal.sum())}); at least "
+            f"{options.minimal_texels} are needed: check the texture's exposure and `texture_valid`, and "
+            "options.saturation_linear for textures that go beyond 1"
         )
     return usable
 

@@ -18,7 +18,7 @@ from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.parts import PartsDecided, albedo_change, allowed_parts, decide_parts, undecided
-from scan2albedo.albedo.problem import Solution, Yardstick
+from scan2albedo.albedo.problem import Solution, Yardstick, cost_removed
 from scan2albedo.albedo.residual_problem import ResidualProblem
 from scan2albedo.albedo.shadow_caster import shadow_caster
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
@@ -231,7 +231,7 @@ class LeastSquaresSearch:
             coarse, replace(fewer.model, lights=lights), self._added(fewer), 2 * options.starts
         )
         before = self._descend(coarse, fewer.model, fewer.x)
-        glimpsed = 1 - tried[0].cost / before.cost
+        glimpsed = cost_removed(tried[0].cost, before.cost)
         wanted = options.light_gain
         if not forced and glimpsed < options.closer_look * wanted:
             evidence = (
@@ -254,7 +254,7 @@ class LeastSquaresSearch:
         if reduced.cost < fewer.cost:
             # The way over one more light led out of a local minimum.
             fewer = reduced
-        gain = 1 - trial.cost / fewer.cost
+        gain = cost_removed(trial.cost, fewer.cost)
         intensities = trial.hypothesis.rows[:, 4]
         share = float(intensities.min() / intensities.max())
         effect = albedo_change(middle, trial, fewer)
@@ -323,7 +323,7 @@ class _Alternatives:
         result = list(self.split)
         for minima in self.found:
             for other in minima:
-                excess = other.cost / minima[0].cost - 1
+                excess = -cost_removed(other.cost, minima[0].cost)
                 same = len(_apart([best, other], 2, _ELSEWHERE_RAD)) == 1
                 if other.model.lights == best.model.lights and not same and excess < _NEARLY_AS_GOOD:
                     result.append(Alternative(other.hypothesis.lights(), excess))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 
 @dataclass(frozen=True)
@@ -123,3 +124,11 @@ class EstimateOptions:
         for name in ("block_area", "fit_block_area"):
             if not 0 < getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a part of the chart: 0 to 1")
+        if not 0 < self.cone_rad <= math.pi:
+            raise ValueError(f"cone_rad is {self.cone_rad}, expected above 0, up to pi")
+        if not (self.grid_strengths and all(0 < strength < math.inf for strength in self.grid_strengths)):
+            raise ValueError(f"grid_strengths is {self.grid_strengths}, expected numbers above 0")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{field.name} is {value}, expected a finite number, 0 or more")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.problem import Solution, cost_removed
 from scan2albedo.albedo.residual_problem import ResidualProblem
 from scan2albedo.optimization.plan import PlanStep
 
@@ -142,7 +142,7 @@ def _decide_highlight(
     plain = descend(plain_problem, model, full.model.extend(full.x, model))
     if not (np.isfinite(glossy.cost) and np.isfinite(plain.cost)):
         return full, problem, False
-    gain = 1 - glossy.cost / plain.cost
+    gain = cost_removed(glossy.cost, plain.cost)
     found = glossy_problem.highlight(glossy.model, glossy.x)
     share = np.minimum(found / np.maximum(problem.level.value, _BLACK), 1.0)
     effect = float(np.sqrt(np.mean(share**2)))
@@ -172,7 +172,7 @@ def _without(problem: ResidualProblem, full: Solution, part: str, descend: Desce
 
 
 def _need(problem: ResidualProblem, full: Solution, without: Solution, part: str) -> Need:
-    change, gain = albedo_change(problem, full, without), 1 - full.cost / without.cost
+    change, gain = albedo_change(problem, full, without), cost_removed(full.cost, without.cost)
     return Need(change, _deviations(problem, full, part), gain)
 
 

@@ -125,6 +125,11 @@ class Problem:
         return self._shadows.table(directions)
 
 
+def cost_removed(cost: float, before: float) -> float:
+    """Return which part of the cost `before` is gone at `cost`; 0 where there was nothing to remove."""
+    return 1 - cost / before if before > 0 else 0.0
+
+
 @dataclass(frozen=True)
 class Yardstick:
     """One measure for a search that works at several image sizes: the cost on the finest.

@@ -97,7 +97,9 @@ class ProcessedFace:
     Raises
     ------
     ApplicationError
-        When albedo and image differ in size, or the albedo is not finite on the surface.
+        When albedo and image differ in size, or the albedo is negative or not finite on the surface.
+    GeometryImageError
+        For normals of another length than 1.
     """
 
     name: str
@@ -120,6 +122,11 @@ class ProcessedFace:
             )
         if not np.isfinite(albedo[self.image.mask]).all():
             raise ApplicationError(f"{self.name}: the albedo holds NaN or infinite values inside the mask")
+        if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
+            raise ApplicationError(
+                f"{self.name}: the albedo goes down to {lowest:.3g} inside the mask; albedo is 0 or more"
+            )
+        self.image.check_normals()
         if not len(self.mesh.faces):
             raise ApplicationError(f"{self.name}: the geometry image holds no surface")
         object.__setattr__(self, "albedo_linear", np.where(self.image.mask[..., None], albedo, 0))

@@ -121,7 +121,8 @@ def relight(
     Raises
     ------
     ApplicationError
-        For light that is negative or not finite, or a lamp nearer to the origin than part of the face.
+        For ambient light that is negative or not finite, an environment that is negative, a lamp nearer to
+        the origin than part of the face, or light beyond what single precision holds.
     ValueError
         For an environment of another shape, or a zero view direction.
 
@@ -136,6 +137,10 @@ def relight(
     """
     base = (1.0 if environment_linear is None else 0.0) if ambient is None else ambient
     _check_lights(face, lights, base)
+    if environment_linear is not None and np.min(environment_linear, initial=0.0) < 0:
+        raise ApplicationError(
+            f"environment_linear goes down to {np.min(environment_linear):.3g}; radiance is 0 or more"
+        )
     light = SceneLight.of(
         lights, environment_linear, ambient=base, environment_lights=options.environment_lights
     )
@@ -157,6 +162,13 @@ def relight(
     scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
     lit = shade(shadow_map, light, face.reflectance, view / np.linalg.norm(view), scale)
     texture = face.albedo_linear[mask].astype(np.float64) * lit.diffuse + lit.specular
+    if (
+        max(np.abs(values).max() for values in (texture, lit.diffuse, lit.specular))
+        > np.finfo(np.float32).max
+    ):
+        raise ApplicationError(
+            f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
+        )
     pictures = [on_grid(mask, values).astype(np.float32) for values in (texture, lit.diffuse, lit.specular)]
     return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows)
 
@@ -164,13 +176,6 @@ def relight(
 def _check_lights(face: ProcessedFace, lights: Sequence[PointLight], ambient: float) -> None:
     reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
     for k, light in enumerate(lights):
-        numbers = (light.azimuth_rad, light.elevation_rad, light.intensity)
-        if not np.isfinite(numbers).all() or np.isnan(light.distance_mm):
-            raise ApplicationError(f"light {k + 1} of {len(lights)} is {light}; its numbers must be finite")
-        if light.intensity < 0:
-            raise ApplicationError(
-                f"light {k + 1} of {len(lights)} has intensity {light.intensity:g}; give 0 or more"
-            )
         if light.distance_mm <= reach:
             raise ApplicationError(
                 f"light {k + 1} of {len(lights)} is {light.distance_mm:g} mm from the origin, but "

@@ -38,10 +38,10 @@ def robust_harmonics(
     """
     basis, lit = spherical_harmonics_basis(normal[mask]), value[mask]
     weight = np.ones(len(lit))
-    coefficients = np.zeros(basis.shape[1])
+    coefficients: FloatArray = np.zeros(basis.shape[1])
     for _ in range(iterations):
         scaled = basis * weight[:, None]
-        coefficients = np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0]
+        coefficients = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0], float)
         weight = 1 / np.maximum(np.abs(basis @ coefficients - lit), 1e-3)
     shading = np.maximum(basis @ coefficients, 0.02 * np.median(basis @ coefficients))
     albedo = np.zeros(mask.shape)

@@ -152,7 +152,7 @@ def _plain_ticks(axis: Axes) -> None:
 
     for side, limits in ((axis.xaxis, axis.get_xlim()), (axis.yaxis, axis.get_ylim())):
         decades = float(np.log10(limits[1] / limits[0]))
-        subs = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
+        subs: tuple[float, ...] = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
         if decades < 0.8:
             subs = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
         side.set_major_locator(LogLocator(base=10, subs=subs, numticks=20))

@@ -56,7 +56,7 @@ def autofacemonker(source: str, target: str) -> None:
     start = time.process_time()
     AutoFaceMonker().register(source, save_path=warped)
     spent = time.process_time() - start
-    mesh = trimesh.load(warped, process=False)
+    mesh = trimesh.load_mesh(warped, process=False)
     key_points = np.array([(int(k), int(v)) for k, v in DEFAULT_CORRESPONDENCES])
     np.savez(target, vertices=mesh.vertices, faces=mesh.faces, key_points=key_points, cpu_s=spent)
 

@@ -109,6 +109,7 @@ def shape_model(people: int = 120) -> MorphableShapeModel:
         for name in get_args(identity.Expression)[1:]
         for _ in range(8)
     ]
+    assert model.landmarks is not None
     nearest = np.linalg.norm(rest - model.landmarks[:, None], axis=2).argmin(1)
     return MorphableShapeModel.from_samples(neutral, offsets, faces, nearest)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from scan2albedo.benchmarks.sweep import (
 )
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.io import RawScan
 from scan2albedo.registration import RegistrationOptions, register
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +40,7 @@ REFUSED_MM = 300.0
 BASIN_DEG, BASIN_MM = 10.0, 15.0
 """Within these a fit finds the rest."""
 _SCENES, _QUICK_SCENES = 9, 1
-_EFFORTS = {
+_EFFORTS: dict[str, dict[str, Any]] = {
     "1/64": {"rotation_count": 12, "anchor_spacing_mm": 60.0, "kept_starts": 20, "candidates": 2},
     "1/16": {"rotation_count": 25, "anchor_spacing_mm": 45.0, "kept_starts": 40, "candidates": 2},
     "1/4": {"rotation_count": 50, "kept_starts": 60, "candidates": 4},
@@ -109,7 +111,7 @@ def judged(scene: ScanScene, pose: FloatArray | None, cost: Cost, evaluations: i
     return Outcome(cost, (error,), evaluations, {"deg": degrees, "basin %": 100.0 * inside})
 
 
-def _peer(method: Callable[[Surface, object], FloatArray]) -> Callable[[ScanScene], Outcome]:
+def _peer(method: Callable[[Surface, RawScan], FloatArray]) -> Callable[[ScanScene], Outcome]:
     def run(scene: ScanScene) -> Outcome:
         surface = Surface(*scene.model.surface(1))
         pose, cost = timed(lambda: method(surface, scene.scan))

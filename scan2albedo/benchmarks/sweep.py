@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -152,7 +153,7 @@ def measured(
     for scene in scenes[1:]:
         benchmark.run(scene, benchmark.settings(quick)[0])
     for setting in benchmark.settings(quick):
-        outcomes = _outcomes(lambda scene, s=setting: benchmark.run(scene, s), scenes, repeats)
+        outcomes = _outcomes(partial(_run_setting, benchmark, setting), scenes, repeats)
         points.append(_mean(OURS, setting.knob, setting.value, outcomes))
         on_point(points[-1])
     for peer in (*benchmark.peers(quick), *more_peers):
@@ -160,6 +161,10 @@ def measured(
             points.append(_mean(peer.name, "peer", peer.name, _outcomes(peer.run, scenes, repeats)))
             on_point(points[-1])
     return points
+
+
+def _run_setting(benchmark: StageBenchmark, setting: Setting, scene: Any) -> Outcome:
+    return benchmark.run(scene, setting)
 
 
 def _outcomes(run: Callable[[Any], Outcome], scenes: list[Any], repeats: int) -> list[Outcome]:
@@ -194,8 +199,6 @@ def varied(knob: str, options: Any, values: Iterable[Any], text: Callable[[Any],
     >>> [s.name for s in varied("steps", FitOptions(), (5, 20))]
     ['steps 5', 'steps 20']
     """
-    from dataclasses import replace
-
     return [Setting(knob, text(value), replace(options, **{knob: value})) for value in values]
 
 

@@ -46,7 +46,7 @@ def skin(
     Raises
     ------
     ValueError
-        When shapes do not fit together.
+        When shapes do not fit together, or numbers are not finite.
 
     Examples
     --------
@@ -66,6 +66,10 @@ def skin(
             f"weights must have shape ({len(xyz)}, {len(maps)}) for {len(xyz)} vertices and {len(maps)} "
             f"transforms, got {shares.shape}"
         )
+    for name, array in (("vertices", xyz), ("weights", shares), ("transforms", maps)):
+        if not np.isfinite(array).all():
+            bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
+            raise ValueError(f"{name} {bad[0]} is not finite ({len(bad)} of {len(array)} are not)")
     blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
     moved = np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3]
     if normals is None:

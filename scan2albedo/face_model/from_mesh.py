@@ -30,6 +30,8 @@ FILLED_STIFFNESS = 0.5
 LANDMARK_COUNT = 68
 LANDMARK_REACH_MM = 30.0
 MAX_REGIONS = 253
+MIN_CONTROL_SIZE = 20
+WIDE_OFFSET_MM = 1.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ def model_from_surface(
         When the template, the regions or the landmarks cannot be used; the message says why.
     """
     name = given.name
+    if not control_size >= MIN_CONTROL_SIZE:
+        raise ModelError(
+            f"{name}: control_size is {control_size}, but fewer than {MIN_CONTROL_SIZE} control vertices "
+            "hold no face; 1000 are usual"
+        )
     template = clean_template(surface, name)
     faces = np.array(given.faces, np.int64)
     control = fit_limit_surface(
@@ -78,10 +85,11 @@ def model_from_surface(
         index = len(table)
         region[_over_holes(template, subdivision, control)] = index
         table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
+    chart, chart_note = _chart(given.uv, template, control, matrix, name)
     return AnnotatedFaceModel(
         control_vertices=control.vertices,
         control_faces=control.faces,
-        uv=_chart(given.uv, template, control, matrix, name),
+        uv=chart,
         region=region,
         regions=table,
         landmark_points=_landmarks(
@@ -91,9 +99,25 @@ def model_from_surface(
         template_offset=offset,
         template_faces=faces,
         template_from_model=surface.template_from_surface,
-        notes=surface.notes + ((f"holes filled: {template.holes}",) if template.holes else ()),
+        notes=(*surface.notes, *_cleaning_notes(surface, template, offset), *chart_note),
         name=name,
     )
+
+
+def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:
+    """Return what was done to the template, and how far the surface stays from it where that is much."""
+    cut = len(surface.faces) - int((~template.filled).sum())
+    apart = np.linalg.norm(offset[template.source], axis=1)
+    told = (
+        (cut > 0, f"faces cut off the back of a closed surface: {cut}"),
+        (template.holes > 0, f"holes filled: {template.holes}"),
+        (
+            apart.mean() > WIDE_OFFSET_MM,
+            f"the surface keeps {apart.mean():.1f} mm (mean) and {apart.max():.0f} mm (most) from the "
+            "template; a greater control_size follows it better",
+        ),
+    )
+    return tuple(text for applies, text in told if applies)
 
 
 def surface_frames(corners: FloatArray) -> FloatArray:
@@ -151,8 +175,8 @@ def _chart(
     control: ControlMesh,
     matrix: sparse.csr_matrix,
     name: str,
-) -> FloatArray:
-    """Return (C, 2): the given chart solved for control vertices, or a new one."""
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return (C, 2), the given chart solved for control vertices or a new one, and a note where it is new."""
     from scan2albedo.geometry.parametrization import parametrize_disc
 
     if uv is not None:
@@ -162,10 +186,17 @@ def _chart(
                 f"{name}: uv has shape {given.shape}, expected ({len(template.all_vertices)}, 2): "
                 "one coordinate a vertex; split vertices at seams or leave uv out"
             )
-        chart = _control_chart(given[template.source], matrix[template.source])
-        if _unfolded(chart, control.faces):
-            return chart
-    return parametrize_disc(control.vertices, control.faces)
+        if np.isfinite(given[template.source]).all():
+            chart = _control_chart(given[template.source], matrix[template.source])
+            if _unfolded(chart, control.faces):
+                return chart, ()
+            reason = "folds over or leaves the unit square"
+        else:
+            reason = "holds NaN"
+        note: tuple[str, ...] = (f"a new chart was drawn: the uv given {reason}",)
+    else:
+        note = ()
+    return parametrize_disc(control.vertices, control.faces), note
 
 
 def _control_chart(uv: FloatArray, matrix: sparse.csr_matrix) -> FloatArray:

@@ -22,6 +22,7 @@ IntArray = NDArray[np.int64]
 MIN_VERTICES = 100
 HEAD_SIZE_MM = (80.0, 600.0)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
+_TRIM_PERCENT = 0.5
 MENDABLE_SHARE = 0.02
 """A template of which more than this share of faces would have to go to make it a surface is refused."""
 
@@ -79,15 +80,26 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     origin = given[used].mean(0)
     xyz = (given - origin) * UNITS_MM[unit]
     welded = _welded(xyz, index)
+    if len(welded) == 0:
+        raise ModelError(
+            f"{name}: every face of the template has zero area; it holds no surface: export it again"
+        )
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
     notes = (
         f"unit {unit}",
+        *_note(_far_count(xyz[used]), "vertices far from the rest, which bend the surface: remove them"),
         *_note(len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
         *_note(dropped, "faces dropped at edges with three faces and at pinched points"),
     )
     back = compose(np.eye(3) / UNITS_MM[unit], origin)
     return TemplateSurface(xyz, _outward(xyz, mesh), unit, back, notes)
+
+
+def _far_count(xyz: FloatArray) -> int:
+    """Return how many vertices lie 4 times farther from their median than 98 % of them."""
+    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
+    return int((distance > 4 * np.percentile(distance, 98)).sum())
 
 
 def _note(count: int, text: str) -> tuple[str, ...]:
@@ -117,14 +129,14 @@ def _checked(vertices: FloatArray, faces: IntArray, name: str) -> tuple[FloatArr
 
 
 def _unit(xyz: FloatArray, name: str) -> str:
-    size = float(np.max(np.ptp(xyz, axis=0)))
+    low, high = np.percentile(xyz, [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
+    size = float(np.max(high - low))
     for unit, factor in UNITS_MM.items():
         if HEAD_SIZE_MM[0] <= size * factor <= HEAD_SIZE_MM[1]:
             return unit
-    low, high = HEAD_SIZE_MM
     raise ModelError(
         f"{name}: the template is {size:.4g} units large, which is no head in mm, cm, m or um "
-        f"({low:.0f} to {high:.0f} mm); scale it to millimetres"
+        f"({HEAD_SIZE_MM[0]:.0f} to {HEAD_SIZE_MM[1]:.0f} mm); scale it to millimetres"
     )
 
 

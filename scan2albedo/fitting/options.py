@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf, isnan
+
+MOST_LEVELS = 5
+"""Each level quadruples the samples: 5 make two million of the default model's faces."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,34 @@ class FitOptions:
     min_coverage: float = 0.1
     gain_tolerance: float = 0.003
     smoothing_mm: float = 0.8
+
+    def __post_init__(self) -> None:
+        if not self.levels or not all(0 <= level <= MOST_LEVELS for level in self.levels):
+            raise ValueError(f"levels must be one or more numbers from 0 to {MOST_LEVELS}, got {self.levels}")
+        for name in ("finest_level", "result_levels"):
+            if not 0 <= getattr(self, name) <= MOST_LEVELS:
+                raise ValueError(f"{name} must be from 0 to {MOST_LEVELS}, got {getattr(self, name)}")
+        for name in ("time_step", "robust_scale", "residual_gate_mm"):
+            if not 0 < getattr(self, name) < inf:
+                raise ValueError(f"{name} must be finite and above 0, got {getattr(self, name)}")
+        for name in ("steps", "mass", "damping", "rigid_iterations", "proportion_iterations", "smoothing_mm"):
+            if not 0 <= getattr(self, name) < inf:
+                raise ValueError(f"{name} must be finite and 0 or more, got {getattr(self, name)}")
+        for name in ("bending_mm", "membrane_mm", "gate_mm", "min_robust_mm"):
+            if not all(0 <= end < inf for end in getattr(self, name)):
+                raise ValueError(
+                    f"{name} must be finite and 0 or more at both ends, got {getattr(self, name)}"
+                )
+        for name in ("tangential", "min_normal_cosine", "min_coverage"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
+        low, high = self.scale_range
+        if not 0 < low <= high < inf:
+            raise ValueError(
+                f"scale_range must be a least and a greatest size above 0, got {self.scale_range}"
+            )
+        if isnan(self.gain_tolerance):
+            raise ValueError("gain_tolerance is NaN, expected a share of the error")
 
 
 def between(ends: tuple[float, float], progress: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,14 +11,19 @@ from scan2albedo.errors import FitError
 from scan2albedo.face_model.from_mesh import carried_template
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.fitting.stages import Deformation, StagesOutcome
+from scan2albedo.fitting.stages import Deformation, StagesOutcome, imbalance_mm
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
-from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
+from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
 from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
 from scan2albedo.geometry.operators import linear_refinement
 
 FloatArray = NDArray[np.float64]
+
+MOST_IMBALANCE_MM = 0.2
+"""Fits that ran to their end are within 0.03 mm of balance, on noise of 1 mm within 0.1 mm."""
+MOST_STRAIN = 0.12
+"""Faces, expressions included, end at 0.04 to 0.07; faces upside down and planes at 0.14 and more."""
 
 
 def fitted_face(
@@ -27,6 +34,11 @@ def fitted_face(
     name: str,
 ) -> FittedFace:
     """Assemble the result.
+
+    Warns
+    -----
+    UserWarning
+        When the model was stretched as no face stretches it.
 
     Raises
     ------
@@ -39,6 +51,8 @@ def fitted_face(
     vertices = subdivision.matrix @ control
     residual = residuals_mm(deformation.scan, vertices, subdivision.faces, options.residual_gate_mm)
     metrics = _metrics(vertices, residual, subdivision)
+    metrics["imbalance_mm"] = imbalance_mm(deformation, outcome.q)
+    metrics["strain"] = _strain(deformation.reference, control, model.control_faces)
     metrics["flipped_faces"] = float(len(deformation.folds.find(vertices)))
     if metrics["coverage"] < options.min_coverage:
         raise FitError(
@@ -46,6 +60,7 @@ def fitted_face(
             f"{options.residual_gate_mm:.0f} mm, at least {100 * options.min_coverage:.0f} % needed; "
             "the pose is wrong, or the scan holds too little of a face"
         )
+    _warn_of_strain(metrics["strain"], name)
     return FittedFace(
         vertices=vertices,
         faces=subdivision.faces,
@@ -57,7 +72,7 @@ def fitted_face(
         model_from_scan=model_from_scan,
         template_vertices=carried_template(model, control),
         levels=options.result_levels,
-        converged=outcome.converged,
+        converged=outcome.converged and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
         iterations=deformation.meter.evaluations,
         trace=deformation.meter.trace,
         model=model,
@@ -87,3 +102,23 @@ def _metrics(vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdiv
         "residual_p95_mm": float(np.percentile(known, 95)),
         "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
     }
+
+
+def _strain(before: FloatArray, after: FloatArray, faces: NDArray[np.int64]) -> float:
+    """Return the RMS of log(length after / length before) over the edges of the control mesh."""
+    edges, _ = edges_with_faces(faces)
+    lengths = [
+        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (before, after)
+    ]
+    floor = 1e-6 * float(lengths[0].mean())
+    return float(np.sqrt(np.mean(np.log(np.maximum(lengths[1], floor) / np.maximum(lengths[0], floor)) ** 2)))
+
+
+def _warn_of_strain(strain: float, name: str) -> None:
+    if strain > MOST_STRAIN:
+        warnings.warn(
+            f"{name}: the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by "
+            "about 5 %: the pose is wrong, the scan holds no face, or it is very noisy",
+            UserWarning,
+            stacklevel=4,
+        )

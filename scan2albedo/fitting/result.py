@@ -38,12 +38,15 @@ class FittedFace:
     levels : int
         Loop refinements of `vertices`.
     converged : bool
+        False when a budget ended the fit, or something holds it far from balance (``imbalance_mm``).
     iterations : int
     trace : Trace
         Stage "fit", mm.
     model : AnnotatedFaceModel
     metrics : mapping of str to float
-        Mean, median, p95 residual, coverage, flipped faces: for result.json.
+        Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
+        (``imbalance_mm``), and the RMS logarithm of how its edges were stretched (``strain``): for
+        result.json.
     """
 
     vertices: FloatArray

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.fitting.scan_smoothing import smoothed
-from scan2albedo.fitting.scan_thinning import thinned
+from scan2albedo.fitting.scan_thinning import ThinnedSurface, thinned
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
     vertex_components,
@@ -28,6 +28,10 @@ CELL = 1.25
 """Vertices that lie in one cell of this size, per mm of smoothing, are made one."""
 NORMAL_SMOOTHING = 2.0
 """Normals are taken over this much wider a surface than positions: noise turns them more."""
+STRAY = 5.0
+"""Faces with a corner farther outside the box than this many times its sides are a scanner's error."""
+TORN = 0.6
+"""A scan of which a greater part of the vertices lies on borders is torn."""
 MIN_COMPONENT = 0.005
 """Loose parts with a smaller share of the faces are floaters and pull at nothing."""
 
@@ -101,22 +105,31 @@ def scan_near_model(
 
     Vertices nearer to each other than the smoothing are made one (`thinned`), which bounds what a dense
     scan costs and makes seams no borders; then noise is averaged and floaters are dropped. Faces that reach
-    out of the box stay when one corner is inside, so that the cut itself makes no border near the model.
+    out of the box stay when one corner is inside, so that the cut itself makes no border near the model, but
+    not when another lies as far away as only a stray vertex does. A scan torn into shreds has borders
+    everywhere, which tell nothing: it keeps its floaters and has none.
     """
     xyz = transform_points(model_from_scan, vertices)
     inside = np.all((xyz >= low) & (xyz <= high), axis=1)
-    near = faces[inside[faces].any(1)]
+    stray = np.any((xyz < low - STRAY * (high - low)) | (xyz > high + STRAY * (high - low)), axis=1)
+    near = faces[inside[faces].any(1) & ~stray[faces].any(1)]
     if len(near) == 0:
         return None
     kept, index = without_unreferenced(xyz, near)
     thin = thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
     if len(thin.faces) == 0:
         return None
-    label = vertex_components(len(thin.vertices), thin.faces)[thin.faces[:, 0]]
-    share = np.bincount(label) / len(label)
-    large = thin.faces[share[label] >= min(MIN_COMPONENT, share.max())]
-    kept, index = without_unreferenced(thin.vertices, large)
-    points, boundary, count = thin.vertices[kept], thin.boundary[kept], thin.count[kept]
+    torn = float(thin.boundary.mean()) > TORN
+    kept, index = without_unreferenced(thin.vertices, thin.faces if torn else _without_floaters(thin))
+    points, count = thin.vertices[kept], thin.count[kept]
+    boundary = thin.boundary[kept] & (not torn)
     fair = smoothed(points, index, boundary, NORMAL_SMOOTHING * smoothing_mm, count)
     points = smoothed(points, index, boundary, smoothing_mm, count, keep_curvature=True)
     return ScanSurface(points, index, vertex_normals(fair, index), boundary)
+
+
+def _without_floaters(surface: ThinnedSurface) -> IntArray:
+    """Return the faces of the parts with a share of MIN_COMPONENT or more."""
+    label = vertex_components(len(surface.vertices), surface.faces)[surface.faces[:, 0]]
+    share = np.bincount(label) / len(label)
+    return surface.faces[share[label] >= min(MIN_COMPONENT, share.max())]

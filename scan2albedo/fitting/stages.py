@@ -191,6 +191,25 @@ def _around_folds(deformation: Deformation, q: FloatArray) -> NDArray[np.bool_]:
     return around
 
 
+def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
+    """Return how far (mean, weighted by area) the surface would still move if nothing slowed it.
+
+    That is |d| with (K + H) d = f - K q: next to nothing where stiffness and forces balance, but as much as
+    at the start where too small a time step, or too great a mass, has held the sheet.
+    """
+    options, none = deformation.options, np.zeros(len(q))
+    samples, usual = deformation.sampled(options.levels[-1])
+    stiffness = deformation.elasticity(1.0, np.ones(len(deformation.model.control_faces)))
+    system = ImplicitSystem(none, none, stiffness, usual, 1.0)
+    points = samples.matrix @ (deformation.reference + q)
+    normals, _ = surface_normals(points, samples.faces)
+    gates = ForceGates.at(options, 1.0)
+    forces = scan_forces(deformation.scan, points, normals, gates, rim=samples.rim)
+    force, springs = forces.springs(samples.area, forces.mutual(points, samples.area))
+    moved = system.step(State(q, np.zeros_like(q)), samples.matrix.T @ force, samples.product(springs))
+    return float(samples.area @ np.linalg.norm(samples.matrix @ (moved.q - q), axis=1) / samples.area.sum())
+
+
 def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatArray:
     options, meter, reference = deformation.options, deformation.meter, deformation.reference
     samples, usual = deformation.sampled(stage.level)

@@ -13,6 +13,8 @@ from scan2albedo.geometry.triangle_tree import TriangleTree
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_FARTHEST = 1e100
+
 
 @dataclass(frozen=True)
 class ClosestHits:
@@ -37,19 +39,23 @@ class ClosestPointQuery:
     Raises
     ------
     ValueError
-        For a mesh without faces.
+        When there is no face.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
-        self._faces = np.ascontiguousarray(faces, np.int64)
-        if len(self._faces) == 0:
-            raise ValueError("the mesh has no faces: no point of it is closest")
+        self._faces = checked_faces(faces)
         self._tree = TriangleTree(self._vertices, self._faces)
 
     def query(self, points: ArrayLike) -> ClosestHits:
-        """Return the closest surface point of each of the (N, 3) points; O(log F) each."""
-        return ClosestHits(*self._tree.query(np.ascontiguousarray(points, np.float64)))
+        """Return the closest surface point of each of the (N, 3) points; O(log F) each.
+
+        Raises
+        ------
+        ValueError
+            When points are NaN or infinite.
+        """
+        return ClosestHits(*self._tree.query(checked_points(points)))
 
     def query_facing(
         self, points: ArrayLike, normals: ArrayLike, *, min_cosine: float = 0.3, neighbours: int = 32
@@ -86,6 +92,37 @@ class ClosestPointQuery:
             if len(fit):
                 _place_on(hits, row, targets[row], self._vertices[self._faces[fit]], fit)
         return hits
+
+
+def checked_points(points: ArrayLike) -> FloatArray:
+    """Return points (N, 3) as contiguous float64.
+
+    Raises
+    ------
+    ValueError
+        When some are NaN, infinite, or so far away that squared distances overflow.
+    """
+    targets = np.ascontiguousarray(points, np.float64)
+    if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
+        raise ValueError(
+            f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}; no surface point is "
+            "closest to them"
+        )
+    return targets
+
+
+def checked_faces(faces: ArrayLike) -> IntArray:
+    """Return faces (F, 3) as contiguous int64.
+
+    Raises
+    ------
+    ValueError
+        When there is none.
+    """
+    index = np.ascontiguousarray(faces, np.int64)
+    if len(index) == 0:
+        raise ValueError("a surface without faces has no closest points")
+    return index
 
 
 def _place_on(hits: ClosestHits, row: int, point: FloatArray, triangles: FloatArray, faces: IntArray) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from scan2albedo.geometry.mesh import adjacency, boundary_edges
+from scan2albedo.geometry.mesh import adjacency, edges_with_faces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -124,7 +124,7 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
     -----
     Interior edge: 3/8 of its ends, 1/8 of the opposite corners. Interior vertex of valence n:
     (1 - n beta) v + beta sum, beta = (5/8 - (3/8 + cos(2 pi / n) / 4)^2) / n. Boundary: the cubic
-    B-spline rules (1/2, 1/2) and (1/8, 3/4, 1/8).
+    B-spline rules (1/2, 1/2) and (1/8, 3/4, 1/8). Edges of three and more faces are treated as boundary.
 
     References
     ----------
@@ -137,7 +137,7 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
     )
     edges = np.stack([keys // vertex_count, keys % vertex_count], 1)
     edge_of = edge_of.reshape(-1, 3)
-    boundary = uses == 1
+    boundary = uses != 2
     edge_rows = _edge_rule(vertex_count, faces, edges, edge_of, boundary)
     vertex_rows = _vertex_rule(vertex_count, faces, edges[boundary])
     mid = vertex_count + edge_of
@@ -180,7 +180,8 @@ def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
         n_beta = 0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / valence)) ** 2
         return 1 / (0.375 * valence / n_beta + valence)
 
-    return _one_ring_rule(vertex_count, faces, boundary_edges(faces), chi, boundary_neighbour=1 / 6)
+    edges, uses = edges_with_faces(faces)
+    return _one_ring_rule(vertex_count, faces, edges[uses != 2], chi, boundary_neighbour=1 / 6)
 
 
 def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour):  # type: ignore[no-untyped-def]

@@ -90,6 +90,41 @@ def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     return labels.astype(np.int64)
 
 
+def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:
+    """Return (F,) True for the faces to reverse so that neighbours wind alike.
+
+    In every part joined by edges of two faces the fewer faces are reversed. A one-sided part (a Moebius
+    strip) has no such answer and stays as it is.
+
+    >>> turned_against_neighbours(np.array([[0, 1, 2], [2, 1, 3], [2, 4, 3]])).tolist()
+    [False, False, True]
+    """
+    first, second, alike = _neighbours(faces)
+    count = len(faces)
+    if not alike.any():
+        return np.zeros(count, bool)
+    # Each face has two copies, as it is and reversed; neighbours are joined where they wind alike.
+    rows = np.concatenate([first, first + count])
+    columns = np.concatenate([second + count * alike, second + count * ~alike])
+    graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count, 2 * count))
+    _, labels = connected_components(graph, directed=False)
+    kept, reverse = labels[:count], labels[count:]
+    part, side = np.minimum(kept, reverse), kept < reverse
+    balance = np.bincount(part, np.where(side, 1.0, -1.0))
+    return np.where(balance[part] >= 0, ~side, side) & (kept != reverse)
+
+
+def _neighbours(faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
+    """Return pairs of faces that alone share an edge, and whether both run along it the same way."""
+    start, end = faces.ravel().astype(np.int64), faces[:, [1, 2, 0]].ravel().astype(np.int64)
+    key = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    begins = np.flatnonzero(np.diff(key[order], prepend=-1))
+    pairs = begins[np.diff(begins, append=len(order)) == 2]
+    one, other = order[pairs], order[pairs + 1]
+    return one // 3, other // 3, start[one] == start[other]
+
+
 def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return (kept vertex indices (K,), faces renumbered to them)."""
     used = np.zeros(len(vertices), bool)

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.geometry.closest_points import ClosestHits, ClosestPointQuery
+from scan2albedo.geometry.closest_points import (
+    ClosestHits,
+    ClosestPointQuery,
+    checked_faces,
+    checked_points,
+)
 from scan2albedo.geometry.triangle_distance import weights_nearest_origin
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +56,7 @@ class NearestSurface:
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
-        self._faces = np.ascontiguousarray(faces, np.int64)
+        self._faces = checked_faces(faces)
         used = np.zeros(len(self._vertices), bool)
         used[self._faces.ravel()] = True
         self._used = np.flatnonzero(used)
@@ -85,7 +90,7 @@ class NearestSurface:
         start : (N,) int64, optional
             `vertex` of an earlier answer for nearby points; walks from there instead of searching.
         """
-        targets = np.ascontiguousarray(points, np.float64)
+        targets = checked_points(points)
         if start is None:
             vertex = self.nearest_vertices(targets)
         else:

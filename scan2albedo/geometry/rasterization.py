@@ -35,7 +35,7 @@ def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -
     size : int or (int, int)
         H = W, or (H, W).
     """
-    height, width = (size, size) if isinstance(size, int) else size
+    height, width = size if isinstance(size, tuple) else (int(size), int(size))
     pixels = pixels_from_uv(uv, (height, width))
     return rasterize(pixels, np.zeros(len(pixels)), faces, (height, width))
 

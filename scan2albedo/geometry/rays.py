@@ -36,6 +36,11 @@ class RayCaster:
     ----------
     vertices : (V, 3) array_like of float
     faces : (F, 3) array_like of int
+
+    Raises
+    ------
+    ValueError
+        For a mesh without a vertex, vertices that are not finite, or faces that refer to none.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
@@ -43,6 +48,7 @@ class RayCaster:
         from embreex.mesh_construction import TriangleMesh
 
         xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+        _check_mesh(xyz, index)
         self._vertices, self._faces = xyz, index
         low, high = xyz.min(0), xyz.max(0)
         self._center = (low + high) / 2
@@ -115,6 +121,22 @@ class RayCaster:
         distance, barycentric = np.full(len(start), np.inf), np.zeros((len(start), 3))
         _intersect(start, heading, face, self._vertices, self._faces, distance, barycentric)
         return RayHits(face, barycentric, distance)
+
+
+def _check_mesh(vertices: FloatArray, faces: IntArray) -> None:
+    """Refuse what embree would read past the end of: it checks nothing."""
+    for name, array in (("vertices", vertices), ("faces", faces)):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ValueError(f"{name} of the mesh have shape {array.shape}, expected (N, 3)")
+    if not len(vertices):
+        raise ValueError("the mesh has no vertex to shoot rays at; give one with a surface")
+    if not np.isfinite(vertices).all():
+        bad = int((~np.isfinite(vertices).all(1)).sum())
+        raise ValueError(f"{bad} of {len(vertices)} vertices of the mesh are not finite; repair it first")
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ValueError(
+            f"the mesh's faces refer to vertices {faces.min()} to {faces.max()}, but it has {len(vertices)}"
+        )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -108,6 +108,12 @@ def procrustes(
     scale : bool
         Estimate a similarity instead of a rigid transform.
 
+    Raises
+    ------
+    ValueError
+        When shapes do not agree, points are not finite, nothing weighs anything, or `scale` is asked for of
+        points that coincide.
+
     References
     ----------
     .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point
@@ -117,7 +123,13 @@ def procrustes(
     if x.shape != y.shape or x.ndim != 2 or x.shape[1] != 3:
         raise ValueError(f"source {x.shape} and target {y.shape} must both be (N, 3)")
     w = np.ones(len(x)) if weights is None else np.asarray(weights, float)
-    w = w / w.sum()
+    total = float(w.sum())
+    if not (np.isfinite(x).all() and np.isfinite(y).all() and 0 < total < np.inf):
+        raise ValueError(
+            f"{len(x)} pairs of points and weights of sum {total:g} place nothing: points must be finite, "
+            "and at least one must weigh something"
+        )
+    w = w / total
     x_mean, y_mean = w @ x, w @ y
     covariance = (w[:, None] * (y - y_mean)).T @ (x - x_mean)
     u, singular, vt = np.linalg.svd(covariance)
@@ -125,5 +137,8 @@ def procrustes(
     rotation = (u * sign) @ vt
     factor = 1.0
     if scale:
-        factor = float(singular @ sign / (w @ np.sum((x - x_mean) ** 2, 1)))
+        spread = float(w @ np.sum((x - x_mean) ** 2, 1))
+        if not spread > 0:
+            raise ValueError("source points that coincide have no size to compare; leave `scale` out")
+        factor = float(singular @ sign / spread)
     return compose(factor * rotation, y_mean - factor * rotation @ x_mean)

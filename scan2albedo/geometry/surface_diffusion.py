@@ -13,6 +13,8 @@ from scan2albedo.geometry.operators import laplacian
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_WIDEST = 1e3
+
 
 def surface_diffusion(
     vertices: FloatArray, faces: IntArray, deviation_mm: float
@@ -37,7 +39,8 @@ def surface_diffusion(
     Raises
     ------
     ValueError
-        When `deviation_mm` is negative or not finite, or values have another length than V.
+        When `deviation_mm` is negative or not finite, values have another length than V, or vertices or
+        values are not finite.
 
     References
     ----------
@@ -56,15 +59,23 @@ def surface_diffusion(
 
     if not (np.isfinite(deviation_mm) and deviation_mm >= 0):
         raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
+    if not np.isfinite(vertices).all():
+        raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
     area = vertex_areas(vertices, faces)
+    # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
+    deviation = min(float(deviation_mm), _WIDEST * float(np.ptp(vertices, axis=0).max(initial=0.0)))
     mass = np.where(area > 0, area, 1.0)
-    system = sparse.diags(mass) + 0.5 * deviation_mm**2 * laplacian(vertices, faces)
+    system = sparse.diags(mass) + 0.5 * deviation**2 * laplacian(vertices, faces)
     factor = splu(system.tocsc(), permc_spec="COLAMD")
 
     def spread(values: ArrayLike) -> FloatArray:
         given = np.asarray(values, np.float64)
         if given.ndim == 0 or len(given) != len(vertices):
             raise ValueError(f"values have shape {given.shape}, expected ({len(vertices)}, ...)")
+        if not np.isfinite(given).all():
+            raise ValueError(
+                f"{int((~np.isfinite(given)).sum())} values are NaN or infinite, and would spread"
+            )
         flat = given.reshape(len(given), int(np.prod(given.shape[1:])))
         if deviation_mm == 0:
             return given.copy()

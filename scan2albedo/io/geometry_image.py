@@ -23,6 +23,10 @@ _SHAPES = {
 }
 
 
+_LENGTH = 0.01
+"""Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
+
+
 def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
     xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
@@ -116,6 +120,16 @@ class GeometryImage:
         padded = np.pad(self.mask, 1)
         surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
         return self.mask & ~surrounded
+
+    def check_normals(self) -> None:
+        """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
+        length = np.linalg.norm(self.normal[self.mask], axis=1)
+        wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
+        if wrong.any():
+            raise GeometryImageError(
+                f"{int(wrong.sum())} of {len(length)} normals have lengths from {length[wrong].min():.3g} to "
+                f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
+            )
 
     def texel_areas_mm2(self) -> NDArray[np.float64]:
         """Return (N,) surface per texel at all 2 x 2 blocks inside the mask: how evenly the chart samples."""

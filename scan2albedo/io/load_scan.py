@@ -47,8 +47,9 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     Raises
     ------
     ScanError
-        When the file is missing, of an unsupported kind, damaged, without faces, or of a size that is no
-        head in any unit. The message names the file, what is wrong and what to do.
+        When the file is missing, of an unsupported kind, damaged, without faces, of a size that is no head in
+        any unit, or so far from the origin that its numbers hold no shape. The message names the file, what
+        is wrong and what to do.
     ValueError
         For an unknown unit.
     """
@@ -79,6 +80,7 @@ def load_scan_with(
     from scan2albedo.io.raw_scan import RawScan
     from scan2albedo.io.repair import refuse_unusable, repair
     from scan2albedo.io.texture_atlas import pack_texture
+    from scan2albedo.io.units import largest_extent, rounding_note
 
     file = Path(path)
     parsed = read_mesh_file(file)
@@ -88,8 +90,9 @@ def load_scan_with(
         raise ScanError(f"{file.name}: every face has zero area; the scan holds no surface: export it again")
     components = vertex_components(len(mesh.vertices), mesh.faces)
     factor, unit_note = decide_unit(mesh, components)
+    rounding = rounding_note(mesh.vertices, largest_extent(mesh.vertices, components), factor, file.name)
     packed = pack_texture(mesh)
-    notes = [unit_note, *mesh.notes, *packed.notes]
+    notes = [unit_note, *([rounding] if rounding else []), *mesh.notes, *packed.notes]
     if (count := int(components.max()) + 1) > 1:
         notes.append(f"{count} loose components, all kept")
     if packed.texture_linear is None and mesh.vertex_color_linear is None:

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import vertex_components
 
+LARGEST_COORDINATE = 1e30
+"""Beyond it squared areas overflow; only garbage is that large."""
+
+_LARGEST_UV = 1e12
+
 
 @dataclass(frozen=True)
 class RawScan:
@@ -35,8 +40,8 @@ class RawScan:
     Raises
     ------
     ScanError
-        For wrong shapes, no faces, non-finite numbers, face indices out of range, or a name that names no
-        folder.
+        For wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face indices out
+        of range, or a name that names no folder.
     """
 
     vertices: NDArray[np.float64]
@@ -67,6 +72,11 @@ class RawScan:
                 f"{self.name}: a face refers to vertex {low if low < 0 else high}"
                 f", but there are {len(vertices)} vertices; the file is damaged or truncated"
             )
+        if (reach := float(np.abs(vertices).max(initial=0.0))) > LARGEST_COORDINATE:
+            raise ScanError(
+                f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is "
+                "damaged: repair or re-export the scan"
+            )
         optional = (
             ("uv", np.float64, (len(faces), 3, 2)),
             ("texture_linear", np.float32, (None, None, 3)),
@@ -76,6 +86,16 @@ class RawScan:
             value = getattr(self, field)
             if value is not None:
                 object.__setattr__(self, field, self._checked(field, value, dtype, shape))
+        if self.uv is not None and (reach := float(np.abs(self.uv).max())) > _LARGEST_UV:
+            raise ScanError(
+                f"{self.name}: a texture coordinate is {reach:.3g}, beyond {_LARGEST_UV:g}, where no "
+                "fraction is left to find a pixel by; leave uv out, or export the scan again"
+            )
+        if self.texture_linear is not None and self.texture_linear.size == 0:
+            raise ScanError(
+                f"{self.name}: texture_linear has shape {self.texture_linear.shape}, which holds no pixel; "
+                "leave it out (None) for a scan without a texture"
+            )
 
     def _checked(self, field: str, value: object, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
         array = np.ascontiguousarray(value)

@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
+from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.io.parsed_mesh import ParsedMesh
+from scan2albedo.io.raw_scan import LARGEST_COORDINATE
 
 IntArray = NDArray[np.int64]
 
 _AREA_FLOOR = 1e-12
 """A face whose doubled area is below this share of its squared longest edge has no usable normal."""
-
-_LARGEST_COORDINATE = 1e30
-"""Beyond it squared areas overflow; only garbage is that large."""
 
 _HASH_PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 
@@ -31,7 +30,7 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
             "if the file was cut short"
         )
     refuse_wrong_indices(mesh.faces, count, name)
-    bad = ~(np.abs(mesh.vertices) <= _LARGEST_COORDINATE).all(axis=1)
+    bad = ~(np.abs(mesh.vertices) <= LARGEST_COORDINATE).all(axis=1)
     if bad.any():
         used = np.zeros(count, bool)
         used[mesh.faces] = True
@@ -39,7 +38,7 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
         if len(broken):
             raise ScanError(
                 f"{name}: {len(broken)} vertices used by faces are NaN or infinite (or beyond "
-                f"{_LARGEST_COORDINATE:g}), the first is vertex {broken[0]} (counting from 0); "
+                f"{LARGEST_COORDINATE:g}), the first is vertex {broken[0]} (counting from 0); "
                 "repair the scan or export it again"
             )
 
@@ -96,15 +95,15 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     """Return the mesh with equal positions merged and useless faces and vertices dropped.
 
     In this order: vertices at exactly equal positions are merged (texture coordinates stay per corner);
-    zero-area faces and repeats of the same three vertices are dropped; unreferenced vertices are dropped.
-    Each step that changed something adds a note.
+    zero-area faces and repeats of the same three vertices are dropped; faces that are wound against their
+    neighbours are reversed; unreferenced vertices are dropped. Each step that changed something adds a note.
     """
     used = _used(mesh)
     first = first_equal_row(mesh.vertices)
     merged = int((used & (first != np.arange(len(first)))).sum())
     notes = (f"vertices merged at equal positions (seams): {merged}",) if merged else ()
     cleaned = _drop_faces(replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes))
-    return _drop_vertices(cleaned, merged)
+    return _drop_vertices(_wound_alike(cleaned), merged)
 
 
 def _used(mesh: ParsedMesh) -> NDArray[np.bool_]:
@@ -128,6 +127,19 @@ def _drop_faces(mesh: ParsedMesh) -> ParsedMesh:
         uv=None if mesh.uv is None else mesh.uv[keep],
         material=None if mesh.material is None else mesh.material[keep],
         notes=mesh.notes + notes,
+    )
+
+
+def _wound_alike(mesh: ParsedMesh) -> ParsedMesh:
+    """Reverse the faces that are wound against their neighbours, their coordinates with them."""
+    turned = turned_against_neighbours(mesh.faces)
+    if not turned.any():
+        return mesh
+    return replace(
+        mesh,
+        faces=np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces),
+        uv=None if mesh.uv is None else np.where(turned[:, None, None], mesh.uv[:, ::-1], mesh.uv),
+        notes=(*mesh.notes, f"faces reversed that were wound against their neighbours: {int(turned.sum())}"),
     )
 
 

@@ -91,18 +91,24 @@ def _inside_unit_square(uv: FloatArray, texture: Image) -> tuple[FloatArray, Ima
     texel = 1.0 / np.array([texture.shape[1], texture.shape[0]])
     if (uv >= -texel).all() and (uv <= 1 + texel).all():
         return np.clip(uv, 0.0, 1.0), texture, ""
-    period = np.floor(uv.min(axis=1, keepdims=True) + texel)
-    moved = uv - period
-    columns, rows = np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel).astype(int), 1)
+    moved = in_first_period(uv, texture.shape)
+    # As floats: absurd coordinates overflow any integer.
+    columns, rows = (float(n) for n in np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel), 1))
     if columns * rows * texture.shape[0] * texture.shape[1] > _MAX_REPEATED_TEXELS:
         far = int((moved > 1 + texel).any(axis=(1, 2)).sum())
-        note = f"texture coordinates of {far} faces span {columns}x{rows} repeats: clamped to one"
+        note = f"texture coordinates of {far} faces span {columns:.4g}x{rows:.4g} repeats: clamped to one"
         return np.clip(moved, 0.0, 1.0), texture, note
     note = "texture coordinates outside [0, 1] repeat the texture"
     if columns * rows > 1:
-        note += f": laid out {columns}x{rows} times"
-        texture = np.tile(texture, (rows, columns, 1))
+        note += f": laid out {columns:.0f}x{rows:.0f} times"
+        texture = np.tile(texture, (int(rows), int(columns), 1))
     return np.clip(moved / (columns, rows), 0.0, 1.0), texture, note
+
+
+def in_first_period(uv: FloatArray, texture_shape: tuple[int, ...]) -> FloatArray:
+    """Return uv (F, 3, 2) with each face moved by whole periods, so that it begins in [0, 1)."""
+    texel = 1.0 / np.array([texture_shape[1], texture_shape[0]])
+    return uv - np.floor(uv.min(axis=1, keepdims=True) + texel)
 
 
 def _lay_out(tiles: list[Image]) -> tuple[Image, NDArray[np.int64]]:

@@ -19,6 +19,9 @@ of one to whole goggles (about 250 mm); less than a decade again."""
 
 _TRIM_PERCENT = 0.5
 
+_FINE_STEP, _COARSE_STEP = 1e-4, 1e-2
+"""Parts of a scan's extent that rounding may be: untold up to the first, refused beyond the second."""
+
 
 def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64]) -> float:
     """Return how long the scan is along its longest principal axis, in file units.
@@ -52,6 +55,29 @@ def millimetres_per_unit(
         For an unknown unit.
     """
     return _decided(largest_extent(vertices, components), unit, name, "scan", "head", PLAUSIBLE_EXTENT_MM)
+
+
+def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: float, name: str) -> str:
+    """Return what single precision costs a scan that lies far from the origin; "" when next to nothing.
+
+    Raises
+    ------
+    ScanError
+        When positions are rounded to more than a hundredth of the scan's `extent` (file units).
+    """
+    if not (vertices == vertices.astype(np.float32)).all():
+        return ""
+    distance = float(np.median(np.abs(vertices).max(axis=1)))
+    step = float(np.spacing(np.float32(distance)))
+    if step <= _FINE_STEP * extent:
+        return ""
+    told = (
+        f"positions are rounded to {step * mm_per_unit:.2g} mm, since the file holds single precision at "
+        f"{distance * mm_per_unit:.2g} mm from the origin: move the scan to the origin before it is exported"
+    )
+    if step > _COARSE_STEP * extent:
+        raise ScanError(f"{name}: {told}")
+    return told
 
 
 def glasses_millimetres_per_unit(keypoints: NDArray[np.float64], unit: str, name: str) -> tuple[float, str]:
@@ -95,7 +121,10 @@ def _decided(
         return MM_PER_UNIT[fitting[0]], _note(fitting[0], extent, "decided from the size")
     if unit not in MM_PER_UNIT:
         raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
-    return MM_PER_UNIT[unit], _note(unit, extent, "as given")
+    low, high = plausible_mm
+    plausible = low <= extent * MM_PER_UNIT[unit] < high
+    doubt = "" if plausible else f", though a {kind} measures {low:g} to {high:g} mm"
+    return MM_PER_UNIT[unit], _note(unit, extent, f"as given{doubt}")
 
 
 def _note(unit: str, extent: float, how: str) -> str:

@@ -30,6 +30,11 @@ class Reflectance:
         Phong's k_s for a light of intensity 1, in the unit of the texture.
     exponent : float
         Phong's m.
+
+    Raises
+    ------
+    ValueError
+        For an unknown `brdf`, rough Lambert, or a number that is negative or not finite.
     """
 
     brdf: str = "oren-nayar"
@@ -42,6 +47,9 @@ class Reflectance:
             raise ValueError(f"brdf is {self.brdf!r}, expected one of {sorted(_BRDFS)}")
         if self.brdf == "lambert" and self.roughness != 0:
             raise ValueError(f"a Lambertian surface has roughness 0, got {self.roughness}")
+        for name in ("roughness", "specular_strength", "exponent"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number, 0 or more")
 
     @property
     def kernel_brdf(self) -> int:
@@ -108,6 +116,12 @@ def shade_points(
     -------
     Shading
 
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, points, normals or a `specular_scale` that are not finite, or a zero
+        `view_direction`.
+
     References
     ----------
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
@@ -118,6 +132,7 @@ def shade_points(
     seen = np.ones((len(lights), count), np.uint8) if visible is None else np.asarray(visible)
     scale = np.ones(count) if specular_scale is None else np.asarray(specular_scale, np.float64)
     view = np.asarray(view_direction, np.float64)
+    _check_points(xyz, unit, seen, scale, view, len(lights))
     shading = Shading(np.empty(count), np.empty(count))
     kernels.shade(
         xyz,
@@ -134,3 +149,33 @@ def shade_points(
         shading.specular,
     )
     return shading
+
+
+def _check_points(
+    position: FloatArray,
+    normal: FloatArray,
+    visible: NDArray,
+    scale: FloatArray,
+    view: FloatArray,
+    lights: int,
+) -> None:
+    """Refuse what compiled loops would read past the end of, or turn to NaN."""
+    count = len(position)
+    shapes = {
+        "position": (count, 3),
+        "normal": (count, 3),
+        "visible": (lights, count),
+        "specular_scale": (count,),
+    }
+    given = {"position": position, "normal": normal, "visible": visible, "specular_scale": scale}
+    for name, array in given.items():
+        if array.shape != shapes[name]:
+            raise ValueError(
+                f"{name} has shape {array.shape}, expected {shapes[name]} for {count} points, {lights} lights"
+            )
+    for name in ("position", "normal", "specular_scale"):
+        bad = np.argwhere(~np.isfinite(given[name]))
+        if len(bad):
+            raise ValueError(f"{name} {bad[0, 0]} is not finite ({len(bad)} numbers are not); leave such out")
+    if view.shape != (3,) or not np.isfinite(view).all() or not view.any():
+        raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")

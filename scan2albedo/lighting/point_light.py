@@ -24,12 +24,26 @@ class PointLight:
     intensity : float
         Irradiance factor relative to ambient = 1 at the origin's distance: a surface there facing the
         light gets `intensity`, and (distance_mm / r)^2 of it at distance r from the light.
+
+    Raises
+    ------
+    ValueError
+        For angles or an intensity that are not finite, a negative intensity, or a distance that is not above
+        0.
     """
 
     azimuth_rad: float
     elevation_rad: float
     distance_mm: float = math.inf
     intensity: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.azimuth_rad, self.elevation_rad, self.intensity))):
+            raise ValueError(f"{self}: angles and intensity must be finite")
+        if self.intensity < 0:
+            raise ValueError(f"{self}: intensity must be 0 or more; to take light away lower the ambient one")
+        if not self.distance_mm > 0:
+            raise ValueError(f"{self}: distance_mm must be above 0; inf is a distant light")
 
     @property
     def direction(self) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Shared ground of every iterative stage: budgets, traces and simulated annealing."""
 
 from scan2albedo.optimization.annealing import AnnealingOptions, AnnealingResult, simulated_annealing
-from scan2albedo.optimization.budget import Budget, Meter, ProgressCallback
+from scan2albedo.optimization.budget import Budget, Meter, ProgressCallback, checked_seed
 from scan2albedo.optimization.plan import Plan, PlanStep
 from scan2albedo.optimization.trace import Trace, TraceRow
 
@@ -15,5 +15,6 @@ __all__ = [
     "ProgressCallback",
     "Trace",
     "TraceRow",
+    "checked_seed",
     "simulated_annealing",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 
 from scan2albedo.optimization.trace import Trace, TraceRow
 
@@ -26,10 +27,12 @@ class Budget:
     evaluations: int | None = None
 
     def __post_init__(self) -> None:
-        if self.seconds is not None and not self.seconds > 0:
-            raise ValueError(f"Budget.seconds must be > 0, got {self.seconds}")
-        if self.evaluations is not None and self.evaluations < 1:
-            raise ValueError(f"Budget.evaluations must be >= 1, got {self.evaluations}")
+        if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
+            raise ValueError(f"Budget.seconds must be a number > 0, got {self.seconds!r}")
+        if self.evaluations is not None and not (
+            isinstance(self.evaluations, Integral) and self.evaluations >= 1
+        ):
+            raise ValueError(f"Budget.evaluations must be a whole number >= 1, got {self.evaluations!r}")
 
     @classmethod
     def of(cls, value: Budget | float | None) -> Budget:
@@ -40,7 +43,23 @@ class Budget:
         """
         if isinstance(value, Budget):
             return value
-        return cls(seconds=None if value is None else float(value))
+        return cls(seconds=value)
+
+
+def checked_seed(seed: int) -> int:
+    """Return a random seed.
+
+    Raises
+    ------
+    ValueError
+        When it is no whole number of 0 or more: None would give another answer every time.
+
+    >>> checked_seed(7)
+    7
+    """
+    if isinstance(seed, Integral) and seed >= 0:
+        return int(seed)
+    raise ValueError(f"seed is {seed!r}, expected a whole number, 0 or more")
 
 
 ProgressCallback = Callable[[TraceRow], None]

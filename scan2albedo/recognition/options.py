@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Literal, get_args
 
 Channel = Literal["value", "luminance", "red-to-green"]
@@ -49,6 +50,10 @@ class TemplateOptions:
     unit_mean: bool = True
 
     def __post_init__(self) -> None:
+        for name in ("scales", "orientations", "size"):
+            value = getattr(self, name)
+            if not (isinstance(value, Integral) or (name == "size" and value is None)):
+                raise ValueError(f"{name} is {value!r}, expected a whole number")
         if self.scales < 1:
             raise ValueError(f"scales is {self.scales}, expected >= 1")
         if not 2 <= self.orientations <= 16:
@@ -88,8 +93,8 @@ class SimilarityOptions:
     stabilizer: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.window < 1:
-            raise ValueError(f"window is {self.window}, expected >= 1")
+        if not (isinstance(self.window, Integral) and self.window >= 1):
+            raise ValueError(f"window is {self.window}, expected a whole number >= 1")
         if not 0 < self.stabilizer < float("inf"):
             raise ValueError(f"stabilizer is {self.stabilizer}, expected > 0 and finite")
 

@@ -116,7 +116,10 @@ def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatA
     RecognitionError
         When that is not above 0.
     """
-    mean = float(image[mask].mean())
+    with np.errstate(over="ignore"):
+        mean = float(image[mask].mean())
+    if mean == np.inf:
+        raise RecognitionError(f"{what} reaches {image[mask].max():.3g}, too much to average; scale it down")
     if not mean > 0:
         raise RecognitionError(
             f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "

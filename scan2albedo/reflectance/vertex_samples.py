@@ -126,7 +126,8 @@ class VertexSamples:
             pair, vertex, _ = np.argwhere(bad)[0]
             raise ReflectanceError(
                 f"vertex {vertex} is said to be valid in picture {pair}, but observation, sigma or lobes are "
-                f"not finite or sigma is not above 0: {observed[pair, vertex]}, {sigma[pair, vertex]}"
+                f"not finite or sigma is not above {_LEAST_SIGMA:g}: "
+                f"{observed[pair, vertex]}, {sigma[pair, vertex]}"
             )
         object.__setattr__(self, "observed_linear", np.where(valid, observed, 0.0))
         object.__setattr__(self, "sigma", sigma)

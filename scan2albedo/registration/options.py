@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class RegistrationOptions:
@@ -48,14 +50,15 @@ class RegistrationOptions:
     """Anneal, and take its pose where the surface distance falls; else ICP's pose is the answer."""
 
     def __post_init__(self) -> None:
+        for name in ("scan_spacing_mm", "model_spacing_mm", "anchor_spacing_mm", "cone_deg"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be finite and above 0, got {getattr(self, name)}")
         counts = ["rotation_count", "anchor_limit", "kept_starts", "candidates", "annealing_size"]
         counts += ["icp_iterations", "scaled_iterations", "settling_iterations"]
         values = [(name, getattr(self, name)) for name in counts]
         for name, value in values + [("coarse_iterations", n) for n in self.coarse_iterations]:
-            if value < 1:
-                raise ValueError(f"{name} is {value}, expected 1 or more")
-        if self.more_candidates < 0 or self.annealing_evaluations < 0:
-            raise ValueError(
-                f"more_candidates is {self.more_candidates} and annealing_evaluations "
-                f"{self.annealing_evaluations}, expected 0 or more"
-            )
+            if not value >= 1:
+                raise ValueError(f"{name} must be 1 or more, got {value}")
+        for name in ("more_candidates", "annealing_evaluations", "coverage_needed", "certainty_needed"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")

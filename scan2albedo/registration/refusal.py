@@ -1,11 +1,14 @@
-"""Why a scan is refused: its size, no face in it, or a face that is inside out."""
+"""Why a scan is refused, or taken with doubts: its size, no face in it or two, a face inside out."""
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import RegistrationError
+from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.optimization import Meter
 from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates
@@ -26,6 +29,9 @@ _TRIM_PERCENT = 2.0
 _BEYOND_DOUBT = 0.62
 _CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
+_MIXED_SHARE = 0.02
+_HUMAN_SCALE = (0.75, 1.3)
+_OTHER_FACE_MM = 100.0
 
 
 def refuse_wrong_size(scan: RawScan) -> None:
@@ -135,6 +141,13 @@ def refuse_facing_away(scan: RawScan, view: ScanView, template: Template, best: 
 
 
 def _inside_out_text(scan: RawScan, best: Candidate) -> str:
+    turned = int(turned_against_neighbours(scan.faces).sum())
+    if turned > _MIXED_SHARE * len(scan.faces):
+        return (
+            f"{scan.name}: {turned} of {len(scan.faces)} triangles are wound against their neighbours, so "
+            "that the face is inside out in part. Reverse the order of their vertices (load_scan does it; "
+            "scan2albedo.geometry.mesh.turned_against_neighbours names them) and try again"
+        )
     return (
         f"{scan.name}: the scan is inside out: with its {len(scan.faces)} triangles reversed there is a "
         f"face (certainty {best.evidence.certainty:.2f}). Reverse the order of every triangle's "
@@ -154,5 +167,32 @@ def refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...], options: Re
         f"relief correlation {evidence.relief_correlation:.2f}, symmetry {evidence.symmetry:.2f}, "
         f"{evidence.rms_mm:.1f} mm RMS); "
         f"the scan's box is {_box_text(scan.vertices)}. "
-        "Give a scan of a face, or process it without a model"
+        "Give a scan of a face in its true size (check the unit), or process it without a model"
     )
+
+
+def warn_of_doubts(
+    scan: RawScan, candidates: tuple[Candidate, ...], scale: float, options: RegistrationOptions
+) -> None:
+    """Warn of a size that no person's face has, and of a second face."""
+    low, high = _HUMAN_SCALE
+    if not low <= scale <= high:
+        warnings.warn(
+            f"{scan.name}: the face is {100 * scale:.0f} % of the model's size, which no person's is; check "
+            "the unit of the scan",
+            UserWarning,
+            stacklevel=3,
+        )
+    best = candidates[0].pose.translation
+    apart = [
+        float(np.linalg.norm(other.pose.translation - best))
+        for other in candidates[1:]
+        if is_face(other, options, _BEYOND_DOUBT)
+    ]
+    if apart and max(apart) > _OTHER_FACE_MM:
+        warnings.warn(
+            f"{scan.name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
+            "more was taken: cut the other off to choose",
+            UserWarning,
+            stacklevel=3,
+        )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.optimization import Budget, Meter, ProgressCallback
+from scan2albedo.optimization import Budget, Meter, ProgressCallback, checked_seed
 from scan2albedo.registration.candidates import (
     Candidate,
     ScanView,
@@ -28,9 +28,11 @@ from scan2albedo.registration.refusal import (
     refuse_no_face,
     refuse_too_small,
     refuse_wrong_size,
+    warn_of_doubts,
 )
 from scan2albedo.registration.result import Registration
 from scan2albedo.registration.robust_icp import ScanTree
+from scan2albedo.registration.stray_vertices import without_stray
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -73,10 +75,17 @@ def register(
     -------
     Registration
 
+    Warns
+    -----
+    UserWarning
+        When the face has a size that no person's has, or the scan holds a second face.
+
     Raises
     ------
     RegistrationError
         When the scan is too small to judge or holds no face; the message carries the figures.
+    ValueError
+        When `seed` is no whole number of 0 or more.
     MissingDependencyError
         When Open3D cannot be loaded.
 
@@ -86,13 +95,15 @@ def register(
        application to face recognition", section 3.1.1.
     """
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
+    seed = checked_seed(seed)
     refuse_wrong_size(scan)
-    vertices, own_from_scan = in_own_frame(scan.vertices, scan.faces)
-    cloud = oriented_points(vertices, scan.faces, options.scan_spacing_mm)
+    faces = without_stray(scan.vertices, scan.faces)
+    vertices, own_from_scan = in_own_frame(scan.vertices, faces)
+    cloud = oriented_points(vertices, faces, options.scan_spacing_mm)
     refuse_too_small(scan, cloud)
     template = Template.of(model, options.model_spacing_mm, seed)
     poses = coarse_poses(cloud, template, options, meter, seed)
-    view = ScanView(vertices, scan.faces, ScanTree.of(cloud))
+    view = ScanView(vertices, faces, ScanTree.of(cloud))
     candidates = _judged(view, template, poses, options, meter)
     if not meter.exhausted:
         refuse_inside_out(scan, view, template, candidates[0], options, meter)
@@ -102,6 +113,7 @@ def register(
     tight = tightened(view, template, candidates[0].pose, options, closing)
     annealing = closing.child("depth_annealing", "truncated slope difference")
     final = annealed(view, template, tight, options, annealing, seed)
+    warn_of_doubts(scan, candidates, final.pose.scale, options)
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid()) @ own_from_scan,
         rmse_mm=rms_mm(view, template, final.pose),
@@ -110,7 +122,10 @@ def register(
         confidence=_confidence(candidates, options),
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(_search_note(candidates, len(poses), options), final.note),
+        notes=(
+            _search_note(candidates, len(poses), len(scan.faces) - len(faces), options),
+            final.note,
+        ),
         face_scale=final.pose.scale,
     )
 
@@ -153,7 +168,7 @@ def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions)
 
 
 def _search_note(
-    candidates: tuple[Candidate, ...], kept: int, options: RegistrationOptions
+    candidates: tuple[Candidate, ...], kept: int, stray: int, options: RegistrationOptions
 ) -> tuple[str, bool, str, str]:
     best = candidates[0]
     return (
@@ -164,5 +179,6 @@ def _search_note(
         f"certainty {best.evidence.certainty:.2f} (needed: {options.certainty_needed:.2f}), "
         f"likeness {best.evidence.likeness:.2f} "
         f"(next pose {runner_up_score(candidates):.2f}), coverage {100 * best.evidence.coverage:.0f} %, "
-        f"face {100 * best.pose.scale:.0f} % of the model's size",
+        f"face {100 * best.pose.scale:.0f} % of the model's size"
+        + (f"; {stray} triangles that reach far away left out" if stray else ""),
     )

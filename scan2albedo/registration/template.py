@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.registration.face_evidence import FaceImage
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
@@ -16,6 +17,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _LEVELS = 1
+_FEWEST_CONTROL_VERTICES = 20
 _WEIGHT_RANGE = (0.2, 3.0)
 
 
@@ -49,7 +51,18 @@ class Template:
 
     @classmethod
     def of(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
-        """Sample a model about every `spacing_mm`."""
+        """Sample a model about every `spacing_mm`.
+
+        Raises
+        ------
+        RegistrationError
+            When the model has too few control vertices to have the relief of a face.
+        """
+        if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
+            raise RegistrationError(
+                f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief "
+                f"to find a face by; it needs at least {_FEWEST_CONTROL_VERTICES}, better some hundred"
+            )
         vertices, faces = model.surface(_LEVELS)
         samples = oriented_points(vertices, faces, spacing_mm)
         samples = samples.subset(np.random.default_rng(seed).permutation(len(samples)))

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
 
+_CHART_TOLERANCE = 1e-6
+
 
 class Fitted(Protocol):
     """What sampling needs of a fitted face (`scan2albedo.fitting.FittedFace`)."""
@@ -78,7 +80,8 @@ def geometry_image(
     Raises
     ------
     GeometryImageError
-        When `size` is below 8 or the chart covers no texel.
+        When `size` is no size, the fitted face holds NaN, or its chart covers no texel or leaves the unit
+        square.
 
     Notes
     -----
@@ -89,6 +92,7 @@ def geometry_image(
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """
     check_size(size)
+    _check_fitted(fitted)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)
     if not raster.covered.any():
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
@@ -108,6 +112,22 @@ def geometry_image(
         specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
     )
+
+
+def _check_fitted(fitted: Fitted) -> None:
+    for name, values in (("vertices", fitted.vertices), ("uv", fitted.uv)):
+        bad = int((~np.isfinite(values)).any(1).sum())
+        if bad:
+            raise GeometryImageError(
+                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
+                "and check the model"
+            )
+    outside = int((np.abs(fitted.uv - 0.5) > 0.5 + _CHART_TOLERANCE).any(1).sum())
+    if outside:
+        raise GeometryImageError(
+            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
+            "would be cut off; scale its uv into [0, 1]"
+        )
 
 
 def _texture(

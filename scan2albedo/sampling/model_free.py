@@ -8,12 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.mesh import (
+    face_areas,
+    normalized,
+    turned_against_neighbours,
+    vertex_normals,
+)
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.sampling.size import check_size
 from scan2albedo.sampling.texture_lookup import LookupOptions, TextureLookup, texel_steps
+
+_CHARTED_SIZE = 200.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,10 @@ def geometry_image_of_scan(
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
     raster = rasterize_uv(uv, chart_faces, size)
     if not raster.covered.any():
-        raise GeometryImageError(f"{scan.name}: xatlas made no chart that covers a texel at size {size}")
+        raise GeometryImageError(
+            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, "
+            "and remove vertices that lie far from the rest, which shrink it"
+        )
     inside = raster.covered
     position = interpolate(raster, chart_faces, position_of)
     normal = normalized(interpolate(raster, chart_faces, normal_of))
@@ -82,34 +92,54 @@ def geometry_image_of_scan(
 
 
 def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Welded, without zero-area faces, simplified to at most `max_faces` faces."""
-    import igl
-
+    """Welded, each face once and with area, wound alike; about `max_faces` where faces hang together."""
     vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[scan.faces]
     faces = faces[face_areas(vertices, faces) > 0]
     if len(faces) == 0:
         raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    faces = faces[np.sort(first)]
+    faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
     if len(faces) > max_faces:
-        # qslim gives nothing back where parts of a scan meet in one vertex, as beside a scanner's holes.
-        split, source = igl.split_nonmanifold(faces)[:2]
-        vertices, faces, _, _ = igl.qslim(vertices[source], split, max_faces, False)
-        if len(faces) == 0:
-            raise GeometryImageError(
-                f"{scan.name}: its {len(split)} faces cannot be simplified to the {max_faces} that "
-                "charts are cut from; give a mesh of fewer faces, or a larger ModelFreeOptions.max_faces"
-            )
-    return np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+        vertices, faces = _simplified(vertices, faces, max_faces, scan.name)
+    return vertices, faces
+
+
+def _simplified(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_faces: int, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Collapse edges down to `max_faces`.
+
+    qslim gives nothing back for what is no manifold, as where parts of a scan meet in one vertex beside a
+    scanner's holes, so that is split first.
+    """
+    import igl
+
+    split, source = igl.split_nonmanifold(faces)[:2]
+    fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), max_faces, False)
+    if len(index) == 0:
+        raise GeometryImageError(
+            f"{name}: its {len(split)} faces cannot be simplified to the {max_faces} that charts are cut "
+            "from; give a mesh of fewer faces, or a larger ModelFreeOptions.max_faces"
+        )
+    return np.asarray(fewer, np.float64), np.asarray(index, np.int64)
 
 
 def _xatlas_charts(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], size: int, padding: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return (mesh vertex of each chart vertex (N,), chart faces (F, 3), uv (N, 2) in the unit square)."""
+    """Return (mesh vertex of each chart vertex (N,), chart faces (F, 3), uv (N, 2) in the unit square).
+
+    xatlas computes in float32 with absolute tolerances, so it gets the mesh at the origin, of a head's size.
+    """
     import xatlas
 
+    used = vertices[np.unique(faces)]
+    low, high = used.min(0), used.max(0)
+    placed = (vertices - (low + high) / 2) * (_CHARTED_SIZE / float(np.max(high - low)))
     atlas = xatlas.Atlas()
-    atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
     pack.resolution, pack.padding, pack.create_image = size, padding, False
     atlas.generate(xatlas.ChartOptions(), pack)

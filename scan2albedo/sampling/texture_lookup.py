@@ -11,6 +11,7 @@ from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.io.raw_scan import RawScan
+from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.sampling.footprints import mean_over_footprints
 
 FloatArray = NDArray[np.float64]
@@ -74,8 +75,8 @@ class TextureLookup:
         on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
         valid &= ~_past_boundary(on_edge, hits.barycentric, points - hits.points, normals)
         if scan.uv is not None and scan.texture_linear is not None:
-            color = self._photograph(near, hits, steps)
-            valid &= self._dense_enough()[face]
+            color, inside = self._photograph(near, hits, steps)
+            valid &= self._dense_enough()[face] & inside
         else:
             assert scan.vertex_color_linear is not None
             corners = scan.vertex_color_linear[scan.faces[face]]
@@ -95,17 +96,23 @@ class TextureLookup:
 
     def _photograph(
         self, near: NDArray[np.int64], hits: ClosestHits, steps: FloatArray
-    ) -> NDArray[np.float32]:
-        """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`."""
-        scan, face = self._scan, near[hits.face]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
+
+        Also return whether its centre lies in the photograph: coordinates repeat it by whole periods of a
+        face, but not within one.
+        """
+        scan = self._scan
         assert scan.uv is not None
         assert scan.texture_linear is not None
         height, width = scan.texture_linear.shape[:2]
         to_pixels = np.array([width, -height])
-        center = np.einsum("nk,nkc->nc", hits.barycentric, scan.uv[face]) * to_pixels + [-0.5, height - 0.5]
+        uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
+        center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
+        inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
         footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
         taps = self._options.taps or _needed_taps(footprint)
-        return mean_over_footprints(scan.texture_linear, center, footprint, taps)
+        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
     def _uv_gradients(self, near: NDArray[np.int64]) -> FloatArray:
         """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""

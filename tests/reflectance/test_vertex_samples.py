@@ -246,7 +246,7 @@ def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
     ("name", "value", "message"),
     [
         ("observed_linear", np.full((2, 3, 3), np.nan), "vertex 0 is said to be valid in picture 0"),
-        ("sigma", np.zeros((2, 3, 3)), "sigma is not above 0"),
+        ("sigma", np.zeros((2, 3, 3)), "sigma is not above"),
         ("lobes", np.full((2, 3, 4), np.inf), "lobes are not finite"),
         ("sigma", np.ones((2, 3)), "sigma is \\(2, 3\\)"),
         ("observed_linear", np.ones((2, 3)), "expected \\(J, V, 3\\)"),

@@ -174,7 +174,7 @@ def test_a_million_vertices_are_sampled(ict, model):
     [{"candidates": 0}, {"coarse_iterations": (4, 0)}, {"icp_iterations": -1}, {"kept_starts": 0}],
 )
 def test_options_that_search_nothing_are_refused(changes):
-    with pytest.raises(ValueError, match=f"{next(iter(changes))} is "):
+    with pytest.raises(ValueError, match=f"{next(iter(changes))} must be "):
         RegistrationOptions(**changes)
 
 

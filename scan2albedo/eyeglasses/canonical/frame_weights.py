@@ -72,6 +72,9 @@ def frames_of(
             raise ValueError(
                 f"weights {i} must have shape ({len(xyz)}, {KEY_POINT_COUNT}), got {shares.shape}"
             )
+        for name, array in (("vertices", xyz), ("weights", shares)):
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(f"{name} {i} hold NaN or infinite numbers; repair the frame or leave it out")
         frames.append(
             Frame(
                 number=i,

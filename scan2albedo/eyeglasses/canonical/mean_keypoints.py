@@ -45,10 +45,10 @@ def require_posable(points: FloatArray) -> None:
     seen = points[np.isfinite(points).all(1)]
     spread = np.linalg.svd(seen - seen.mean(0), compute_uv=False) if len(seen) >= 3 else np.zeros(3)
     if not spread[1] > _FLAT * spread[0]:
-        raise EyeglassesError(
-            f"{len(seen)} key points are known, or all lie on one line; a pose takes three that span a "
-            "plane: label more of them"
-        )
+        cause = f"{len(seen)} key points are known"
+        if len(seen) >= 3:
+            cause = f"all {len(seen)} known key points lie on one line, or in one place"
+        raise EyeglassesError(f"{cause}; a pose takes three that span a plane: label more of them")
     if not key_point_size(points) > 0:
         raise EyeglassesError("no two neighbouring key points are known and apart; label more of them")
 

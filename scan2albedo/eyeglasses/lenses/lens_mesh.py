@@ -33,7 +33,7 @@ def lens_mesh(
     EyeglassesError
         When the rim does not go around the centre once, so that the fan would fold.
     ValueError
-        When an array has the wrong shape.
+        When an array has the wrong shape or is not finite.
 
     Examples
     --------
@@ -45,6 +45,8 @@ def lens_mesh(
     if middle.shape != (3,) or outline.ndim != 2 or outline.shape[1] != 3 or len(outline) < 3:
         raise ValueError(f"center and rim must be (3,) and (R, 3), got {middle.shape}, {outline.shape}")
     vertices = np.concatenate([middle[None], outline])
+    if not np.isfinite(vertices).all():
+        raise ValueError("center and rim must be finite")
     numbers = np.arange(1, len(vertices))
     faces = np.stack([np.zeros_like(numbers), numbers, np.roll(numbers, -1)], 1)
     # Taken around the centre: far from the origin the cross products would lose their digits.

@@ -186,7 +186,7 @@ def _masks(masks: Sequence[ArrayLike | None] | ArrayLike | None, count: int) -> 
     for number, mask in enumerate(listed):
         picture = None if mask is None else np.asarray(mask)
         if picture is not None and (picture.ndim != 2 or min(picture.shape) < 2):
-            raise ValueError(f"mask {number} must have shape (H, W), got {picture.shape}")
+            raise ValueError(f"mask {number} must have shape (H, W) of 2 pixels or more, got {picture.shape}")
         result.append(None if picture is None else picture != 0)
     return tuple(result)
 

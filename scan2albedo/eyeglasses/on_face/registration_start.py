@@ -46,9 +46,13 @@ def starting_poses(
     poses += [pose for view in views if (pose := _from_one_view(keypoints, view)) is not None]
     if not poses:
         labelled = [int(np.isfinite(view.labels).all(1).sum()) for view in views]
+        remedy = "label 4 or more in one view, 3 or more in two, or give a start"
+        if max(labelled) >= _FEWEST:
+            remedy = (
+                "they contradict one another or the cameras; check labels, order and cameras, or give a start"
+            )
         raise EyeglassesError(
-            f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose: label 4 or "
-            "more in one view, 3 or more in two, or give a start"
+            f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose: {remedy}"
         )
     known = np.isfinite(keypoints).all(1)
     center = keypoints[known].mean(0)

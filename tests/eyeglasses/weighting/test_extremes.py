@@ -26,22 +26,9 @@ def with_part(glasses, vertices, faces):
     return np.vstack([glasses.vertices, vertices]), np.vstack([glasses.faces, faces + len(glasses.vertices)])
 
 
-def test_coincident_key_points_are_named(glasses):
-    handles = np.vstack([glasses.handles, glasses.handles[2]])
-    with pytest.raises(EyeglassesError, match=r"key points 2 and 7 coincide at \[-66"):
-        weights_of(glasses.vertices, glasses.faces, handles)
-
-
 def test_key_points_too_close_for_the_spacing_are_named(glasses):
     handles = np.vstack([glasses.handles, glasses.handles[3] + [2, 0, 0]])
     with pytest.raises(EyeglassesError, match=r"key points 3 and 7 are 2 apart .* spacing of 1 or less"):
-        weights_of(glasses.vertices, glasses.faces, handles)
-
-
-def test_a_key_point_far_off_the_mesh_is_named(glasses):
-    handles = glasses.handles.copy()
-    handles[4] = [66, 90, 0]
-    with pytest.raises(EyeglassesError, match=r"key point 4 at \[66.0, 90.0, 0.0\] is 88.* off the mesh"):
         weights_of(glasses.vertices, glasses.faces, handles)
 
 
@@ -50,25 +37,6 @@ def test_key_points_near_the_mesh_hold_it(glasses, plain):
     weights = weights_of(glasses.vertices, glasses.faces, glasses.handles + [0, 5, 0])
     assert weights.max(0).min() > 0.9
     assert np.abs(weights - plain).mean() < 0.03
-
-
-def test_one_key_point_takes_everything(glasses):
-    np.testing.assert_array_equal(
-        weights_of(glasses.vertices, glasses.faces, glasses.handles[:1]), np.ones((len(glasses.vertices), 1))
-    )
-
-
-@pytest.mark.parametrize("empty", ["vertices", "faces", "handles"])
-def test_nothing_to_work_on(glasses, empty):
-    given = {"vertices": glasses.vertices, "faces": glasses.faces, "handles": glasses.handles}
-    for nothing in (given[empty][:0], []):
-        with pytest.raises(EyeglassesError, match=f"{empty} is empty"):
-            bounded_biharmonic_weights(**{**given, empty: nothing})
-
-
-def test_a_mesh_shrunk_to_a_point(glasses):
-    with pytest.raises(EyeglassesError, match="no surface"):
-        bounded_biharmonic_weights(np.zeros_like(glasses.vertices), glasses.faces, [[0, 0, 0]])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -163,11 +131,6 @@ def test_parts_out_of_reach_with_key_points_of_their_own(tube, glasses):
     weights = weights_of(vertices, all_faces, np.vstack([glasses.handles, [[0, 200, 5], [0, 200, 55]]]))
     assert weights[len(glasses.vertices) :, :7].max() == 0
     assert weights[: len(glasses.vertices), 7:].max() == 0
-
-
-def test_a_spacing_far_too_fine_is_refused_at_once(glasses):
-    with pytest.raises(EyeglassesError, match=r"a spacing of 0\.001 makes more than 100000 lattice nodes"):
-        weights_of(glasses.vertices, glasses.faces, glasses.handles, 0.001)
 
 
 def test_a_mesh_far_larger_than_its_key_points_is_refused():

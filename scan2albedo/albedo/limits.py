@@ -1,0 +1,45 @@
+"""Whether the light found lies at an end of what is searched."""
+
+from __future__ import annotations
+
+import math
+
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.problem import Solution
+from scan2albedo.optimization.plan import PlanStep
+
+_NEAR = 1e-3
+"""Part of a parameter's range that counts as its end."""
+
+
+def limits_step(solution: Solution) -> PlanStep:
+    """Return the plan's row that tells which parameters of the light are at an end of their range.
+
+    There a better light may lie beyond: an ambient light too weak to be seen, a lamp that touches the skin,
+    no light at all.
+    """
+    at_end = _at_end(solution.model, solution)
+    if not at_end:
+        return PlanStep("albedo.limits", False, "the light lies within what is searched", "no limit reached")
+    return PlanStep("albedo.limits", True, "the light lies at an end of what is searched", "; ".join(at_end))
+
+
+def _at_end(model: LightModel, solution: Solution) -> list[str]:
+    lower, upper = model.bounds
+    told = []
+    for k in range(model.lights):
+        i = 3 * k + 2
+        if end := _end(float(solution.x[i]), float(lower[i]), float(upper[i])):
+            bound = math.exp(lower[i] if end == "least" else upper[i])
+            told.append(f"light {k + 1} has the {end} intensity, {bound:.3g} times the ambient light")
+    if model.near:
+        i = model.position_of("near")
+        if solution.x[i] >= upper[i] * (1 - _NEAR):
+            told.append(f"the lights have the least distance, {model.radius_mm / upper[i]:.3g} mm")
+    return told
+
+
+def _end(value: float, lower: float, upper: float) -> str:
+    """Return "least", "greatest" or "" for within."""
+    margin = _NEAR * (upper - lower)
+    return "least" if value <= lower + margin else "greatest" if value >= upper - margin else ""
