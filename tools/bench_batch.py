@@ -128,17 +128,17 @@ class Outcome:
 
     @property
     def done_per_hour(self) -> float:
-        return 3600 * self.summary["done"] / self.summary["seconds"]
+        return 3600 * (self.summary["done"] - self.summary["kept"]) / self.summary["seconds"]
 
     def show(self, title: str) -> None:
         done = [row for row in self.rows if row["status"] == "done"]
-        cpu = [row["cpu_seconds"] for row in done]
+        cpu = float(np.median([row["cpu_seconds"] for row in done])) if done else float("nan")
         peak = max((row["peak_memory_mb"] for row in done), default=float("nan"))
         print(f"\n{title}: exit status {self.status}")
         for line in self.lines:
             print(f"    {line}")
         print(
-            f"  {self.done_per_hour:.0f} done an hour; {np.median(cpu) if cpu else float('nan'):.1f} s CPU a scan (median), "
+            f"  {self.done_per_hour:.0f} done an hour; {cpu:.1f} s CPU a scan (median), "
             f"{peak:.0f} MB peak of a worker"
         )
 
