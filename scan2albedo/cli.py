@@ -72,7 +72,7 @@ def process(
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
-    from scan2albedo.pipeline import chosen_model
+    from scan2albedo.face_model.chosen_model import chosen_model
     from scan2albedo.pipeline import process as run
     from scan2albedo.progress import ProgressLines
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo import pipeline
+from scan2albedo import pipeline_run
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.choices import FORCEABLE
@@ -210,7 +210,7 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
         given.append(options)
         raise RegistrationError("far enough")
 
-    monkeypatch.setattr(pipeline, "register", register)
+    monkeypatch.setattr(pipeline_run, "register", register)
     with pytest.raises(RegistrationError, match="far enough"):
         s2a.process(ball, **choice)
     assert [(o.annealing_evaluations, o.force_annealing) for o in given] == [(evaluations, forced)]
@@ -228,16 +228,16 @@ def test_forced_steps_run_whatever_the_evidence(ball):
 
 
 def test_warnings_of_the_stages_are_kept_and_others_pass(ball, monkeypatch):
-    from scan2albedo import pipeline
+    from scan2albedo import pipeline_run
 
-    sample = pipeline.geometry_image_of_scan
+    sample = pipeline_run.geometry_image_of_scan
 
     def warn(*arguments):
         warnings.warn("a hair in the soup", UserWarning, stacklevel=1)
         warnings.warn("mean of empty slice", RuntimeWarning, stacklevel=1)
         return sample(*arguments)
 
-    monkeypatch.setattr(pipeline, "geometry_image_of_scan", warn)
+    monkeypatch.setattr(pipeline_run, "geometry_image_of_scan", warn)
     with pytest.warns(RuntimeWarning, match="empty slice"):
         result = s2a.process(ball, model="none", size=48, skip=["albedo"])
     assert result.messages == ("a hair in the soup",)

@@ -18,8 +18,8 @@ from scan2albedo.applications.expression_transfer import expression_displacement
 from scan2albedo.applications.local_frames import local_similarities
 from scan2albedo.cli import app
 from scan2albedo.errors import ApplicationError
+from scan2albedo.face_model.chosen_model import chosen_model
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.pipeline import chosen_model
 
 SMILE = "mouthSmile_L_mouthSmile_R"
 BAR_MM = 1.5
