@@ -15,8 +15,7 @@ WEIGHTS: dict[str, dict[str, Any]] = {
     "draft": {"tolerance": 1e-4, "finest": 1 / 85},
     "best": {"coarsest": 1 / 150, "max_nodes": 20_000},
 }
-"""Fields that differ from the defaults, of stages that `process` does not have: those of `quality.PRESETS` are
-the others'."""
+"""Fields that differ from the defaults, of stages that `process` does not have."""
 
 
 def preset_settings(stage: str) -> list[Setting]:
