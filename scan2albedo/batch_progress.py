@@ -58,7 +58,7 @@ class BatchLines:
                 self.say(f"{last.name}: failed: {last.reason}")
             ended = progress.done + progress.failed
             self._bar.update(self._task, total=progress.total, completed=ended, state=_state(progress))
-        elif last is not None and time.monotonic() - self._last_plain > PLAIN_INTERVAL_S:
+        elif last is not None and progress.left and time.monotonic() - self._last_plain > PLAIN_INTERVAL_S:
             self._last_plain = time.monotonic()
             self.say(f"batch: {_state(progress)}")
 

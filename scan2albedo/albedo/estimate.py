@@ -188,7 +188,9 @@ def _divide(
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, limits_step(found.solution), rectification, inpainting)),
+        plan=Plan(
+            (*found.steps, limits_step(found.solution, division.albedo[usable]), rectification, inpainting)
+        ),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,

@@ -109,7 +109,7 @@ class BatchReport:
         parts += [f"{progress.left} not run"] if progress.left else []
         parts.append(f"{progress.elapsed_s:.0f} s")
         if progress.scans_per_hour:
-            parts.append(f"{progress.scans_per_hour:.0f} scans/h with {self.jobs} jobs")
+            parts.append(f"{progress.scans_per_hour:.0f} scans/h with {self.jobs} job{'s' * (self.jobs > 1)}")
         lines = ["batch: " + ", ".join(parts) + f"; files in {self.out}"]
         shown = list(self.failures.items())[:_SHOWN]
         lines += [f"  failed: {name}: {reason}" for name, reason in shown]

@@ -15,7 +15,8 @@ WEIGHTS: dict[str, dict[str, Any]] = {
     "draft": {"tolerance": 1e-4, "finest": 1 / 85},
     "best": {"coarsest": 1 / 150, "max_nodes": 20_000},
 }
-"""Fields that differ from the defaults, of stages that `process` does not have."""
+"""Fields that differ from the defaults, of stages that `process` does not have; `quality.PRESETS` has the
+others'."""
 
 
 def preset_settings(stage: str) -> list[Setting]:

@@ -49,11 +49,18 @@ class Budget:
 def checked_seed(seed: int) -> int:
     """Return a random seed.
 
+    Parameters
+    ----------
+    seed : int
+        0 or more.
+
     Raises
     ------
     ValueError
-        When it is no whole number of 0 or more: None would give another answer every time.
+        When it is none: None would give another answer every time.
 
+    Examples
+    --------
     >>> checked_seed(7)
     7
     """

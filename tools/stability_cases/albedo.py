@@ -120,7 +120,7 @@ for _name, _told, _made in (
     ("light of intensity 1e12", "greatest intensity", {"lights": (light_at(30, intensity=1e12),)}),
     (
         "lamp 5 mm before the skin",
-        "least intensity",
+        "too near to be modelled",
         {"lights": (light_at(30, distance_mm=85.0, intensity=0.1),)},
     ),
     (

@@ -64,7 +64,7 @@ def _constant() -> str:
 def _constant_person() -> str:
     gallery = albedo_templates([_albedo(0), np.ones((128, 128))], ["person0", "wall"])
     found = identify(gallery, albedo_templates([_albedo(0)], ["person0"]))
-    assert found.predicted() == ("person0",)
+    assert found.predicted == ("person0",)
     return f"similarities {found.similarities[0].round(3).tolist()}"
 
 
