@@ -12,7 +12,7 @@ some 15 minutes of CPU.
 from __future__ import annotations
 
 import argparse
-import importlib.util
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,17 @@ from scan2albedo.benchmarks.fitting import mesh_peers
 from scan2albedo.benchmarks.glasses import WornGlasses, rms_mm
 from scan2albedo.benchmarks.measurement import timed
 from scan2albedo.benchmarks.run import STAGES, run_benchmarks, write_benchmarks
-from scan2albedo.benchmarks.sweep import Outcome, Peer
+from scan2albedo.benchmarks.sweep import Outcome, Peer, missing_modules
 from scan2albedo.synthetic import SyntheticScene
 
 ADAM_ITERATIONS = (30, 300, 1500)
 ADAM_STEP_MM = 0.3
 MITSUBA = "Mitsuba gradients"
+MITSUBA_TRIAL = """
+from albedo_peers_slow import DescentOptions, mitsuba_inverse
+from scan2albedo.synthetic import face
+mitsuba_inverse(face(size=24).image, 1, DescentOptions(trial_steps=1, steps=1))
+"""
 
 
 def albedo_peers() -> list[Peer]:
@@ -39,10 +44,19 @@ def albedo_peers() -> list[Peer]:
             answer, cost = timed(lambda: method(scene.image, len(scene.lights)))
             return judged_albedo(scene, answer.albedo_value, cost, answer.evaluations)
 
-        needs = "" if name != MITSUBA or importlib.util.find_spec("mitsuba") else "pip install mitsuba"
-        return Peer(name if name == MITSUBA else f"SciPy {name}", run, needs)
+        return Peer(MITSUBA, run, missing_mitsuba()) if name == MITSUBA else Peer(f"SciPy {name}", run)
 
     return [peer(name, method) for name, method in SLOW_PEERS.items()]
+
+
+def missing_mitsuba() -> str:
+    """Return what Mitsuba's gradients lack, found out in a process of its own: an unfit libLLVM aborts it."""
+    if lacking := missing_modules("mitsuba"):
+        return lacking
+    done = subprocess.run(
+        [sys.executable, "-c", MITSUBA_TRIAL], cwd=Path(__file__).parent, capture_output=True, check=False
+    )
+    return "a libLLVM of version 19 named by DRJIT_LIBLLVM_PATH" if done.returncode else ""
 
 
 def glasses_peers() -> list[Peer]:

@@ -127,7 +127,7 @@ class SameLoss:
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         self.start: FrameState = starting_poses(given.keypoints, given.views, options.label_noise_px, None)[0]
         mesh = FrameMesh(SkinnedPoints(given.vertices, scene.weights), given.faces)
-        self.points = mesh.points
+        self.points, self.unit = mesh.points, given.unit
         assert given.head is not None
         sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head), options)
         near = self.descend(None)
@@ -173,7 +173,7 @@ class SameLoss:
 
     def vertices(self, state: FrameState) -> FloatArray:
         """Return the frame (V, 3) at a state."""
-        return self.objective.motion(state).positions(self.points)
+        return self.unit * self.objective.motion(state).positions(self.points)
 
 
 def bench_adam(seeds: int) -> None:

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scan2albedo.benchmarks.budgets import BudgetedStage
 from scan2albedo.io import GeometryImage
 from scan2albedo.optimization import ProgressCallback
 
+FloatArray = NDArray[np.float64]
 Make = Callable[[], BudgetedStage]
 
 
@@ -40,33 +43,36 @@ def _register(quick: bool) -> BudgetedStage:
 
     scene = scan_scenes(1, 4.0 if quick else 2.2)[0]
 
-    def error(pose) -> float:  # type: ignore[no-untyped-def]
+    def error(pose: FloatArray) -> float:
         return judged(scene, pose, Cost(0, 0)).errors[0]
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        found = register(scene.scan, scene.model, budget, on_progress=on_progress)
-        return error(found.model_from_scan)
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
+        return register(scene.scan, scene.model, budget, on_progress=on_progress).model_from_scan
 
     start = error(invert_rigid(centered(Surface(*scene.model.surface(1)), scene.scan)))
-    return BudgetedStage("register", "mm", run, start)
+    return BudgetedStage("register", "mm", run, error, start)
 
 
 def _fit(quick: bool) -> BudgetedStage:
     from scan2albedo.benchmarks.fitting import judged, rigid_only
     from scan2albedo.benchmarks.measurement import Cost
     from scan2albedo.benchmarks.scan_scenes import scan_scenes
-    from scan2albedo.fitting import fit
+    from scan2albedo.fitting import FittedFace, fit
 
     scene = scan_scenes(1, 4.0 if quick else 2.2)[0]
     points = scene.model.subdivision(2).matrix
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        found = fit(scene.scan, scene.model, scene.found_pose, budget, on_progress=on_progress)
+    pose = scene.found_pose
+
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> FittedFace:
+        return fit(scene.scan, scene.model, pose, budget, on_progress=on_progress)
+
+    def error(found: FittedFace) -> float:
         surface = found.vertices, found.faces
         outcome = judged(scene, surface, points @ found.control_points, 2, found.model_from_scan, Cost(0, 0))
         return outcome.errors[0]
 
-    return BudgetedStage("fit", "mm", run, rigid_only(scene).errors[0])
+    return BudgetedStage("fit", "mm", run, error, rigid_only(scene).errors[0])
 
 
 def _albedo(quick: bool) -> BudgetedStage:
@@ -84,14 +90,13 @@ def _albedo(quick: bool) -> BudgetedStage:
     truth, image = value_of(scene.albedo_linear), _with_light_occluder(scene.image)
     assert image.texture_linear is not None
 
-    def error(albedo) -> float:  # type: ignore[no-untyped-def]
+    def error(albedo: Any) -> float:
         return albedo_error(value_of(albedo), truth, image.mask).mse_percent
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        found = estimate_albedo(image, budget=budget, on_progress=on_progress)
-        return error(found.albedo_linear)
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> Any:
+        return estimate_albedo(image, budget=budget, on_progress=on_progress).albedo_linear
 
-    return BudgetedStage("albedo", "%", run, error(image.texture_linear))
+    return BudgetedStage("albedo", "%", run, error, error(image.texture_linear))
 
 
 def _with_light_occluder(image: GeometryImage) -> GeometryImage:
@@ -112,13 +117,15 @@ def _weights(quick: bool) -> BudgetedStage:
     spacing: float | str = 2.8 if quick else "auto"
     scene = WeightedFrame(glasses, solve_weights(*mesh, spacing).weights)
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        found = solve_weights(*mesh, spacing, budget, on_progress=on_progress)
-        return judged(scene, found.weights, Cost(0, 0), 0, 0.0).errors[1]
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
+        return solve_weights(*mesh, spacing, budget, on_progress=on_progress).weights
+
+    def error(weights: FloatArray) -> float:
+        return judged(scene, weights, Cost(0, 0), 0, 0.0).errors[1]
 
     nearest = np.linalg.norm(mesh[0][:, None] - mesh[2], axis=2).argmin(1)
     rigid = np.eye(len(mesh[2]))[nearest]
-    return BudgetedStage("weights", "mm", run, judged(scene, rigid, Cost(0, 0), 0, 0.0).errors[1])
+    return BudgetedStage("weights", "mm", run, error, error(rigid))
 
 
 def _glasses(quick: bool) -> BudgetedStage:
@@ -130,11 +137,14 @@ def _glasses(quick: bool) -> BudgetedStage:
     scene = worn_glasses(0, QUICK_WEARER if quick else WearerOptions())
     options = FaceRegistrationOptions()
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
-        return rms_mm(registered(scene, options, budget, on_progress).vertices, scene.worn)
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
+        return registered(scene, options, budget, on_progress).vertices
 
-    start = rms_mm(registered(scene, options, Budget(evaluations=1)).vertices, scene.worn)
-    return BudgetedStage("glasses", "mm", run, start)
+    def error(vertices: FloatArray) -> float:
+        return rms_mm(vertices, scene.worn)
+
+    start = error(registered(scene, options, Budget(evaluations=1)).vertices)
+    return BudgetedStage("glasses", "mm", run, error, start)
 
 
 def _fit_image() -> BudgetedStage:
@@ -144,11 +154,14 @@ def _fit_image() -> BudgetedStage:
     model, face = learned(40, 30), person(3)
     observation = shot(face, 3)
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
         found = fit_image(observation, model, budget=budget, on_progress=on_progress)
-        return 100 * albedo_error(found.face.reflectance.diffuse_linear, face)
+        return found.face.reflectance.diffuse_linear
 
-    return BudgetedStage("fit_image", "%", run, 100 * albedo_error(model.diffuse_mean, face))
+    def error(albedo: FloatArray) -> float:
+        return 100 * albedo_error(albedo, face)
+
+    return BudgetedStage("fit_image", "%", run, error, error(model.diffuse_mean))
 
 
 def _refine_geometry() -> BudgetedStage:
@@ -157,7 +170,7 @@ def _refine_geometry() -> BudgetedStage:
 
     scene, shapes = geometry_scene(0), shape_model(60)
 
-    def run(budget: float | None, on_progress: ProgressCallback | None) -> float:
+    def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
         found = refine_geometry(
             scene.image_linear,
             scene.camera,
@@ -169,9 +182,12 @@ def _refine_geometry() -> BudgetedStage:
             budget=budget,
             on_progress=on_progress,
         )
-        return rigid_error_mm(found.vertices, scene.vertices)
+        return found.vertices
 
-    return BudgetedStage("refine_geometry", "mm", run, rigid_error_mm(shapes.mean, scene.vertices))
+    def error(vertices: FloatArray) -> float:
+        return rigid_error_mm(vertices, scene.vertices)
+
+    return BudgetedStage("refine_geometry", "mm", run, error, error(shapes.mean))
 
 
 def _finetune() -> BudgetedStage:
@@ -188,7 +204,7 @@ def _finetune() -> BudgetedStage:
         )
         return tuned.held_out_after
 
-    return BudgetedStage("finetune", "held-out objective", run, finetune_start(model, seen[1::2]))
+    return BudgetedStage("finetune", "objective", run, float, finetune_start(model, seen[1::2]))
 
 
 def finetune_start(model, held_out) -> float:  # type: ignore[no-untyped-def]

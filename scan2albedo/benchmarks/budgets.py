@@ -1,9 +1,9 @@
 """Do stages keep a budget in seconds, and have they done by then what they had done without one?
 
-A stage runs without limit, and its trace tells when the logarithm of its error had gained 90 % of all that it
-gained: t*. Run with t* seconds it should reach the same, and end then. The machine's other work shows in the
-wall clock, which budgets are counted by; so the overrun is given in CPU seconds: the part of the wall time
-beyond the budget, times the run's own CPU time over its wall time.
+A stage runs without limit, and its trace tells when the logarithm of its error had gained 95 % of all that it
+gained: t*. Run with t* seconds it should reach 90 % of what it reaches without, and end then. The machine's
+other work shows in the wall clock, which budgets are counted by; so the overrun is given in CPU seconds: the
+part of the wall time beyond the budget, times the run's own CPU time over its wall time.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from scan2albedo.optimization import ProgressCallback, TraceRow
 
 TINY_S = (0.01, 0.1)
 """Budgets in which hardly anything can be done."""
-_GAINED = 0.9
+_GAINED, _GAIN_OF_TRACE = 0.9, 0.95
 _FEWEST_ROWS = 3
 _LEAST_ERROR = 1e-12
 _REPEATS = 3
 
-Budgeted = Callable[[float | None, ProgressCallback | None], float]
-"""Runs a stage with a budget in seconds (None: no limit) and returns its error against the truth."""
+Budgeted = Callable[[float | None, ProgressCallback | None], Any]
+"""Runs a stage with a budget in seconds (None: no limit) and returns what it found."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ class BudgetedStage:
         Of the error.
     run : callable
         See `Budgeted`.
+    error : callable
+        From what the stage found to its error against the truth.
     start_error : float
         The error of what there is before the stage has done anything.
     """
@@ -47,6 +49,7 @@ class BudgetedStage:
     name: str
     unit: str
     run: Budgeted
+    error: Callable[[Any], float]
     start_error: float
 
 
@@ -116,7 +119,7 @@ def budget_table(rows: Sequence[BudgetRow]) -> str:
     return "\n".join([head, "-" * len(head), *(row.text() for row in rows)])
 
 
-def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAINED) -> float:
+def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAIN_OF_TRACE) -> float:
     """Return when the logarithm of a trace's last yardstick had gained `share` of all that it gained.
 
     Parameters
@@ -150,13 +153,14 @@ def checked_budgets(
     stage.run(None, None)
     log: list[tuple[float, TraceRow]] = []
     begin = time.perf_counter()
-    full_error = stage.run(None, lambda row: log.append((time.perf_counter() - begin, row)))
+    full = stage.run(None, lambda row: log.append((time.perf_counter() - begin, row)))
+    full_error = stage.error(full)
     knee_s = time_of_gain(log)
     found = []
     for budget in (knee_s, *budgets_s):
         if not math.isfinite(budget):
             continue
-        error, cost = _quickest(stage, budget, repeats)
+        result, cost = _quickest(stage, budget, repeats)
         found.append(
             BudgetRow(
                 stage.name,
@@ -165,7 +169,7 @@ def checked_budgets(
                 budget == knee_s,
                 cost.wall_s,
                 cost.cpu_s,
-                error,
+                stage.error(result),
                 full_error,
                 stage.start_error,
             )
@@ -173,8 +177,8 @@ def checked_budgets(
     return found
 
 
-def _quickest(stage: BudgetedStage, budget_s: float, repeats: int) -> tuple[float, Cost]:
-    """Return error and cost of the run that overran least: what others' work delays says nothing of ours."""
+def _quickest(stage: BudgetedStage, budget_s: float, repeats: int) -> tuple[Any, Cost]:
+    """Return result and cost of the run that overran least: what others' work delays says nothing of ours."""
     runs = [timed(lambda: stage.run(budget_s, None)) for _ in range(repeats)]
     return min(runs, key=lambda run: run[1].wall_s)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +19,8 @@ _SWEPT, _FRONT, _DEFAULT, _KNEE, _PEER = "#b9cfe4", "#1f5f9e", "#111111", "#e079
 _PRESETS = {"draft": "#2a8f4d", "best": "#7a3ea1"}
 _COLUMNS = 3
 _RING = {"markersize": 12, "markerfacecolor": "none", "markeredgecolor": _KNEE, "markeredgewidth": 2}
-_APART = 0.055
-"""Least distance of two labels, as a part of the panel's height."""
+_APART, _LETTER, _BESIDE, _MARKER = 0.055, 0.0150, 0.025, 0.018
+"""Least distance of two labels, width of a letter, distance of a label and half a marker; the panel is 1."""
 
 
 def draw(reports: Sequence[StageReport]) -> Figure:
@@ -68,7 +69,7 @@ def _marked(
     axis: Axes, report: StageReport, kind: int, shown: Sequence[Point]
 ) -> list[tuple[float, float, str, str]]:
     """Draw knee, default, presets and peers; return the labels (x, y, text, colour)."""
-    labels = []
+    labels, bend = [], report.knee(kind)
     for peer in (p for p in shown if not p.is_ours):
         x, y = peer.cpu_s, max(peer.errors[kind], 1e-12)
         axis.plot(x, y, "s", color=_PEER, markersize=6, zorder=4)
@@ -76,18 +77,22 @@ def _marked(
     for preset in (p for p in shown if p.knob == "preset"):
         x, y, color = preset.cpu_s, preset.errors[kind], _PRESETS.get(preset.value, _FRONT)
         axis.plot(x, y, "D", color=color, markersize=7.5, markeredgecolor="white", zorder=6)
-        labels.append((x, y, preset.value, color))
+        labels.append((x, y, _with_knee(preset.value, preset is bend), color))
     default = report.default
     if default is not None and default in shown:
         x, y = default.cpu_s, default.errors[kind]
         axis.plot(x, y, "*", color=_DEFAULT, markersize=14, markeredgecolor="white", zorder=7)
-        labels.append((x, y, "default", _DEFAULT))
-    bend = report.knee(kind)
+        labels.append((x, y, _with_knee("default", default is bend), _DEFAULT))
     if bend is not None and bend in shown:
         x, y = bend.cpu_s, max(bend.errors[kind], 1e-12)
         axis.plot(x, y, "o", zorder=5, **_RING)  # type: ignore[arg-type]
-        labels.append((x, y, f"knee: {bend.name}", _KNEE))
+        if bend.knob not in ("default", "preset"):
+            labels.append((x, y, f"knee: {bend.name}", _KNEE))
     return labels
+
+
+def _with_knee(name: str, is_knee: bool) -> str:
+    return f"{name}, knee" if is_knee else name
 
 
 def _limits(axis: Axes, shown: Sequence[Point], kind: int) -> None:
@@ -103,47 +108,61 @@ def _limits(axis: Axes, shown: Sequence[Point], kind: int) -> None:
         set_limits(10 ** (low - missing - 0.08 * span), 10 ** (high + missing + after * span))
 
 
+@dataclass(frozen=True)
+class _Box:
+    """A label's or a marker's place in the panel, whose sides are 1."""
+
+    left: float
+    right: float
+    height: float
+
+    def meets(self, other: _Box) -> bool:
+        """Return whether two labels would touch."""
+        beside = self.left < other.right and other.left < self.right
+        return beside and abs(self.height - other.height) < _APART
+
+
 def _write(axis: Axes, labels: Sequence[tuple[float, float, str, str]]) -> None:
-    """Write the labels beside their points, moved up or down until none lies on another."""
+    """Write the labels beside their points, moved until none lies on another or on another's point."""
+    from matplotlib import patheffects
+
     to_axes = axis.transData + axis.transAxes.inverted()
     places = [(*to_axes.transform((x, y)), text, color) for x, y, text, color in labels]
-    taken: list[tuple[float, float, float]] = []
+    taken = [_Box(x - _MARKER, x + _MARKER, y) for x, y, _, _ in places]
     for x, y, text, color in sorted(places, key=lambda p: -p[1]):
-        width = 0.019 * len(text)
-        leftward = x + 0.03 + width > 1.0
-        start = x - 0.025 - width if leftward else x + 0.025
-        height = _free_height(y, start, start + width, taken)
-        taken.append((height, start, start + width))
+        box, is_left = _free_box(x, y, _LETTER * len(text), taken)
+        taken.append(box)
+        line = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
         axis.annotate(
             text,
             (x, y),
-            (x - 0.025 if leftward else x + 0.025, height),
+            (box.right if is_left else box.left, box.height),
             xycoords="axes fraction",
             textcoords="axes fraction",
             fontsize=8,
             color=color,
-            ha="right" if leftward else "left",
+            ha="right" if is_left else "left",
             va="center",
             zorder=8,
-            arrowprops={"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
-            if abs(height - y) > 0.02
-            else None,
+            path_effects=[patheffects.withStroke(linewidth=2.5, foreground="white")],
+            arrowprops=line if abs(box.height - y) > 0.02 else None,
         )
 
 
-def _free_height(
-    wanted: float, left: float, right: float, taken: Sequence[tuple[float, float, float]]
-) -> float:
-    """Return the height nearest to `wanted` at which a label from `left` to `right` is alone."""
-    beside = [height for height, a, b in taken if a < right and left < b]
-    steps = [0.0]
-    for n in range(1, 40):
-        steps += [-0.25 * n * _APART, 0.25 * n * _APART]
+def _free_box(x: float, y: float, width: float, taken: Sequence[_Box]) -> tuple[_Box, bool]:
+    """Return the box of `width` nearest to a point that meets no other, and whether it is left of the point.
+
+    To the right at the point's own height where nothing can be free.
+    """
+    steps = [0.0, *(sign * 0.2 * n * _APART for n in range(1, 60) for sign in (-1, 1))]
     for step in steps:
-        height = wanted + step
-        if 0.03 < height < 0.97 and all(abs(height - other) >= _APART for other in beside):
-            return height
-    return wanted
+        for is_left in (False, True):
+            left = x - _BESIDE - width if is_left else x + _BESIDE
+            box = _Box(left, left + width, y + step)
+            inside = left > 0 and left + width < 1 and 0.03 < box.height < 0.97
+            if inside and not any(box.meets(other) for other in taken):
+                return box, is_left
+    return _Box(x + _BESIDE, x + _BESIDE + width, y), False
 
 
 def _plain_ticks(axis: Axes) -> None:

@@ -99,7 +99,9 @@ def run_benchmarks(
             on_point=lambda point, stage=name: on_point(stage, point),  # type: ignore[misc]
             more_peers=peers,
         )
-        missing = [(p.name, p.missing) for p in (*benchmark.peers(quick), *peers) if p.missing]
+        done = {point.name for point in points}
+        lacking = [p for p in (*benchmark.peers(quick), *peers) if p.missing and p.name not in done]
+        missing = [(p.name, p.missing) for p in lacking]
         scenes = len(benchmark.scenes(quick))
         reports.append(StageReport(name, benchmark.errors, tuple(points), scenes, tuple(missing)))
     rows = budget_rows(stages, quick=quick, on_row=on_budget) if budgets else ()

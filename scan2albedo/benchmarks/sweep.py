@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -158,9 +160,19 @@ def measured(
         on_point(points[-1])
     for peer in (*benchmark.peers(quick), *more_peers):
         if not peer.missing:
-            points.append(_mean(peer.name, "peer", peer.name, _outcomes(peer.run, scenes, repeats)))
+            points.append(_mean(peer.name, "peer", peer.name, _peer_outcomes(peer, scenes, repeats)))
             on_point(points[-1])
     return points
+
+
+def _peer_outcomes(peer: Peer, scenes: list[Any], repeats: int) -> list[Outcome]:
+    """Return a peer's outcomes; NaN where it, or a library that it needs, fails: it is not ours to mend."""
+    try:
+        return _outcomes(peer.run, scenes, repeats)
+    except (ImportError, OSError, RuntimeError, subprocess.SubprocessError) as error:
+        warnings.warn(f"{peer.name} failed and is left out: {error}", RuntimeWarning, stacklevel=2)
+        nothing = float("nan")
+        return [Outcome(Cost(nothing, nothing), (nothing,))]
 
 
 def _run_setting(benchmark: StageBenchmark, setting: Setting, scene: Any) -> Outcome:

@@ -49,7 +49,13 @@ def fitted_face(
     subdivision = model.subdivision(options.result_levels)
     control = deformation.reference + outcome.q
     vertices = subdivision.matrix @ control
-    residual = residuals_mm(deformation.scan, vertices, subdivision.faces, options.residual_gate_mm)
+    residual = residuals_mm(
+        deformation.scan,
+        vertices,
+        subdivision.faces,
+        options.residual_gate_mm,
+        exact=not deformation.meter.out_of_time,
+    )
     metrics = _metrics(vertices, residual, subdivision)
     metrics["imbalance_mm"] = imbalance_mm(deformation, outcome.q)
     metrics["strain"] = _strain(deformation.reference, control, model.control_faces)
@@ -81,10 +87,10 @@ def fitted_face(
 
 
 def residuals_mm(
-    scan: ScanSurface, vertices: FloatArray, faces: NDArray[np.int64], gate_mm: float
+    scan: ScanSurface, vertices: FloatArray, faces: NDArray[np.int64], gate_mm: float, *, exact: bool = True
 ) -> FloatArray:
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
-    exact = len(scan.faces) <= MAX_EXACT_FACES
+    exact = exact and len(scan.faces) <= MAX_EXACT_FACES
     query = ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest
     hits = query.query(vertices)
     facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0

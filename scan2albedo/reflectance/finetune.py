@@ -158,22 +158,30 @@ def finetune(
     for _ in range(options.rounds):
         if meter.exhausted:
             break
-        fits = tuning.fitted(observations)
-        changes = [
-            best_change(
-                model,
-                observations,
-                fits,
-                mean_change=options.mean_change,
-                basis_change=basis_change,
-                lobe=options.fit.lobe,
-            ).smoothed(smooth)
-            for basis_change in options.basis_changes
-        ]
-        if not tuning.try_steps(changes):
+        try:
+            fits = tuning.fitted(observations)
+            changes = [
+                best_change(
+                    model,
+                    observations,
+                    fits,
+                    mean_change=options.mean_change,
+                    basis_change=basis_change,
+                    lobe=options.fit.lobe,
+                ).smoothed(smooth)
+                for basis_change in options.basis_changes
+            ]
+            helped = tuning.try_steps(changes)
+        except _OutOfTime:
+            break
+        if not helped:
             converged = not meter.exhausted
             break
     return FineTuning(tuning.current, tuple(tuning.steps), before, tuning.error, converged, meter.trace)
+
+
+class _OutOfTime(Exception):
+    """The budget's seconds have ended amid the fits of a round."""
 
 
 class _Tuning:
@@ -191,7 +199,7 @@ class _Tuning:
         self.held_out = held_out
         self.current, self.change = model, no_change(model)
         self.steps: list[float] = []
-        self.errors = self._held_out_errors(model)
+        self.errors = self._held_out_errors(model, hurried=True)
         meter.record(self.error)
 
     @property
@@ -223,17 +231,28 @@ class _Tuning:
         part = self.change.toward(change, step)
         return part, self._held_out_errors(part.applied(self.initial))
 
-    def _held_out_errors(self, model: MorphableReflectanceModel) -> NDArray[np.float64]:
+    def _held_out_errors(
+        self, model: MorphableReflectanceModel, *, hurried: bool = False
+    ) -> NDArray[np.float64]:
         """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
-        fits = [self._fit(observation, model) for observation in self.held_out]
+        fits = [self._fit(observation, model, hurried=hurried) for observation in self.held_out]
         return np.array([[fit.objective, fit.relative_rmse] for fit in fits])
 
-    def _fit(self, observation: ImageObservation, model: MorphableReflectanceModel) -> ImageFit:
+    def _fit(
+        self, observation: ImageObservation, model: MorphableReflectanceModel, *, hurried: bool = False
+    ) -> ImageFit:
+        """Fit an image while time is left; a hurried fit ends with it, others do not count then."""
+        if self.meter.out_of_time and not hurried:
+            raise _OutOfTime
         self.meter.count()
+        left = Budget(seconds=self.meter.child(self.meter.stage, self.meter.unit).budget.seconds)
         with warnings.catch_warnings():
             # One of many fits; the held-out objective tells whether they were good enough.
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
-            return fit_image(observation, model, self.lighting, options=self.options.fit)
+            fit = fit_image(observation, model, self.lighting, options=self.options.fit, budget=left)
+        if self.meter.out_of_time and not hurried:
+            raise _OutOfTime
+        return fit
 
 
 def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:

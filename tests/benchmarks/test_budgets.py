@@ -20,7 +20,7 @@ def rows(*points, stage="fit", unit="mm"):
 
 
 def test_gain_of_one_yardstick():
-    assert time_of_gain(rows((0.1, 10.0), (0.2, 5.0), (0.3, 1.2), (0.9, 1.0))) == 0.3
+    assert time_of_gain(rows((0.1, 10.0), (0.2, 5.0), (0.3, 1.1), (0.9, 1.0))) == 0.3
 
 
 def test_the_last_yardstick_of_some_rows_decides():
@@ -86,7 +86,7 @@ def obedient(budget, on_progress):
 
 
 def test_a_stage_is_run_to_its_knee_and_within_tiny_budgets():
-    found = checked_budgets(BudgetedStage("made up", "mm", obedient, 8.0), (0.02,), repeats=1)
+    found = checked_budgets(BudgetedStage("made up", "mm", obedient, float, 8.0), (0.02,), repeats=1)
     assert [r.knee for r in found] == [True, False]
     assert found[0].budget_s < 0.2
     assert found[0].full_error <= 0.01

@@ -89,6 +89,8 @@ def test_labels_of_one_place_do_not_lie_on_each_other():
     crowd = [point("peer", 1.0 + 0.01 * k, 1.0 + 0.01 * k, method=f"method {k}") for k in range(6)]
     ours = [point("default", 0.9, 1.0), point("steps 1", 0.5, 30.0)]
     figure = draw([StageReport("fit", KINDS[:1], (*ours, *crowd))])
-    heights = sorted(text.xyann[1] for text in figure.axes[0].texts if text.get_text().startswith("method"))
-    assert len(heights) == 6
-    assert np.diff(heights).min() > 0.05
+    written = [text for text in figure.axes[0].texts if text.get_text().startswith("method")]
+    assert len(written) == 6
+    for side in ("left", "right"):
+        heights = sorted(text.xyann[1] for text in written if text.get_ha() == side)
+        assert (np.diff(heights) > 0.05).all()

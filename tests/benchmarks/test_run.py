@@ -35,6 +35,7 @@ def test_an_unknown_stage_is_named():
     assert "'hair'" in result.output
 
 
+@pytest.mark.slow
 def test_the_command_sweeps_one_stage(tmp_path):
     arguments = ["benchmark", "albedo", "-o", str(tmp_path / "out"), "--quick", "--no-budgets", "--json"]
     result = CliRunner().invoke(app, arguments)

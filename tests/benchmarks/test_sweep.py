@@ -1,10 +1,13 @@
 """Sweeps over a stage made up for the test."""
 
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from scan2albedo.benchmarks.measurement import Cost, timed
+from scan2albedo.benchmarks.report import StageReport
 from scan2albedo.benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, measured, varied
 from scan2albedo.fitting import FitOptions
 
@@ -71,3 +74,16 @@ def test_timed_counts_work_but_not_sleep_as_cpu():
     assert result == "done"
     assert cost.wall_s >= 0.05
     assert cost.cpu_s < cost.wall_s
+
+
+def test_a_peer_that_fails_is_left_out_and_said():
+    def fail(scene):
+        raise RuntimeError("no licence")
+
+    stage = replace(made_up(), peers=lambda quick: [Peer("broken", fail)])
+    with pytest.warns(RuntimeWarning, match="broken failed and is left out: no licence"):
+        points = measured(stage)
+    assert np.isnan(points[-1].errors[0])
+    report = StageReport("made up", stage.errors, tuple(points))
+    assert "broken" in report.table()
+    assert report.table().splitlines()[-1].endswith("failed")

@@ -276,6 +276,14 @@ def test_images_that_no_step_saw_are_never_explained_worse(lighting, seed, patte
         assert after < 0.97 * before
 
 
+def test_seconds_that_end_at_once_leave_the_model_as_it_is(model, lighting):
+    shots, held_out = pictures(people(4, 1, BEARD), 1), pictures(people(2, 2, BEARD), 2)
+    tuned = finetune(model, shots, held_out, FACES, lighting=lighting, budget=1e-6)
+    assert tuned.model is model
+    assert not tuned.converged
+    assert tuned.held_out_before == tuned.held_out_after
+
+
 def test_a_budget_that_ends_keeps_what_was_accepted(model, lighting):
     shots, held_out = pictures(people(4, 1, BEARD), 1), pictures(people(2, 2, BEARD), 2)
     tuned = finetune(model, shots, held_out, FACES, lighting=lighting, budget=Budget(evaluations=2))

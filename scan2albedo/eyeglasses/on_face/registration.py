@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 STAGE = "glasses"
 _ENOUGH, _ENOUGH_A_TRACE = 1e-5, 1e-3
 """Part of the cost below which an improvement ends a descent; that on one tracing of the outline."""
-_STEPS_A_TRACE = 6
+_STEPS_A_TRACE, _HASTY_STEPS = 6, 10
 _MIRRORED = 0.5
 """Part of the labels' error below which exchanging left and right explains them."""
 _DISAGREE = 2.0
@@ -258,7 +258,7 @@ class _Run:
         if not self.given.labelled:
             self._note("key_points", False, "no key point is labelled")
             return before
-        if self.meter.exhausted:
+        if self.meter.exhausted and not self.meter.out_of_time:
             self._note("key_points", False, "the budget has ended")
             self.bend_found = False
             return replace(before, converged=False)
@@ -362,8 +362,11 @@ class _Run:
         self.sampler = OutlineSampler(self.sampler.mesh, views, self.sampler.head, self.options)
 
     def _descend(self, step: str, linearize: Any, state: FrameState) -> Descent:
-        child = self.meter.child(f"{STAGE}.{step}", "px")
-        found = descend(linearize, state, child, steps=self.options.steps, enough=_ENOUGH, error=_labels_px)
+        child, steps = self.meter.child(f"{STAGE}.{step}", "px"), self.options.steps
+        if self.meter.out_of_time:
+            # Labels alone cost next to nothing, and without them there is no answer.
+            child, steps = replace(child, budget=Budget()), min(steps, _HASTY_STEPS)
+        found = descend(linearize, state, child, steps=steps, enough=_ENOUGH, error=_labels_px)
         self.meter.adopt(child)
         return found
 
