@@ -203,7 +203,7 @@ def test_demo_compares_with_the_truth(tmp_path):
     [
         (("fit", "{people}/capture_0/capture.json", "-o", "{out}", "--loss", "huber"), "loss is 'huber'"),
         (("fit", "{people}/capture_0/capture.json", "-o", "{out}", "--held-out-every", "1"), "held-out"),
-        (("fit", "{people}/capture_0/capture.json", "-o", "{out}", "--budget", "-1"), "must be > 0"),
+        (("fit", "{people}/capture_0/capture.json", "-o", "{out}", "--budget", "-1"), "a number > 0"),
         (("build", "{people}/fit_0", "-o", "{out}", "--least-support", "0"), "least-support"),
         (("sample", "{people}/fit_0", "-o", "{out}", "--count", "0"), "count"),
     ],
