@@ -151,7 +151,7 @@ def test_a_face_reaches_numpy(tmp_path):
     assert row["model"] == "default annotated face model"
     assert row["metrics_fit_residual_mean_mm"] < 1.0
     assert row["metrics_albedo_lights"] >= 1
-    assert 300 < row["peak_memory_mb"] < 2000
+    assert 300 < row["peak_memory_mb"] < 5000
     assert row["cpu_seconds"] > 0
     assert row["path_fitted_glb"] == "face/fitted.glb"
     assert f":{os.getpid()}" not in row["worker"]

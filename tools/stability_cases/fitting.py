@@ -236,7 +236,7 @@ def _() -> str:
     face = fit(plane, model(), np.eye(4), options=FitOptions(**QUICK))  # type: ignore[arg-type]
     assert_finite(face.vertices)
     assert face.metrics["strain"] > 0.12
-    return f"strain {face.metrics['strain']:.2f}"
+    return Measured(f"strain {face.metrics['strain']:.2f}")
 
 
 @CASES.extreme(STAGE, "a single triangle", "named error")

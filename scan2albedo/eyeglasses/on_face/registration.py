@@ -170,7 +170,7 @@ class _Run:
             self.objective,
             outcome.state,
             outcome.at,
-            converged=outcome.converged,
+            converged=outcome.converged and not self.meter.out_of_time,
             bend_found=self.bend_found,
             meter=self.meter,
             plan=Plan(tuple(self.steps)),
