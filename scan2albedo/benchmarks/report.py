@@ -43,12 +43,12 @@ class StageReport:
     @cached_property
     def ours(self) -> tuple[Point, ...]:
         """The library's own points, cheapest first."""
-        return tuple(sorted((p for p in self.points if p.is_ours), key=lambda p: p.cpu_s))
+        return tuple(sorted((p for p in self.points if p.is_ours), key=_by_time))
 
     @property
     def peers(self) -> tuple[Point, ...]:
         """The others', cheapest first."""
-        return tuple(sorted((p for p in self.points if not p.is_ours), key=lambda p: p.cpu_s))
+        return tuple(sorted((p for p in self.points if not p.is_ours), key=_by_time))
 
     def front(self, kind: int = 0) -> tuple[Point, ...]:
         """Return the library's points to which no other is equal or better in both, cheapest first."""
@@ -76,6 +76,8 @@ class StageReport:
                 words.append(f"front{of}")
         if point.is_ours and point.knob in ("default", "preset"):
             words.append("default" if point.knob == "default" else f"preset {point.value}")
+        if point.is_ours and not point.errors[0] >= 0:
+            words.append("failed")
         if not point.is_ours:
             words.append(self.beaten_by(point))
         return ", ".join(words)
@@ -100,7 +102,7 @@ class StageReport:
             + "  what it is"
         )
         lines = [f"{self.stage}: means over {self.scenes} scenes, cheapest first", head, "-" * len(head)]
-        for point in sorted(self.points, key=lambda p: p.cpu_s):
+        for point in sorted(self.points, key=_by_time):
             lines.append(self._row(point, names))
         lines += [f"not installed: {name}: {hint}" for name, hint in self.missing]
         return "\n".join(lines)
@@ -131,6 +133,12 @@ class StageReport:
             "knee": [None if (k := self.knee(n)) is None else k.name for n in range(len(self.errors))],
             "missing": [{"peer": name, "install": hint} for name, hint in self.missing],
         }
+
+
+def _by_time(point: Point) -> tuple[bool, float]:
+    """Sort by time, what failed last."""
+    failed = not point.cpu_s >= 0
+    return failed, 0.0 if failed else point.cpu_s
 
 
 def _width(kind: ErrorKind) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.benchmarks.measurement import Cost
+from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.optimization import Budget
 
 OURS = "scan2albedo"
@@ -155,33 +156,34 @@ def measured(
     for scene in scenes[1:]:
         benchmark.run(scene, benchmark.settings(quick)[0])
     for setting in benchmark.settings(quick):
-        outcomes = _outcomes(partial(_run_setting, benchmark, setting), scenes, repeats)
+        outcomes = _outcomes(
+            partial(_run_setting, benchmark, setting), scenes, repeats, benchmark, setting.name
+        )
         points.append(_mean(OURS, setting.knob, setting.value, outcomes))
         on_point(points[-1])
     for peer in (*benchmark.peers(quick), *more_peers):
         if not peer.missing:
-            points.append(_mean(peer.name, "peer", peer.name, _peer_outcomes(peer, scenes, repeats)))
+            outcomes = _outcomes(peer.run, scenes, repeats, benchmark, peer.name)
+            points.append(_mean(peer.name, "peer", peer.name, outcomes))
             on_point(points[-1])
     return points
-
-
-def _peer_outcomes(peer: Peer, scenes: list[Any], repeats: int) -> list[Outcome]:
-    """Return a peer's outcomes; NaN where it, or a library that it needs, fails: it is not ours to mend."""
-    try:
-        return _outcomes(peer.run, scenes, repeats)
-    except (ImportError, OSError, RuntimeError, subprocess.SubprocessError) as error:
-        warnings.warn(f"{peer.name} failed and is left out: {error}", RuntimeWarning, stacklevel=2)
-        nothing = float("nan")
-        return [Outcome(Cost(nothing, nothing), (nothing,))]
 
 
 def _run_setting(benchmark: StageBenchmark, setting: Setting, scene: Any) -> Outcome:
     return benchmark.run(scene, setting)
 
 
-def _outcomes(run: Callable[[Any], Outcome], scenes: list[Any], repeats: int) -> list[Outcome]:
-    run(scenes[0])
-    return [min((run(scene) for _ in range(repeats)), key=lambda o: o.cost.cpu_s) for scene in scenes]
+def _outcomes(
+    run: Callable[[Any], Outcome], scenes: list[Any], repeats: int, benchmark: StageBenchmark, name: str
+) -> list[Outcome]:
+    """Return the outcomes on all scenes; NaN where it fails on one: the others' minutes must not be lost."""
+    try:
+        run(scenes[0])
+        return [min((run(scene) for _ in range(repeats)), key=lambda o: o.cost.cpu_s) for scene in scenes]
+    except (Scan2AlbedoError, ImportError, OSError, RuntimeError, subprocess.SubprocessError) as error:
+        warnings.warn(f"{name} failed and is left out: {error}", RuntimeWarning, stacklevel=2)
+        nothing = float("nan")
+        return [Outcome(Cost(nothing, nothing), (nothing,) * len(benchmark.errors))]
 
 
 def _mean(method: str, knob: str, value: str, outcomes: list[Outcome]) -> Point:

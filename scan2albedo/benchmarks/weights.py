@@ -20,8 +20,8 @@ from scan2albedo.synthetic import GlassesBend, SyntheticEyeglasses, eyeglasses
 FloatArray = NDArray[np.float64]
 
 _REFERENCE_MM, _QUICK_REFERENCE_MM = 1.25, 2.5
-_SPACINGS_MM = (1.5, 1.75, 2.25, 2.5, 2.8)
-_PEER_SPACINGS_MM = (2.25, 2.8)
+_SPACINGS_MM = (1.5, 1.75, 2.0, 2.2, 2.35)
+_PEER_SPACINGS_MM = (2.0, 2.35)
 _BEND = GlassesBend(temple_spread_mm=8, bridge_deg=2)
 _SCENES, _QUICK_SCENES = 2, 1
 

@@ -9,6 +9,7 @@ import pytest
 from scan2albedo.benchmarks.measurement import Cost, timed
 from scan2albedo.benchmarks.report import StageReport
 from scan2albedo.benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, measured, varied
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.fitting import FitOptions
 
 
@@ -86,4 +87,18 @@ def test_a_peer_that_fails_is_left_out_and_said():
     assert np.isnan(points[-1].errors[0])
     report = StageReport("made up", stage.errors, tuple(points))
     assert "broken" in report.table()
+    assert report.table().splitlines()[-1].endswith("failed")
+
+
+def test_a_setting_that_is_refused_does_not_end_the_sweep():
+    def run(scene, setting):
+        if setting.knob == "effort":
+            raise EyeglassesError("too coarse")
+        return Outcome(Cost(1.0, 1.0), (scene,))
+
+    stage = replace(made_up(), run=run)
+    with pytest.warns(RuntimeWarning, match="effort 4 failed and is left out: too coarse"):
+        points = measured(stage)
+    report = StageReport("made up", stage.errors, tuple(points))
+    assert [p.name for p in report.front()] == ["default"]
     assert report.table().splitlines()[-1].endswith("failed")
