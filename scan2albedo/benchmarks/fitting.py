@@ -38,7 +38,7 @@ IntArray = NDArray[np.int64]
 _LEVEL = 2
 """Refinement of the model's surface at which corresponding points are compared."""
 _PEER_LEVEL = 1
-_SCENES, _QUICK_SCENES = 4, 1
+_SCENES, _QUICK_SCENES = 3, 1
 MESH_PEERS = ("nricp_amberg", "nricp_sumner")
 
 

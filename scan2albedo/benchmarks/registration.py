@@ -39,7 +39,7 @@ REFUSED_MM = 300.0
 """What a refusal, and a pose farther off, counts as."""
 BASIN_DEG, BASIN_MM = 10.0, 15.0
 """Within these a fit finds the rest."""
-_SCENES, _QUICK_SCENES = 9, 1
+_SCENES, _QUICK_SCENES = 6, 1
 _EFFORTS: dict[str, dict[str, Any]] = {
     "1/64": {"rotation_count": 12, "anchor_spacing_mm": 60.0, "kept_starts": 20, "candidates": 2},
     "1/16": {"rotation_count": 25, "anchor_spacing_mm": 45.0, "kept_starts": 40, "candidates": 2},
