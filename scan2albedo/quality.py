@@ -53,7 +53,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
             "draft",
             size=256,
             registration=RegistrationOptions(
-                rotation_count=100, anchor_spacing_mm=45.0, kept_starts=60, candidates=4
+                anchor_spacing_mm=60.0, kept_starts=60, candidates=2, settling_iterations=10
             ),
             fit=FitOptions(levels=(0, 0, 1), finest_level=0),
             albedo=EstimateOptions(
@@ -64,8 +64,9 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
         "best": Quality(
             "best",
             size=1024,
-            fit=FitOptions(steps=20, gain_tolerance=0.001),
-            albedo=EstimateOptions(sizes=(128, 256), starts=6, start_directions=120, descent_iterations=20),
+            registration=RegistrationOptions(scan_spacing_mm=3.0, model_spacing_mm=4.0),
+            fit=FitOptions(levels=(0, 0, 0) + (1,) * 9),
+            albedo=EstimateOptions(sizes=(64, 256), starts=6, descent_iterations=20),
         ),
     }
 )

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import scan2albedo as s2a
+from scan2albedo.benchmarks.scan_scenes import scanned_skin
 from scan2albedo.demo import compare_with_truth
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -24,8 +25,6 @@ from scan2albedo.quality import PRESETS
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 WARM_UP_SEED = 99
-SCANNED_MM = 1.0
-"""Scan this near to the true skin is skin; hair lies farther out."""
 FIGURES = ("surface mm", "correspondence mm", "landmarks mm", "albedo MSE %", "light deg")
 BUDGET_SHARES = (0.01, 0.25, 0.5, 0.75, 1.0, 1.5)
 
@@ -62,14 +61,13 @@ def measured(
 def scanned_skin_mm(
     result: s2a.ProcessResult, scan: s2a.RawScan, truth: SyntheticTruth
 ) -> tuple[float, float]:
-    """Return mean surface and correspondence error over the true texels with scan within `SCANNED_MM`."""
+    """Return mean surface and correspondence error over the true texels that were scanned."""
     fitted, image = result.fitted, result.geometry_image
     assert fitted is not None
     truth_from_fit = truth.model_from_scan @ invert_rigid(fitted.model_from_scan)
     both = image.mask & truth.image.mask
     true = truth.image.position[both]
-    raw = ClosestPointQuery(transform_points(truth.model_from_scan, scan.vertices), scan.faces)
-    skin = raw.query(true).distance < SCANNED_MM
+    skin = scanned_skin(scan, truth, true)
     surface = ClosestPointQuery(transform_points(truth_from_fit, fitted.vertices), fitted.faces)
     apart = np.linalg.norm(transform_points(truth_from_fit, image.position[both]) - true, axis=1)
     return float(surface.query(true).distance[skin].mean()), float(apart[skin].mean())

@@ -173,13 +173,14 @@ def _divide(
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
     value = value_channel(image.texture_linear)
-    options = _in_time(options, meter)
-    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink)
-    albedo, rectification = rectified(division.albedo, light, cast, usable, options)
+    # What makes a good albedo better is left out once the seconds have ended.
+    hasty = meter.out_of_time
+    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink and not hasty)
+    albedo, rectification = rectified(division.albedo, light, cast, usable, options, hasty=hasty)
     # A highlight is white: what remains below it has the albedo's hue.
     below = np.maximum(image.texture_linear - specular[..., None], 0)
     color = recolor(below, below.max(-1), albedo)
-    color, inpainting = inpainted(color, image, specular, usable, options, seed)
+    color, inpainting = inpainted(color, image, specular, usable, options, seed, hasty=hasty)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lights,
@@ -202,15 +203,6 @@ def _divide(
         shadow_offset_mm=options.shadow_offset_mm,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-    )
-
-
-def _in_time(options: EstimateOptions, meter: Meter) -> EstimateOptions:
-    """Return the options; without what makes a good albedo better when the budget's seconds have ended."""
-    if not meter.out_of_time:
-        return options
-    return replace(
-        options, shrink=False, rectification=bool(options.rectification), inpainting=bool(options.inpainting)
     )
 
 

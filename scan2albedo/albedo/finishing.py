@@ -25,12 +25,21 @@ _LEAST_DEVIATION = 0.02
 
 
 def rectified(
-    albedo: FloatArray, light: FloatArray, shadow: FloatArray, usable: BoolArray, options: EstimateOptions
+    albedo: FloatArray,
+    light: FloatArray,
+    shadow: FloatArray,
+    usable: BoolArray,
+    options: EstimateOptions,
+    *,
+    hasty: bool = False,
 ) -> tuple[FloatArray, PlanStep]:
-    """Return V of the albedo (H, W) rectified along cast shadows, or as it is, and the plan's row."""
+    """Return V of the albedo (H, W) rectified along cast shadows, or as it is, and the plan's row.
+
+    When `hasty`, because the budget has ended, it is left out unless asked for.
+    """
     stage, asked = "albedo.rectification", options.rectification
-    if asked is False:
-        return albedo, PlanStep(stage, False, "left out by the caller")
+    if left_out := _left_out(stage, asked, hasty):
+        return albedo, left_out
     result = rectify(albedo, light, shadow, usable, force=asked is True)
     reason = "shadow outlines left lines in the albedo" if result.changed else "shadow outlines left no lines"
     if result.changed and asked:
@@ -45,18 +54,21 @@ def inpainted(
     usable: BoolArray,
     options: EstimateOptions,
     seed: int,
+    *,
+    hasty: bool = False,
 ) -> tuple[NDArray[np.float32], PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
     What the input clipped decides, not what the light model expects. Where a channel survived, it tells the
     others (`restore_channels`): in highlights and under over-exposure alike. Where none did, texture is
     resynthesised from beside it (`resynthesize`), unless so much is lost that it was no highlight.
-    Nothing is filled, or copied from, where the annotation forbids it.
+    Nothing is filled, or copied from, where the annotation forbids it. When `hasty`, because the budget has
+    ended, it is left out unless asked for.
     """
     assert image.texture_linear is not None
     stage, asked = "albedo.inpainting", options.inpainting
-    if asked is False:
-        return albedo_linear, PlanStep(stage, False, "left out by the caller")
+    if left_out := _left_out(stage, asked, hasty):
+        return albedo_linear, left_out
     allowed = image.mask if image.inpaint is None else image.mask & image.inpaint
     clipped = (image.texture_linear >= options.saturation_linear) & image.seen[..., None]
     # Texture lookup mixed the clipped values into their neighbours.
@@ -82,6 +94,15 @@ def inpainted(
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
+
+
+def _left_out(stage: str, asked: bool | None, hasty: bool) -> PlanStep | None:
+    """Return the plan's row of a repair that is not even looked at, else None."""
+    if asked is False:
+        return PlanStep(stage, False, "left out by the caller")
+    if asked is None and hasty:
+        return PlanStep(stage, False, "the budget ended before it")
+    return None
 
 
 def _with_neighbours(chosen: BoolArray) -> BoolArray:

@@ -1,4 +1,7 @@
-"""The fit: distance of the true surface and of corresponding points, against stages, steps and samples."""
+"""The fit: distance of the true surface and of corresponding points, against stages, steps and samples.
+
+Both are measured where skin was scanned: under hair there is nothing to be right about.
+"""
 
 from __future__ import annotations
 
@@ -97,9 +100,10 @@ def judged(
 ) -> Outcome:
     """Return the errors of a surface, and of `points` (V, 3), the model's vertices of a level."""
     found_from_truth = model_from_scan @ invert_rigid(scene.truth.model_from_scan)
-    true = transform_points(found_from_truth, scene.surface)
+    skin, places = scene.surface, scene.limit_points(level)
+    true = transform_points(found_from_truth, skin[scene.scanned(skin)])
     distance = ClosestPointQuery(*surface).query(true).distance
-    apart = np.linalg.norm(points - transform_points(found_from_truth, scene.limit_points(level)), axis=1)
+    apart = np.linalg.norm(points - transform_points(found_from_truth, places), axis=1)[scene.scanned(places)]
     details = {"p95 mm": float(np.percentile(distance, 95))}
     return Outcome(cost, (float(distance.mean()), float(apart.mean())), evaluations, details)
 

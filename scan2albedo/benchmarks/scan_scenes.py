@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.registration import register
@@ -24,6 +25,8 @@ _PLAIN = RawScanOptions(picture_size=48, size=128)
 _NOISY = replace(_PLAIN, noise_mm=0.6, holes=20, spikes=100)
 _COARSE = replace(_PLAIN, spacing_mm=5.0)
 _BEYOND_MIDDLE_MM = 8.0
+SCANNED_MM = 1.0
+"""A scan this near to the true skin is of skin; hair lies farther out."""
 _RIGID = slice(17, 48)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
 
@@ -55,6 +58,10 @@ class ScanScene:
         film = image.region == list(self.model.regions).index(MOUTH_REGION)
         return image.position[image.mask & ~film].astype(np.float64)
 
+    def scanned(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Return which points (N, 3) of the true skin were scanned: not those under hair or in holes."""
+        return scanned_skin(self.scan, self.truth, points)
+
     @cached_property
     def found_pose(self) -> FloatArray:
         """(4, 4) the pose that the registration finds: what the fit is given."""
@@ -63,6 +70,12 @@ class ScanScene:
     def limit_points(self, level: int) -> FloatArray:
         """Return the true places (V, 3) of the model's surface vertices of a level, in the truth's frame."""
         return self.model.subdivision(level).matrix @ self.truth.control_points
+
+
+def scanned_skin(scan: RawScan, truth: SyntheticTruth, points: FloatArray) -> NDArray[np.bool_]:
+    """Return which points (N, 3) of the true skin, in the truth's frame, have scan within `SCANNED_MM`."""
+    raw = ClosestPointQuery(transform_points(truth.model_from_scan, scan.vertices), scan.faces)
+    return raw.query(points).distance < SCANNED_MM
 
 
 @cache

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.fitting.scan_smoothing import smoothed
-from scan2albedo.fitting.scan_thinning import ThinnedSurface, thinned
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
     vertex_components,
@@ -18,6 +17,7 @@ from scan2albedo.geometry.mesh import (
 )
 from scan2albedo.geometry.nearest_surface import NearestHits, NearestSurface
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.thinning import ThinnedSurface, thinned
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -27,6 +27,7 @@ from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.thinning import thinned
 from scan2albedo.optimization import Budget, Meter, Plan, PlanStep, ProgressCallback
 
 FloatArray = NDArray[np.float64]
@@ -41,6 +42,8 @@ _DISAGREE = 2.0
 """Times by which outlines may raise the labels' error before they are taken for another picture's."""
 _NEAR_MM = 40.0
 """Distance up to which a frame whose depth is not known may be drawn onto the nose."""
+_OCCLUDER_MM = 2.0
+"""Cells in which the head's vertices are joined: finer than that it hides the same and costs more."""
 _STILL, _NO_LESS = 0.5, 2
 """Movement of the key points between two tracings at which the outlines have settled, in standard deviations
 of what is still open about them; and how often it may get no less: tracing jumps from pixel to pixel."""
@@ -148,6 +151,14 @@ class _Outcome:
     converged: bool
 
 
+def _caster(given: RegistrationInputs) -> RayCaster | None:
+    """Return what the head hides is asked of; None without a head."""
+    if given.head is None:
+        return None
+    coarse = thinned(*given.head, _OCCLUDER_MM)
+    return RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)
+
+
 class _Run:
     """One registration: what its stages share."""
 
@@ -158,8 +169,7 @@ class _Run:
         self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         mesh = FrameMesh(SkinnedPoints(given.vertices, self.weights), given.faces)
-        caster = None if given.head is None else RayCaster(*given.head)
-        self.sampler = OutlineSampler(mesh, given.views, caster, options)
+        self.sampler = OutlineSampler(mesh, given.views, _caster(given), options)
 
     def result(self) -> RegisteredEyeglasses:
         """Run the stages that the input asks for."""

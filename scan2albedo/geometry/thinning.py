@@ -1,8 +1,9 @@
-"""Join the vertices of a scan that is finer than the fit can follow: one for each cell of a grid."""
+"""Join the vertices of a mesh that is finer than is needed: one for each cell of a grid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,21 +25,23 @@ class ThinnedSurface:
         Those with corners in three cells.
     count : (V,) float64
         How many vertices were joined.
-    boundary : (V,) bool
-        On the border of the surface, which joining neither opens nor moves by more than a cell.
     """
 
     vertices: FloatArray
     faces: IntArray
     count: FloatArray
-    boundary: BoolArray
+
+    @cached_property
+    def boundary(self) -> BoolArray:
+        """(V,) on the border of the surface, which joining neither opens nor moves by more than a cell."""
+        return _on_odd_edge(len(self.vertices), self.faces)
 
 
-def thinned(vertices: FloatArray, faces: IntArray, cell_mm: float) -> ThinnedSurface:
-    """Join the vertices (V, 3) that lie in the same cell of a grid of `cell_mm`; seams close by it."""
-    cell = np.floor((vertices - vertices.min(0)) / cell_mm + 0.5).astype(np.int64)
-    span = cell.max(0) + 1
-    key = (cell[:, 0] * span[1] + cell[:, 1]) * span[2] + cell[:, 2]
+def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurface:
+    """Join the vertices (V, 3) that lie in the same cell of a grid of side `cell`; seams close by it."""
+    place = np.floor((vertices - vertices.min(0)) / cell + 0.5).astype(np.int64)
+    span = place.max(0) + 1
+    key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]
     _, inverse = np.unique(key, return_inverse=True)
     cluster = inverse.ravel()
     count = np.bincount(cluster).astype(np.float64)
@@ -46,7 +49,7 @@ def thinned(vertices: FloatArray, faces: IntArray, cell_mm: float) -> ThinnedSur
     joined = cluster[faces]
     a, b, c = joined.T
     distinct = joined[(a != b) & (b != c) & (c != a)]
-    return ThinnedSurface(means, distinct, count, _on_odd_edge(len(means), distinct))
+    return ThinnedSurface(means, distinct, count)
 
 
 def _on_odd_edge(count: int, faces: IntArray) -> BoolArray:
