@@ -38,7 +38,7 @@ def make_scan(path: Path, seed: int) -> float:
     """Write the scan of another person than those of other seeds; return the CPU seconds it took."""
     start = time.process_time()
     if not path.exists():
-        scan, _ = raw_scan(seed, options=RawScanOptions(size=64))
+        scan, _ = raw_scan(seed, options=RawScanOptions(size=64, picture_size=500))
         unfinished = path.with_name(f"unfinished-{path.name}")
         write_obj(scan, unfinished)
         for extension in (".png", ".mtl", ".obj"):  # the OBJ last: with it the scan is whole
