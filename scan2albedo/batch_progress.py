@@ -2,51 +2,26 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from types import TracebackType
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from scan2albedo.progress import PLAIN_INTERVAL_S, StderrLines
 
+if TYPE_CHECKING:
     from scan2albedo.batch import BatchProgress
 
-PLAIN_INTERVAL_S = 2.0
-"""Shortest time between two plain lines."""
 
-
-class BatchLines:
+class BatchLines(StderrLines):
     """Shows how far a batch is; use as a context manager."""
 
     def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
-        self._console = Console(stderr=True)
-        self._last_plain = 0.0
-        self._bar: Progress | None = None
-        if sys.stderr.isatty():
-            self._bar = Progress(
-                TextColumn("batch"),
-                BarColumn(),
-                TextColumn("{task.fields[state]}"),
-                TimeElapsedColumn(),
-                console=self._console,
-                transient=True,
-            )
+        super().__init__(
+            TextColumn("batch"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn()
+        )
+        if self._bar is not None:
             self._task = self._bar.add_task("batch", total=None, state="starting workers")
-
-    def __enter__(self) -> BatchLines:
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
 
     def update(self, progress: BatchProgress) -> None:
         """Show a scan that has ended, or a note."""
@@ -61,10 +36,6 @@ class BatchLines:
         elif last is not None and progress.left and time.monotonic() - self._last_plain > PLAIN_INTERVAL_S:
             self._last_plain = time.monotonic()
             self.say(f"batch: {_state(progress)}")
-
-    def say(self, line: str) -> None:
-        """Print a line that stays."""
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _state(progress: BatchProgress) -> str:

@@ -5,43 +5,37 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
+from typing import TYPE_CHECKING, Self
 
 from scan2albedo.optimization import TraceRow
 
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
 PLAIN_INTERVAL_S = 2.0
-"""Shortest time between two plain lines of one stage."""
+"""Shortest time between two plain lines of one thing."""
 
 
-class ProgressLines:
-    """Shows the trace rows of a running scan; use as a context manager.
+class StderrLines:
+    """A bar on stderr where that is a terminal, and lines that stay; use as a context manager.
 
     Parameters
     ----------
-    name : str
-        The scan's name.
+    columns : sequence of ProgressColumn
+        Of the bar.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, *columns: ProgressColumn) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress
 
-        self._name = name
         self._console = Console(stderr=True)
-        self._stage, self._last_plain = "", 0.0
+        self._last_plain = 0.0
         self._bar: Progress | None = None
         if sys.stderr.isatty():
-            self._bar = Progress(
-                SpinnerColumn(),
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TimeElapsedColumn(),
-                TextColumn("{task.fields[error]}"),
-                console=self._console,
-                transient=True,
-            )
-            self._task = self._bar.add_task(name, total=None, error="")
+            self._bar = Progress(*columns, console=self._console, transient=True)
 
-    def __enter__(self) -> ProgressLines:
+    def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
         return self
@@ -51,6 +45,34 @@ class ProgressLines:
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
+
+    def say(self, line: str) -> None:
+        """Print a line that stays."""
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+class ProgressLines(StderrLines):
+    """Shows the trace rows of a running scan; use as a context manager.
+
+    Parameters
+    ----------
+    name : str
+        The scan's name.
+    """
+
+    def __init__(self, name: str) -> None:
+        from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        super().__init__(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[error]}"),
+        )
+        self._name, self._stage = name, ""
+        if self._bar is not None:
+            self._task = self._bar.add_task(name, total=None, error="")
 
     def update(self, row: TraceRow) -> None:
         """Show one trace row."""
@@ -81,7 +103,3 @@ class ProgressLines:
         elif now - self._last_plain > PLAIN_INTERVAL_S:
             self._last_plain = now
             self.say(f"{self._name}: {stage} ... {done} of {total}")
-
-    def say(self, line: str) -> None:
-        """Print a line that stays."""
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.division import divide_light
-from scan2albedo.albedo.evidence import LightFound, LightSearch
+from scan2albedo.albedo.evidence import LightSearch
 from scan2albedo.albedo.finishing import inpainted, rectified
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import (
@@ -23,6 +23,7 @@ from scan2albedo.albedo.levels import (
     with_every_normal,
 )
 from scan2albedo.albedo.light_search import LeastSquaresSearch
+from scan2albedo.albedo.light_task import LightFound
 from scan2albedo.albedo.limits import limits_step
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
@@ -118,7 +119,7 @@ def estimate_albedo(
     if options.refiner == "auto" and options.objective == "residual":
         search = LeastSquaresSearch(image, usable, brdf, view, options, meter)
     else:
-        search = LightSearch(image, usable, brdf, view, seed, options, meter)
+        search = LightSearch(image, usable, brdf, view, options, meter, seed)
     return _divide(image, search.run(count), usable, view, seed, options, meter)
 
 

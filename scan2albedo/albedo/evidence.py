@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.albedo.light_model import LightModel
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.light_task import LightFound, LightTask
 from scan2albedo.albedo.problem import Problem, Solution, Yardstick, cost_removed
 from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
 from scan2albedo.albedo.shadow_caster import shadow_caster
-from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.shadow_map import VisibilityTable, cone_directions
-from scan2albedo.optimization import Meter
 from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
@@ -41,42 +38,16 @@ COARSE_STARTS, COARSE_STEP = 8, 3
 
 
 @dataclass(frozen=True)
-class LightFound:
-    """The solution, the plan's rows, and the mesh that casts shadows (None where they are left out).
-
-    Where it was judged, how sure the light is, and (H, W) the relative deviation of the albedo that follows.
-    """
-
-    solution: Solution
-    steps: list[PlanStep]
-    caster: RayCaster | None
-    uncertainty: LightUncertainty | None = None
-    albedo_deviation: FloatArray | None = None
-
-
-@dataclass(frozen=True)
-class LightSearch:
-    """Everything the search for the light needs, and the decisions it takes.
+class LightSearch(LightTask):
+    """Search by simplex and annealing, and the decisions it takes.
 
     Parameters
     ----------
-    image : GeometryImage
-    usable : (H, W) bool
-    brdf : str
-    view : (float, float, float)
-        Unit.
     seed : int
-    options : EstimateOptions
-    meter : Meter
+        Of the annealing; the others are those of `LightTask`.
     """
 
-    image: GeometryImage
-    usable: NDArray[np.bool_]
-    brdf: str
-    view: tuple[float, float, float]
     seed: int
-    options: EstimateOptions
-    meter: Meter
 
     def run(self, lights: int | None) -> LightFound:
         """Search for the light.
@@ -96,18 +67,13 @@ class LightSearch:
         if lights is None:
             solution, rows = self._count_lights(coarse, middle, tables, yardstick)
         else:
-            plain = self._search(coarse, middle, tables, self._model(lights), yardstick)
+            plain = self._search(coarse, middle, tables, self.model(lights), yardstick)
             solution, rows = self._with_parts(middle, plain, yardstick)
             rows.insert(0, PlanStep("albedo.lights", True, f"{lights} asked for"))
         yardstick.record(solution)
         best = polish(fine, solution, 2 * options.polish_evaluations, traced=True)
         yardstick.record(best)
         return LightFound(best, [step, *rows], caster)
-
-    def _model(self, lights: int) -> LightModel:
-        position = self.image.position[self.image.mask]
-        radius = float(np.linalg.norm(position, axis=1).max()) or 1.0
-        return LightModel(lights, self.brdf, self.view, radius)
 
     def _problem(self, size: int, caster: RayCaster | None) -> Problem:
         options = self.options
@@ -158,7 +124,7 @@ class LightSearch:
         It is added to the lights of `plain` from every tabulated direction; some of the best starts are
         polished, and so is `plain`.
         """
-        rows, model = plain.hypothesis.rows, self._model(plain.model.lights + 1)
+        rows, model = plain.hypothesis.rows, self.model(plain.model.lights + 1)
         seen = [table.nearest(row[:3]) for row in rows]
         starts = []
         for k, direction in enumerate(table.directions):
@@ -182,7 +148,7 @@ class LightSearch:
         """Add lights while each removes enough of the cost."""
         options, stage = self.options, "albedo.lights"
         wanted = max(options.light_gain, _LIGHT_GAIN)
-        plain = self._search(coarse, middle, tables, self._model(1), yardstick)
+        plain = self._search(coarse, middle, tables, self.model(1), yardstick)
         current, rows = self._with_parts(middle, plain, yardstick)
         decision = PlanStep(stage, True, "one light", "no second one tried")
         for lights in range(2, options.maximal_lights + 1):
@@ -200,7 +166,7 @@ class LightSearch:
                         f"({100 * CLOSER_LOOK * wanted:g} % asked for a closer look)",
                     )
                     break
-            plain = self._search(coarse, middle, tables, self._model(lights))
+            plain = self._search(coarse, middle, tables, self.model(lights))
             trial, trial_rows = self._with_parts(middle, plain)
             same = replace(current.model, lights=lights)
             inherited = polish(middle, Solution(same, plain.model.extend(plain.x, same), math.inf), each)

@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.albedo.copy_blending import blend_copies
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -15,12 +17,6 @@ _PROBES = 12
 _RADIUS = 40 / 512
 _FLOOR = np.float32(1e-4)
 """Albedo below this counts as this in logarithms."""
-_OWN_STEP = np.float32(0.6)
-"""Weight of two copies' own difference where copies from different places meet."""
-_HOLD = np.float32(1e-4)
-"""Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
-_SETTLED = np.float32(1e-3)
-"""Blending ends when no log albedo moves by more than this."""
 
 
 def resynthesize(
@@ -100,7 +96,7 @@ def resynthesize(
         _NEIGHBOURS,
         rng,
     )
-    _blend(filled, field, order, came_from, around, 2 * layers + 1)
+    blend_copies(filled, field, order, came_from, around, 2 * layers + 1)
     result = albedo.copy()
     new = np.exp(filled[inside], dtype=np.float64)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
@@ -186,16 +182,7 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, neig
     near, own = np.empty((neighbours, 2), np.int64), np.empty((neighbours, 3), np.float32)
     for t in range(order.shape[0]):
         row, column = order[t, 0], order[t, 1]
-        found = 0
-        for k in range(offsets.shape[0]):
-            i, j = row + offsets[k, 0], column + offsets[k, 1]
-            if known[i, j]:
-                near[found, 0], near[found, 1] = offsets[k, 0], offsets[k, 1]
-                for c in range(3):
-                    own[found, c] = result[i, j, c]
-                found += 1
-                if found == neighbours:
-                    break
+        found = _nearest_known(result, known, row, column, offsets, near, own)
         best, best_row, best_column = np.float32(np.inf), -1, -1
         attempt, probes, reach = 0, jumps.shape[1], 2
         while attempt < found + probes or best_row < 0:
@@ -220,18 +207,7 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, neig
                 )
             if not (0 <= i < height and 0 <= j < width and origin[i, j]):
                 continue
-            distance = np.float32(0)
-            for k in range(found):
-                a, b = i + near[k, 0], j + near[k, 1]
-                if context[a, b]:
-                    red, green = own[k, 0] - field[a, b, 0], own[k, 1] - field[a, b, 1]
-                    blue = own[k, 2] - field[a, b, 2]
-                    square = precision * (red * red + green * green + blue * blue)
-                    distance += min(np.float32(1), square)
-                else:
-                    distance += np.float32(1)
-                if distance >= best:
-                    break
+            distance = _distance(field, context, i, j, near[:found], own, precision, best)
             if distance < best:
                 best, best_row, best_column = distance, i, j
         for c in range(3):
@@ -242,63 +218,37 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, neig
 
 
 @njit(cache=True, nogil=True)
-def _blend(filled, field, order, came_from, context, diameter):  # type: ignore[no-untyped-def]
-    """Integrate the copies' gradients over the texels of `order`, in place, by successive over-relaxation.
+def _nearest_known(field, known, row, column, offsets, near, own):  # type: ignore[no-untyped-def]
+    """Put the offsets of the known texels nearest to one into `near` (N, 2), their values into `own` (N, 3).
 
-    Minimises sum |u_q - u_p - g_pq|^2 over neighbours p, q, of which one at least was copied, plus a little
-    of |u_p - its copy|^2, so that nothing drifts away where the border is far. Across the
-    border g is the step beside the place the copy came from. Where two copies from different places meet it
-    is a mean of that and of their own difference: the one alone takes a quarter of the texture's
-    variance away, the other adds some.
+    Return how many there are, N at most.
     """
-    count = order.shape[0]
-    # u_p = sum over neighbours (u_q - g_pq) / degree; the texel itself stands in for missing neighbours.
-    pull, links = np.zeros((count, 3), np.float32), np.zeros((count, 4, 2), np.int64)
-    degree, share = np.zeros(count, np.int64), np.zeros(count, np.float32)
-    for t in range(count):
-        row, column = order[t, 0], order[t, 1]
-        for i, j in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            a, b = row + i, column + j
-            inner = came_from[a, b, 0] >= 0
-            if not (context[a, b] or inner):
-                continue
-            k = degree[t]
-            degree[t] += 1
-            links[t, k, 0], links[t, k, 1] = a, b
-            # The left or upper texel of a pair is asked first, so that both ends want the same step.
-            for end in range(2):
-                here = (end == 0) == (i + j > 0)
-                p, q, sign = (row, column, 1) if here else (a, b, -1)
-                m, n = came_from[p, q, 0], came_from[p, q, 1]
-                if m >= 0 and context[m + sign * i, n + sign * j]:
-                    for c in range(3):
-                        step = sign * (field[m + sign * i, n + sign * j, c] - field[m, n, c])
-                        if inner:
-                            own = filled[a, b, c] - filled[row, column, c]
-                            step = _OWN_STEP * own + (np.float32(1) - _OWN_STEP) * step
-                        pull[t, c] -= step
-                    break
-        for k in range(degree[t], 4):
-            links[t, k, 0], links[t, k, 1] = row, column
-        for c in range(3):
-            pull[t, c] += _HOLD * filled[row, column, c]
-        share[t] = np.float32(1) / (np.float32(degree[t]) + _HOLD)
-    # The best factor for a square of this side; the error falls by e in diameter / (2 pi) sweeps.
-    relaxation = np.float32(2.0 / (1.0 + np.sin(np.pi / (diameter + 1))))
-    for _ in range(10 * diameter):
-        moved = np.float32(0)
-        for t in range(count):
-            if degree[t] == 0:
-                continue
-            row, column, missing = order[t, 0], order[t, 1], np.float32(4 - degree[t])
-            a, b, c, d = links[t]
-            for channel in range(3):
-                old = filled[row, column, channel]
-                total = pull[t, channel] - missing * old
-                total += filled[a[0], a[1], channel] + filled[b[0], b[1], channel]
-                total += filled[c[0], c[1], channel] + filled[d[0], d[1], channel]
-                change = relaxation * (total * share[t] - old)
-                filled[row, column, channel] = old + change
-                moved = max(moved, abs(change))
-        if moved < _SETTLED:
+    found = 0
+    for k in range(offsets.shape[0]):
+        i, j = row + offsets[k, 0], column + offsets[k, 1]
+        if known[i, j]:
+            near[found, 0], near[found, 1] = offsets[k, 0], offsets[k, 1]
+            for c in range(3):
+                own[found, c] = field[i, j, c]
+            found += 1
+            if found == len(near):
+                break
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _distance(field, context, i, j, near, own, precision, enough):  # type: ignore[no-untyped-def]
+    """Return how much the surroundings of (i, j) differ from `own`; the sum ends when it reaches `enough`."""
+    distance = np.float32(0)
+    for k in range(len(near)):
+        a, b = i + near[k, 0], j + near[k, 1]
+        if context[a, b]:
+            red, green = own[k, 0] - field[a, b, 0], own[k, 1] - field[a, b, 1]
+            blue = own[k, 2] - field[a, b, 2]
+            square = precision * (red * red + green * green + blue * blue)
+            distance += min(np.float32(1), square)
+        else:
+            distance += np.float32(1)
+        if distance >= enough:
             break
+    return distance

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.annotation import Region
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
-from scan2albedo.io.atomic import write_bytes, write_text
-
-Arrays = dict[str, np.ndarray]
+from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import checked_content
+from scan2albedo.io.npz import Arrays, read_npz, write_npz
 
 
 class RegionEntry(BaseModel):
@@ -79,9 +77,7 @@ def save_model(model: AnnotatedFaceModel, path: str | Path) -> None:
         notes=list(model.notes),
         regions={name: _entry_of(region) for name, region in model.regions.items()},
     )
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-    write_bytes(target.with_suffix(".npz"), stream.getvalue())
+    write_npz(target.with_suffix(".npz"), arrays, what="face model", compressed=True)
     write_text(target, json.dumps(entry.model_dump(), indent=2) + "\n")
 
 
@@ -150,24 +146,21 @@ def _read_entry(path: Path) -> FaceModelFile:
         raise ModelError(f"face model {path}: {error.strerror}; give the .json file of a model") from error
     except UnicodeDecodeError as error:
         raise ModelError(f"face model {path} is no text file; give the .json file, not the .npz") from error
-    try:
-        return FaceModelFile.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise ModelError(
-            f"face model {path} is no annotated face model: {where}: {first['msg']} "
-            f"({error.error_count()} problems); expected data_schemas/annotated_face_model.schema.json"
-        ) from error
+    return checked_content(
+        text,
+        FaceModelFile,
+        place=f"face model {path} is no annotated face model",
+        advice="expected data_schemas/annotated_face_model.schema.json",
+        error=ModelError,
+    )
 
 
 def _read_arrays(path: Path) -> Arrays:
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+        return read_npz(path)
     except FileNotFoundError as error:
         raise ModelError(f"face model: {path} is missing; copy it beside its .json file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise ModelError(
             f"face model: {path} is truncated or no .npz file ({error}); copy it again"
         ) from error

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scan2albedo.geometry.nearest_surface import walk_downhill
-from scan2albedo.geometry.triangle_distance import weights_nearest_origin
+from scan2albedo.geometry.nearest_surface import nearest_around, walk_downhill
 
 
 @njit(cache=True, nogil=True)
@@ -62,21 +61,8 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, norma
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
         vertex[i] = v
-        best, nearest, k0, k1, k2 = np.inf, 0, 1.0, 0.0, 0.0
-        for r in range(ring_start[v], ring_start[v + 1]):
-            f = ring[r]
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
-            bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
-            cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
-            w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
-            px = w0 * ax + w1 * bx + w2 * cx
-            py = w0 * ay + w1 * by + w2 * cy
-            pz = w0 * az + w1 * bz + w2 * cz
-            d = px * px + py * py + pz * pz
-            if d < best:
-                best, nearest, k0, k1, k2 = d, f, w0, w1, w2
-                offset[i, 0], offset[i, 1], offset[i, 2] = px, py, pz
+        best, nearest, k0, k1, k2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
+        offset[i, 0], offset[i, 1], offset[i, 2] = px, py, pz
         distance[i] = np.sqrt(best)
         a, b, c = faces[nearest, 0], faces[nearest, 1], faces[nearest, 2]
         nx = k0 * normals[a, 0] + k1 * normals[b, 0] + k2 * normals[c, 0]

@@ -123,24 +123,38 @@ def _closest_around(p, vertex, xyz, faces, ring, ring_start, near, near_start, c
         x, y, z = p[i, 0], p[i, 1], p[i, 2]
         v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
         vertex[i] = v
-        best = np.inf
-        for r in range(ring_start[v], ring_start[v + 1]):
-            f = ring[r]
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
-            bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
-            cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
-            w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
-            px = w0 * ax + w1 * bx + w2 * cx
-            py = w0 * ay + w1 * by + w2 * cy
-            pz = w0 * az + w1 * bz + w2 * cz
-            d = px * px + py * py + pz * pz
-            if d < best:
-                best = d
-                face[i] = f
-                weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
-                closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz
+        best, f, w0, w1, w2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
+        face[i] = f
+        weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
+        closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz
         gap[i] = np.sqrt(best)
+
+
+@njit(cache=True, nogil=True)
+def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
+    """Return where the triangles around vertex v are nearest to (x, y, z).
+
+    The squared distance, the triangle, the three weights of its corners, and the way there from (x, y, z).
+    """
+    best, nearest = np.inf, 0
+    k0, k1, k2 = 1.0, 0.0, 0.0
+    ox, oy, oz = 0.0, 0.0, 0.0
+    for r in range(ring_start[v], ring_start[v + 1]):
+        f = ring[r]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
+        bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
+        cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
+        w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
+        px = w0 * ax + w1 * bx + w2 * cx
+        py = w0 * ay + w1 * by + w2 * cy
+        pz = w0 * az + w1 * bz + w2 * cz
+        d = px * px + py * py + pz * pz
+        if d < best:
+            best, nearest = d, f
+            k0, k1, k2 = w0, w1, w2
+            ox, oy, oz = px, py, pz
+    return best, nearest, k0, k1, k2, ox, oy, oz
 
 
 @njit(cache=True, nogil=True)

@@ -58,20 +58,35 @@ def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tupl
     faces : (F, 3) array_like of int
     shape : (H, W)
     """
-    face, barycentric = _rasterize(
-        np.ascontiguousarray(pixels, np.float64),
-        np.ascontiguousarray(depth, np.float64),
-        np.ascontiguousarray(faces, np.int64),
-        shape[0],
-        shape[1],
-    )
+    face, barycentric = np.full(shape, -1, np.int64), np.zeros((*shape, 3))
+    _rasterize(*_contiguous(pixels, depth, faces), face, barycentric)
     return Raster(face, barycentric)
 
 
+def nearest_faces(
+    pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]
+) -> NDArray[np.int32]:
+    """Return `rasterize`'s `face` (H, W) alone: faster, where few pixels need weights."""
+    face = np.full(shape, -1, np.int32)
+    _rasterize(*_contiguous(pixels, depth, faces), face, np.zeros((0, 0, 3)))
+    return face
+
+
+def _contiguous(
+    pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    return (
+        np.ascontiguousarray(pixels, np.float64),
+        np.ascontiguousarray(depth, np.float64),
+        np.ascontiguousarray(faces, np.int64),
+    )
+
+
 @njit(cache=True, nogil=True)
-def _rasterize(pixels, depth, faces, height, width):  # type: ignore[no-untyped-def]
-    owner = np.full((height, width), -1, np.int64)
-    weights = np.zeros((height, width, 3))
+def _rasterize(pixels, depth, faces, owner, weights):  # type: ignore[no-untyped-def]
+    """Fill `owner` (H, W) with the nearest faces, `weights` (H, W, 3) unless it is empty."""
+    height, width = owner.shape
+    weighted = weights.size > 0
     nearest = np.full((height, width), -np.inf)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -85,6 +100,7 @@ def _rasterize(pixels, depth, faces, height, width):  # type: ignore[no-untyped-
         column_last = min(width - 1, int(np.floor(max(ax, bx, cx))))
         row_first = max(0, int(np.ceil(min(ay, by, cy))))
         row_last = min(height - 1, int(np.floor(max(ay, by, cy))))
+        za, zb, zc = depth[a], depth[b], depth[c]
         for row in range(row_first, row_last + 1):
             for column in range(column_first, column_last + 1):
                 wa = ((bx - column) * (cy - row) - (by - row) * (cx - column)) / area
@@ -93,14 +109,14 @@ def _rasterize(pixels, depth, faces, height, width):  # type: ignore[no-untyped-
                 # A hair of tolerance keeps texels on a shared edge from falling between two faces.
                 if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
                     continue
-                z = wa * depth[a] + wb * depth[b] + wc * depth[c]
+                z = wa * za + wb * zb + wc * zc
                 if z > nearest[row, column]:
                     nearest[row, column] = z
                     owner[row, column] = f
-                    weights[row, column, 0] = wa
-                    weights[row, column, 1] = wb
-                    weights[row, column, 2] = wc
-    return owner, weights
+                    if weighted:
+                        weights[row, column, 0] = wa
+                        weights[row, column, 1] = wb
+                        weights[row, column, 2] = wc
 
 
 def interpolate(

@@ -47,12 +47,43 @@ def read_checked(
         raise error(f"{what} {path}: {cause.strerror or cause}; give a file that {writer} wrote") from cause
     except UnicodeDecodeError as cause:
         raise error(f"{what} {path} is no text file; give a JSON file") from cause
+    return checked_content(
+        text, kind, place=f"{what} {path}", advice=f"expected data_schemas/{schema}", error=error
+    )
+
+
+def checked_content(
+    text: str | bytes,
+    kind: type[Content],
+    *,
+    place: str,
+    advice: str,
+    error: type[Scan2AlbedoError],
+    whole: str = "the file",
+) -> Content:
+    """Return what JSON text holds.
+
+    Parameters
+    ----------
+    text : str or bytes
+    kind : type of BaseModel
+    place : str
+        What it was read from, for messages, such as "key points glasses.json".
+    advice : str
+        What it should have been, or what to do, for messages.
+    error : type of Scan2AlbedoError
+        To raise.
+    whole : str
+        The text in words, for messages on no part of it.
+
+    Raises
+    ------
+    Scan2AlbedoError
+        Of the given type, when the text does not fit; names the first fault.
+    """
     try:
         return kind.model_validate_json(text)
     except ValidationError as cause:
         first = cause.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise error(
-            f"{what} {path}: {where}: {first['msg']} ({cause.error_count()} problems); expected "
-            f"data_schemas/{schema}"
-        ) from cause
+        where = ".".join(str(part) for part in first["loc"]) or whole
+        raise error(f"{place}: {where}: {first['msg']} ({cause.error_count()} problems); {advice}") from cause

@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-import io
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.checked_json import checked_content
+from scan2albedo.io.npz import Arrays, read_npz, write_npz
 
 Header = TypeVar("Header", bound=BaseModel)
-Arrays = dict[str, NDArray[Any]]
-
-_DAMAGE = (
-    OSError,
-    ValueError,
-    KeyError,
-    EOFError,
-    TypeError,
-    SyntaxError,
-    RuntimeError,  # NotImplementedError is one
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    tokenize.TokenError,
-)
-"""What zip, NumPy's header and its parser raise of bytes that are not what was written."""
 
 
 def write_checked_npz(
@@ -50,11 +29,8 @@ def write_checked_npz(
     OutputError
         When the file cannot be written.
     """
-    if Path(path).suffix != ".npz":
-        raise ValueError(f"{what}s are written as .npz, got {Path(path).name}")
-    content: Arrays = {"header": np.array(header.model_dump_json()), **arrays}
-    with atomic_path(path) as temporary:
-        np.savez(temporary, allow_pickle=False, **content)
+    content = {"header": np.array(header.model_dump_json()), **arrays}
+    write_npz(path, content, what=what, compressed=False)
 
 
 def read_checked_npz(
@@ -91,21 +67,17 @@ def read_checked_npz(
         Of the given type, when the file is missing, damaged or something else.
     """
     try:
-        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
-            found = {name: file[name] for name in ("header", *arrays)}
-    except _DAMAGE as cause:
-        raise error(
-            f"{what} {path} cannot be read ({' '.join(str(cause).split())}); give a file that {writer} wrote"
-        ) from cause
-    try:
-        header = kind.model_validate_json(str(found.pop("header")))
-    except ValidationError as cause:
-        first = cause.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the header"
-        raise error(
-            f"{what} {path}: {where}: {first['msg']} ({cause.error_count()} problems); expected a header as "
-            f"in data_schemas/{schema}"
-        ) from cause
+        found = read_npz(path, ("header", *arrays))
+    except (OSError, ValueError) as cause:
+        raise error(f"{what} {path} cannot be read ({cause}); give a file that {writer} wrote") from cause
+    header = checked_content(
+        str(found.pop("header")),
+        kind,
+        place=f"{what} {path}",
+        whole="the header",
+        advice=f"expected a header as in data_schemas/{schema}",
+        error=error,
+    )
     for name, array in found.items():
         if array.dtype.kind not in arrays[name]:
             raise error(f"{what} {path}: {name} holds {array.dtype}; write it again")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
@@ -14,6 +13,7 @@ from scan2albedo.errors import GeometryImageError, ScanError
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.images import read_exr_channels, write_exr_channels
+from scan2albedo.io.npz import read_npz
 
 FORMAT_VERSION = 1
 
@@ -132,9 +132,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
 
 def _read_npz(file: Path) -> dict[str, NDArray[Any]]:
     try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
-            arrays = dict(archive) if isinstance(archive, np.lib.npyio.NpzFile) else {}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        arrays = read_npz(file)
+    except (OSError, ValueError) as error:
         raise GeometryImageError(
             f"{file}: cannot be read as a NumPy archive ({error}); write it again"
         ) from error

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.checked_json import checked_content
 
 if TYPE_CHECKING:
     from scan2albedo.lighting.point_light import PointLight
@@ -183,13 +184,13 @@ def read_record(path: str | Path, kind: type[RecordType]) -> RecordType:
     """
     file = Path(path)
     try:
-        return kind.model_validate_json(file.read_bytes())
+        text = file.read_bytes()
     except OSError as error:
         raise Scan2AlbedoError(f"{file}: cannot be read: {error.strerror or error}") from error
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise Scan2AlbedoError(
-            f"{file}: {place}: {first['msg']} ({error.error_count()} faults); "
-            "it was edited, cut short, or written by another version: process the scan again"
-        ) from error
+    return checked_content(
+        text,
+        kind,
+        place=str(file),
+        advice="it was edited, cut short, or written by another version: process the scan again",
+        error=Scan2AlbedoError,
+    )

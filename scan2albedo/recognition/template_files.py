@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
 from scan2albedo.recognition.chart import Chart
 from scan2albedo.recognition.options import Channel, TemplateOptions
 from scan2albedo.recognition.templates import Templates
+
+_ARRAYS = {"coefficients": "c", "mask": "b"}
+"""Names of the arrays in a file and their kinds."""
 
 
 class TemplateOptionsRecord(BaseModel):
@@ -74,15 +73,13 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     -----
     82 kB a template of 128 pixels; not compressed, for the bits of coefficients do not repeat.
     """
-    if Path(path).suffix != ".npz":
-        raise ValueError(f"templates are written as .npz, got {Path(path).name}")
     if len(templates) == 0:
         raise RecognitionError("there is no template to write; give one or more")
     options = TemplateOptionsRecord.model_validate(templates.options, from_attributes=True)
     chart = None if templates.chart is None else ChartRecord(**vars(templates.chart))
-    header = TemplatesHeader(names=templates.names, options=options, chart=chart).model_dump_json()
-    with atomic_path(path) as temporary:
-        np.savez(temporary, header=np.array(header), coefficients=templates.coefficients, mask=templates.mask)
+    header = TemplatesHeader(names=templates.names, options=options, chart=chart)
+    arrays = {name: getattr(templates, name) for name in _ARRAYS}
+    write_checked_npz(path, header, arrays, what="template")
 
 
 def read_templates(path: str | Path) -> Templates:
@@ -97,29 +94,18 @@ def read_templates(path: str | Path) -> Templates:
     RecognitionError
         When the file is missing, damaged, something else, or holds templates that cannot be used; names it.
     """
-    arrays = _read_arrays(path)
+    header, arrays = read_checked_npz(
+        path,
+        TemplatesHeader,
+        _ARRAYS,
+        what="templates",
+        writer="write_templates",
+        schema="template_set.schema.json",
+        error=RecognitionError,
+    )
     try:
-        header = TemplatesHeader.model_validate_json(str(arrays["header"]))
         options = TemplateOptions(**header.options.model_dump())
         chart = None if header.chart is None else Chart(**header.chart.model_dump())
         return Templates(arrays["coefficients"], arrays["mask"], header.names, options, chart)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the header"
-        raise RecognitionError(
-            f"templates {path}: {where}: {first['msg']} ({error.error_count()} problems); expected a header "
-            "as in data_schemas/template_set.schema.json"
-        ) from error
     except (ValueError, RecognitionError) as error:
         raise RecognitionError(f"templates {path}: {error}; write the file again") from error
-
-
-def _read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
-            return {name: file[name] for name in ("header", "coefficients", "mask")}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
-        raise RecognitionError(
-            f"templates {path} cannot be read ({' '.join(str(error).split())}); give a file that "
-            "write_templates wrote"
-        ) from error

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, refuse_other_lobes
 
 _ARRAYS = {
     "known": "b",
@@ -82,10 +82,7 @@ def read_model(path: str | Path) -> MorphableReflectanceModel:
         schema="reflectance_model.schema.json",
         error=ReflectanceError,
     )
-    if header.exponents != EXPONENTS:
-        raise ReflectanceError(
-            f"reflectance model {path} has lobes of exponents {header.exponents}, expected {EXPONENTS}"
-        )
+    refuse_other_lobes(header.exponents, f"reflectance model {path}")
     found = arrays["deviation"].shape, arrays["known"].shape
     if found != ((header.components,), (header.vertices,)):
         raise ReflectanceError(

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
 from scan2albedo.reflectance.fit_result import ReflectanceFit
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, refuse_other_lobes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -139,10 +139,7 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
         schema="mesh_reflectance.schema.json",
         error=ReflectanceError,
     )
-    if header.exponents != EXPONENTS:
-        raise ReflectanceError(
-            f"reflectance {path} has lobes of exponents {header.exponents}, expected {EXPONENTS}"
-        )
+    refuse_other_lobes(header.exponents, f"reflectance {path}")
     try:
         reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
         return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance)

@@ -66,3 +66,9 @@ class VertexReflectance:
         object.__setattr__(self, "diffuse_linear", np.where(known[:, None], diffuse, np.nan))
         object.__setattr__(self, "weights", np.where(known[:, None], weights, np.nan))
         object.__setattr__(self, "known", known)
+
+
+def refuse_other_lobes(exponents: tuple[float, ...], place: str) -> None:
+    """Raise ReflectanceError when reflectance at `place`, in words, has other lobes than `EXPONENTS`."""
+    if exponents != EXPONENTS:
+        raise ReflectanceError(f"{place} has lobes of exponents {exponents}, expected {EXPONENTS}")

@@ -5,7 +5,9 @@ from scan2albedo.synthetic.flash_capture import FlashCapture, FlashCaptureOption
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_bend import GlassesBend
 from scan2albedo.synthetic.glasses_shape import GlassesShape
+from scan2albedo.synthetic.glossy_face import GlossyFace
 from scan2albedo.synthetic.population import PopulationOptions, population_scan
+from scan2albedo.synthetic.portrait_options import PortraitOptions
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
@@ -27,8 +29,10 @@ __all__ = [
     "FlashCaptureOptions",
     "GlassesBend",
     "GlassesShape",
+    "GlossyFace",
     "Material",
     "PopulationOptions",
+    "PortraitOptions",
     "RawLikeOptions",
     "RawScanOptions",
     "SceneParameters",

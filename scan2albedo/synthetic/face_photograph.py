@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.synthetic.glossy_face import GlossyFace
 from scan2albedo.synthetic.glossy_person import GlossyPerson
 from scan2albedo.synthetic.identity import Expression
-from scan2albedo.synthetic.portrait import exposure_for, portrait_camera, stored_values
+from scan2albedo.synthetic.portrait import exposure_for, portrait_camera
+from scan2albedo.synthetic.portrait_options import PortraitOptions
 from scan2albedo.synthetic.sitter import sit_down
 
 FloatArray = NDArray[np.float64]
@@ -23,26 +25,17 @@ _BEHIND_MM = 3.0
 
 
 @dataclass(frozen=True)
-class FacePhotographOptions:
-    """How the picture is taken.
+class FacePhotographOptions(PortraitOptions):
+    """How the picture is taken, beside `PortraitOptions`.
 
     Parameters
     ----------
     azimuth_deg, elevation_deg : float
         Of the camera.
-    picture_size : int
-        Height and width in pixels.
-    reach_mm, distance_mm : float
-        Half of what the picture spans at the head, and how far away that is.
     lights : int
         Distant lights that stand for the environment, each with its shadows.
-    gamma, noise, bits, saturated_part
-        As in `FlashCaptureOptions`.
     landmark_noise_px : float
         Standard deviation of the labelled landmarks.
-    hair : bool
-    levels : int
-        Of subdivision of the mesh, as in `FlashCaptureOptions`.
 
     Raises
     ------
@@ -52,39 +45,20 @@ class FacePhotographOptions:
 
     azimuth_deg: float = 0.0
     elevation_deg: float = 0.0
-    picture_size: int = 256
-    reach_mm: float = 130.0
-    distance_mm: float = 1000.0
     lights: int = 256
-    gamma: float = 1.2
-    noise: float = 0.01
-    bits: int | None = 8
-    saturated_part: float = 0.002
     landmark_noise_px: float = 1.0
-    hair: bool = True
-    levels: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("picture_size", "lights"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 1")
-        for name in ("reach_mm", "distance_mm", "gamma"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
-        for name in ("noise", "landmark_noise_px"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
-        if not 0 <= self.saturated_part < 1:
-            raise ValueError(f"saturated_part is {self.saturated_part}, expected in [0, 1)")
-        if self.bits not in (8, 16, None) or self.levels not in (1, 2, 3):
-            raise ValueError(f"bits is {self.bits} and levels {self.levels}, expected 8, 16 or None, 1 to 3")
+        super().__post_init__()
+        self._refuse_below_one("lights")
+        self._refuse_negative("landmark_noise_px")
         if not (np.isfinite(self.azimuth_deg) and abs(self.elevation_deg) < 90):
             raise ValueError(f"the camera at {self.azimuth_deg}, {self.elevation_deg} degrees is nowhere")
 
 
 @dataclass(frozen=True)
-class FacePhotograph:
-    """Frame: the face model's, mm.
+class FacePhotograph(GlossyFace):
+    """A picture of a `GlossyFace`; frame: the face model's, mm.
 
     Parameters
     ----------
@@ -96,7 +70,7 @@ class FacePhotograph:
         Projection matrix.
     landmarks_px : (68, 2) float64
         Labelled landmarks, with noise; NaN where they are hidden.
-    vertices, normals, faces, landmarks, diffuse_linear, weights, exposure
+    exposure : float
         As in `FlashCapture`.
     options : FacePhotographOptions
     """
@@ -105,12 +79,6 @@ class FacePhotograph:
     skin: NDArray[np.bool_]
     camera: FloatArray
     landmarks_px: FloatArray
-    vertices: FloatArray
-    normals: FloatArray
-    faces: IntArray
-    landmarks: FloatArray
-    diffuse_linear: FloatArray
-    weights: FloatArray
     exposure: float
     options: FacePhotographOptions
 
@@ -153,8 +121,7 @@ def face_photograph(
     (48, 48, 3)
     """
     lights = DistantLights.from_environment(environment_linear, options.lights)
-    face_model = model or AnnotatedFaceModel.default()
-    sitter = sit_down(seed, expression=expression, model=face_model)
+    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
     person = GlossyPerson.of(sitter, hair=options.hair)
     camera = portrait_camera(
         options.azimuth_deg,
@@ -168,25 +135,12 @@ def face_photograph(
     radiance = person.under(seen, lights)
     exposure = exposure_for(radiance[seen.on_face].max(1), options.saturated_part)
     rng = np.random.default_rng([seed, 22])
-    subdivision = face_model.subdivision(options.levels)
-    count = subdivision.matrix.shape[0]
     return FacePhotograph(
-        image=stored_values(
-            seen.picture(exposure * radiance),
-            gamma=options.gamma,
-            noise=options.noise,
-            bits=options.bits,
-            rng=rng,
-        ),
+        **vars(GlossyFace.truth_of(person, options.levels)),
+        image=options.stored(seen.picture(exposure * radiance), rng),
         skin=seen.marked(seen.on_face),
         camera=camera,
         landmarks_px=_labels(person, camera, center, options, rng),
-        vertices=sitter.face.vertices[:count],
-        normals=sitter.normals[:count],
-        faces=subdivision.faces,
-        landmarks=sitter.face.landmarks,
-        diffuse_linear=person.diffuse_linear[:count],
-        weights=person.weights[:count],
         exposure=exposure,
         options=options,
     )

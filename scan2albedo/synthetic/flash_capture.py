@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.synthetic.glossy_face import GlossyFace
 from scan2albedo.synthetic.glossy_person import GlossyPerson, SeenSurface
 from scan2albedo.synthetic.identity import Expression
 from scan2albedo.synthetic.portrait import (
@@ -16,9 +16,9 @@ from scan2albedo.synthetic.portrait import (
     exposure_for,
     focal_length_px,
     portrait_camera,
-    stored_values,
     toward,
 )
+from scan2albedo.synthetic.portrait_options import PortraitOptions
 from scan2albedo.synthetic.sitter import sit_down
 
 FloatArray = NDArray[np.float64]
@@ -34,38 +34,22 @@ _LEAST_GAIN = 0.1
 
 
 @dataclass(frozen=True)
-class FlashCaptureOptions:
-    """How the pictures are taken.
+class FlashCaptureOptions(PortraitOptions):
+    """How the pictures are taken, beside `PortraitOptions`; flashes are as far away as cameras.
 
     Parameters
     ----------
     views, flashes : int
         Cameras on an arc of 120 degrees around the face, and flashes, which stand where the cameras do; two
         more stand above when there are more flashes than views.
-    picture_size : int
-        Height and width of the pictures in pixels.
-    reach_mm : float
-        Half of what a picture spans at the head.
-    distance_mm : float
-        Of cameras and flashes from the head.
     falloff : bool
         Whether flashes fall off with the square of their distance, to 1 at `distance_mm`.
     gain_deviation : float
         Standard deviation of the flashes' strengths, their mean being 1.
     room : float
         Strength of the room's light, of which the flashes know nothing, relative to a flash.
-    gamma : float
-        Values are light^(1 / gamma).
-    noise : float
-        Standard deviation of the values, white = 1.
-    bits : int or None
-        8, 16, or None for values that are neither rounded nor clipped.
-    saturated_part : float
-        Of all the face's pixels in all pictures, brighter than white.
-    hair : bool
-        Whether there is hair, which hides and shades the brow and is not in the mesh.
     levels : int
-        Of subdivision of the mesh: 1 is 3,663 vertices with the default model, 2 is 14,533.
+        Of subdivision of the mesh, as in `PortraitOptions`.
 
     Raises
     ------
@@ -75,35 +59,16 @@ class FlashCaptureOptions:
 
     views: int = 9
     flashes: int = 11
-    picture_size: int = 256
-    reach_mm: float = 130.0
-    distance_mm: float = 1000.0
     falloff: bool = True
     gain_deviation: float = 0.0
     room: float = 0.15
-    gamma: float = 1.2
-    noise: float = 0.01
-    bits: int | None = 8
-    saturated_part: float = 0.002
-    hair: bool = True
+    _: KW_ONLY
     levels: int = 2
 
     def __post_init__(self) -> None:
-        for name in ("views", "flashes", "picture_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 1")
-        for name in ("reach_mm", "distance_mm", "gamma"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
-        for name in ("gain_deviation", "room", "noise"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
-        if not 0 <= self.saturated_part < 1:
-            raise ValueError(f"saturated_part is {self.saturated_part}, expected in [0, 1)")
-        if self.bits not in (8, 16, None):
-            raise ValueError(f"bits is {self.bits}, expected 8, 16 or None")
-        if self.levels not in (1, 2, 3):
-            raise ValueError(f"levels is {self.levels}, expected 1, 2 or 3")
+        super().__post_init__()
+        self._refuse_below_one("views", "flashes")
+        self._refuse_negative("gain_deviation", "room")
         if self.flashes > self.views + len(_HIGH_FLASHES_DEG):
             raise ValueError(
                 f"there are {self.flashes} flashes and {self.views} views, expected "
@@ -112,8 +77,8 @@ class FlashCaptureOptions:
 
 
 @dataclass(frozen=True)
-class FlashCapture:
-    """J = views x flashes pairs of pictures of a face, in the frame of the face, mm.
+class FlashCapture(GlossyFace):
+    """J = views x flashes pairs of pictures of a `GlossyFace`, in the frame of the face, mm.
 
     Parameters
     ----------
@@ -129,12 +94,6 @@ class FlashCapture:
         Poses of the head before each camera, x_cam = R x + t; flash k stands where camera k does. Cameras
         after the first `views` took no pictures.
     intrinsics : (3, 3) float64
-    vertices, normals : (V, 3) float64
-        Of the face.
-    faces : (F, 3) int64
-    landmarks : (68, 3) float64
-    diffuse_linear, weights : (V, 3) float64
-        True albedo, and true weights of the Blinn-Phong lobes with exponents 1, 8 and 64.
     exposure : float
         Light of value 1 is what radiance 1 / exposure makes: fits find `exposure` times the reflectance.
     light_gain : (L,) float64
@@ -150,12 +109,6 @@ class FlashCapture:
     head_rotations: FloatArray
     head_translations: FloatArray
     intrinsics: FloatArray
-    vertices: FloatArray
-    normals: FloatArray
-    faces: IntArray
-    landmarks: FloatArray
-    diffuse_linear: FloatArray
-    weights: FloatArray
     exposure: float
     light_gain: FloatArray
     options: FlashCaptureOptions
@@ -207,8 +160,7 @@ def flash_capture(
     >>> flash_capture(options=few).flash.shape
     (2, 48, 48, 3)
     """
-    face_model = model or AnnotatedFaceModel.default()
-    sitter = sit_down(seed, expression=expression, model=face_model)
+    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
     person = GlossyPerson.of(sitter, hair=options.hair)
     rotations, translations, intrinsics = _head_poses(options)
     centers = _centers(rotations, translations)
@@ -228,25 +180,17 @@ def flash_capture(
             flashes.append(seen.picture(radiance))
             brightest.append(radiance[seen.on_face].max(1))
     exposure = exposure_for(np.concatenate(brightest), options.saturated_part)
-    subdivision = face_model.subdivision(options.levels)
-    count = subdivision.matrix.shape[0]
     view = np.repeat(np.arange(options.views), options.flashes)
     return FlashCapture(
-        flash=np.stack([_stored(exposure * picture, options, rng) for picture in flashes]),
-        room=np.stack([_stored(exposure * picture, options, rng) for picture in rooms])[view],
+        **vars(GlossyFace.truth_of(person, options.levels)),
+        flash=np.stack([options.stored(exposure * picture, rng) for picture in flashes]),
+        room=np.stack([options.stored(exposure * picture, rng) for picture in rooms])[view],
         skin=np.stack(skin)[view],
         view=view,
         light=np.tile(np.arange(options.flashes), options.views),
         head_rotations=rotations,
         head_translations=translations,
         intrinsics=intrinsics,
-        # Vertices of coarser levels are the first ones of finer levels.
-        vertices=sitter.face.vertices[:count],
-        normals=sitter.normals[:count],
-        faces=subdivision.faces,
-        landmarks=sitter.face.landmarks,
-        diffuse_linear=person.diffuse_linear[:count],
-        weights=person.weights[:count],
         exposure=exposure,
         light_gain=gain,
         options=options,
@@ -280,9 +224,3 @@ def _room_light(person: GlossyPerson, seen: SeenSurface, strength: float) -> Flo
         for lamp in _ROOM_LAMPS_DEG
     ]
     return strength * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
-
-
-def _stored(
-    linear: NDArray[np.float32], options: FlashCaptureOptions, rng: np.random.Generator
-) -> NDArray[np.generic]:
-    return stored_values(linear, gamma=options.gamma, noise=options.noise, bits=options.bits, rng=rng)

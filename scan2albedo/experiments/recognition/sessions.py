@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +13,8 @@ from numpy.typing import NDArray
 from scan2albedo.albedo import estimate_albedo
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments.recognition.options import RecognitionExperimentOptions
-from scan2albedo.io.atomic import make_folder, write_bytes
+from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.pipeline import process
 from scan2albedo.synthetic.population import population_scan
 
@@ -55,10 +54,8 @@ def cached_session(
     """Return a session from the disk, None when it is not there whole or lacks an albedo."""
     path = session_file(cache, options, person, session)
     try:
-        # Read at once: NumPy leaves the file open where it is damaged.
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        arrays = read_npz(path)
+    except (OSError, ValueError):
         return None
     if "seen" not in arrays or "failure" not in arrays:
         return None
@@ -105,9 +102,7 @@ def keep_session(
     arrays: dict[str, Any] = {"seen": made.seen, "failure": np.array(made.failure), **made.images}
     if made.failure:
         arrays["brdfs"] = np.array(made.brdfs)
-    packed = io.BytesIO()
-    np.savez_compressed(packed, **arrays)
-    write_bytes(path, packed.getvalue())
+    write_npz(path, arrays, what="session", compressed=True)
 
 
 def session_of(cache: Path, options: RecognitionExperimentOptions, person: int, session: int) -> Session:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,32 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.npz import read_npz, write_npz
 
-Shapes = Mapping[str, tuple[int | str, ...]]
-"""Shapes of arrays by name; a letter stands for a length that is one wherever the letter is."""
+Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
+"""Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
 
 
-def write_arrays(path: str | Path, source: Any, names: Shapes) -> None:
-    """Write the attributes of `source` that `names` has, atomically.
+def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) -> None:
+    """Write the attributes of `source` that `layout` names, whole or not at all.
 
     Raises
     ------
+    ValueError
+        When the name does not end in .npz; `what` is written, in words.
     OutputError
         When the folder cannot be written.
     """
-    with atomic_path(path) as temporary:
-        arrays: dict[str, Any] = {name: np.asarray(getattr(source, name)) for name in names}
-        np.savez_compressed(temporary, **arrays)
+    arrays = {name: np.asarray(getattr(source, name)) for name in layout}
+    write_npz(path, arrays, what=what, compressed=True)
 
 
-def read_arrays(path: str | Path, shapes: Shapes, *, what: str, example: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file.
+def read_arrays(path: str | Path, layout: Layout, *, what: str, example: str) -> dict[str, Any]:
+    """Return the arrays of a file in their types; what has no sides as a number of Python's.
 
     Parameters
     ----------
     path : str or Path
-    shapes : mapping of str to tuple
+    layout : mapping of str to tuple
         Of all arrays that must be there. Those of "vertices" and "faces" make a mesh.
     what : str
         The thing in the file, for messages, such as "canonical frame".
@@ -51,14 +49,11 @@ def read_arrays(path: str | Path, shapes: Shapes, *, what: str, example: str) ->
         When the file is missing, damaged or something else; names it.
     """
     try:
-        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in shapes}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, TypeError) as error:
-        raise EyeglassesError(
-            f"{what} {path} cannot be read ({' '.join(str(error).split())}); give a {example}"
-        ) from error
+        arrays = read_npz(path, layout)
+    except (OSError, ValueError) as error:
+        raise EyeglassesError(f"{what} {path} cannot be read ({error}); give a {example}") from error
     lengths: dict[str, int] = {}
-    for name, shape in shapes.items():
+    for name, (_, *shape) in layout.items():
         got = arrays[name].shape
         wanted = tuple(
             lengths.setdefault(side, got[k]) if isinstance(side, str) and k < len(got) else side
@@ -70,7 +65,12 @@ def read_arrays(path: str | Path, shapes: Shapes, *, what: str, example: str) ->
                 f"({', '.join(map(str, wanted))}); write it again"
             )
     _check_mesh(arrays["vertices"], arrays["faces"], f"{what} {path}")
-    return arrays
+    return {name: _typed(arrays[name], kind) for name, (kind, *_) in layout.items()}
+
+
+def _typed(array: NDArray[Any], kind: type) -> Any:
+    typed: NDArray[Any] = array.astype(kind, copy=False)
+    return typed if typed.ndim else typed.item()
 
 
 def _check_mesh(vertices: NDArray[Any], faces: NDArray[Any], place: str) -> None:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
-from scan2albedo.eyeglasses.files.array_files import Shapes, read_arrays, write_arrays
+from scan2albedo.eyeglasses.files.array_files import Layout, read_arrays, write_arrays
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.optimization import Plan
 
-_SHAPES: Shapes = {
-    "vertices": ("V", 3),
-    "faces": ("F", 3),
-    "weights": ("V", KEY_POINT_COUNT),
-    "keypoints": (KEY_POINT_COUNT, 3),
-    "canonical_from_frame": (4, 4),
-    "scale": (),
-    "handle_transforms": (KEY_POINT_COUNT, 4, 4),
-    "residual": (),
-    "converged": (),
+_LAYOUT: Layout = {
+    "vertices": (float, "V", 3),
+    "faces": (int, "F", 3),
+    "weights": (float, "V", KEY_POINT_COUNT),
+    "keypoints": (float, KEY_POINT_COUNT, 3),
+    "canonical_from_frame": (float, 4, 4),
+    "scale": (float,),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "residual": (float,),
+    "converged": (bool,),
 }
 
 
@@ -32,10 +32,12 @@ def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
 
     Raises
     ------
+    ValueError
+        When the name does not end in .npz.
     OutputError
         When the folder cannot be written.
     """
-    write_arrays(path, frame, _SHAPES)
+    write_arrays(path, frame, _LAYOUT, what="canonical frame")
 
 
 def read_canonical(path: str | Path) -> CanonicalEyeglasses:
@@ -50,16 +52,5 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
     EyeglassesError
         When the file is missing, damaged or something else; names it.
     """
-    arrays = read_arrays(path, _SHAPES, what="canonical frame", example="canonical.npz")
-    return CanonicalEyeglasses(
-        vertices=arrays["vertices"],
-        faces=arrays["faces"],
-        weights=arrays["weights"],
-        keypoints=arrays["keypoints"],
-        canonical_from_frame=arrays["canonical_from_frame"],
-        scale=float(arrays["scale"]),
-        handle_transforms=arrays["handle_transforms"],
-        residual=float(arrays["residual"]),
-        converged=bool(arrays["converged"]),
-        plan=Plan(),
-    )
+    arrays = read_arrays(path, _LAYOUT, what="canonical frame", example="canonical.npz")
+    return CanonicalEyeglasses(**arrays, plan=Plan())

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.geometry.rasterization import nearest_faces
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -74,7 +76,8 @@ def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[i
     low = np.clip(np.floor(seen.min(0)) - 1, 0, limits).astype(np.int64)
     high = np.clip(np.ceil(seen.max(0)) + 2, 0, limits).astype(np.int64)
     size = np.maximum(high - low, 0)
-    face = _cover(pixels - low, 1 / np.where(depth > 0, depth, np.nan), faces, size[1], size[0])
+    nearness = 1 / np.where(depth > 0, depth, np.nan)
+    face = nearest_faces(pixels - low, nearness, faces, (int(size[1]), int(size[0])))
     return Coverage(face, (int(low[1]), int(low[0])))
 
 
@@ -118,38 +121,6 @@ def _points_at(
 
 def _area(a: FloatArray, b: FloatArray) -> FloatArray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
-@njit(cache=True, nogil=True)
-def _cover(pixels, nearness, faces, height, width):  # type: ignore[no-untyped-def]
-    # As in geometry.rasterization, but without weights for every pixel: only outlines need theirs.
-    owner = np.full((height, width), np.int32(-1))
-    nearest = np.zeros((height, width))
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay = pixels[a, 0], pixels[a, 1]
-        bx, by = pixels[b, 0], pixels[b, 1]
-        cx, cy = pixels[c, 0], pixels[c, 1]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0 or not np.isfinite(area):
-            continue
-        first_column = max(0, int(np.ceil(min(ax, bx, cx))))
-        last_column = min(width - 1, int(np.floor(max(ax, bx, cx))))
-        first_row = max(0, int(np.ceil(min(ay, by, cy))))
-        last_row = min(height - 1, int(np.floor(max(ay, by, cy))))
-        za, zb, zc = nearness[a], nearness[b], nearness[c]
-        for row in range(first_row, last_row + 1):
-            for column in range(first_column, last_column + 1):
-                wa = ((bx - column) * (cy - row) - (by - row) * (cx - column)) / area
-                wb = ((cx - column) * (ay - row) - (cy - row) * (ax - column)) / area
-                wc = 1.0 - wa - wb
-                if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
-                    continue
-                z = wa * za + wb * zb + wc * zc
-                if z > nearest[row, column]:
-                    nearest[row, column] = z
-                    owner[row, column] = f
-    return owner
 
 
 @njit(cache=True, nogil=True)

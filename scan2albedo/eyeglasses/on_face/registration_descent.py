@@ -15,6 +15,8 @@ _DAMPING, _EASE, _BRAKE, _STUCK = 1e-3, 0.2, 8.0, 1e6
 """First damping (of the matrix's diagonal), its factors after a better and a worse step, where to stop."""
 _FLOOR = 1e-9
 """Least diagonal entry, as a part of the largest: parameters that nothing depends on stay."""
+ENOUGH = 1e-5
+"""Part of the cost below which an improvement ends a descent."""
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,18 @@ class Linearization:
     """(N,) errors of the outline's samples; NaN where they do not count."""
 
 
+def median_label_px(at: Linearization) -> float:
+    """Return the median distance of labels: outliers do not show in it."""
+    errors = at.labels_px[np.isfinite(at.labels_px)]
+    return float(np.median(errors)) if len(errors) else float("nan")
+
+
+def mean_outline_px(at: Linearization) -> float:
+    """Return the mean distance of the outline from the mask's: a median of whole pixels would stand still."""
+    errors = np.abs(at.outline_px[np.isfinite(at.outline_px)])
+    return float(np.mean(errors)) if len(errors) else float("nan")
+
+
 class RegistrationObjective:
     """The sum of squares that a frame's state is judged by.
 
