@@ -25,6 +25,11 @@ def run(*arguments, **options):
     )
 
 
+def invoke(*arguments):
+    """Run the command in this process: starting Python takes longer than most errors."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
     """A coloured sphere: an object, no face."""
@@ -76,9 +81,9 @@ def bad_files(folder):
 def test_a_bad_file_ends_in_one_line_and_exit_2(name, tmp_path):
     content, words = bad_files(tmp_path)[name]
     (tmp_path / name).write_bytes(content)
-    failed = run("process", tmp_path / name, "-o", tmp_path / "out")
-    assert failed.returncode == 2
-    assert "Traceback" not in failed.stderr
+    failed = invoke("process", tmp_path / name, "-o", tmp_path / "out")
+    assert failed.exit_code == 2
+    assert isinstance(failed.exception, SystemExit)
     lines = [line for line in failed.stderr.splitlines() if "error:" in line]
     assert len(lines) == 1
     assert words in lines[0]
@@ -119,13 +124,21 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
         ("frobnicate",),
     ],
 )
-def test_usage_errors_are_2_without_a_traceback(arguments, tmp_path):
-    failed = run(*arguments, cwd=tmp_path)
-    assert failed.returncode == 2
-    assert "Traceback" not in failed.stderr
+def test_usage_errors_are_2(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    failed = invoke(*arguments)
+    assert failed.exit_code == 2
+    assert isinstance(failed.exception, SystemExit)
     assert failed.stderr.count("Error") == 1
     assert failed.stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_usage_error_shows_no_traceback(tmp_path):
+    failed = run("process", "x.obj", "-o", "out", "--size", "7", cwd=tmp_path)
+    assert failed.returncode == 2
+    assert "Traceback" not in failed.stderr
+    assert failed.stdout == ""
 
 
 def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_path):

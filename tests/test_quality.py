@@ -32,17 +32,13 @@ def test_too_small_an_image_is_refused():
         Quality("tiny", size=4)
 
 
-def test_a_draft_takes_fewer_steps_and_its_own_size():
-    scan, _ = s2a.synthetic.raw_scan(0, options=s2a.synthetic.RawScanOptions(spacing_mm=4.0))
+def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for():
+    few = s2a.synthetic.RawScanOptions(spacing_mm=6.0, picture_size=48, size=64)
+    scan, _ = s2a.synthetic.raw_scan(0, options=few)
     draft = s2a.process(scan, quality="draft", skip=["albedo"])
-    standard = s2a.process(scan, size=256, skip=["albedo"])
+    best = s2a.process(scan, quality="best", size=64, skip=["albedo"])
     assert draft.geometry_image.mask.shape == (256, 256)
+    assert best.geometry_image.mask.shape == (64, 64)
     assert draft.options["quality"] == "draft"
-    steps = [result.trace.of_stage("fit").rows[-1].evaluations for result in (draft, standard)]
+    steps = [result.trace.of_stage("fit").rows[-1].evaluations for result in (draft, best)]
     assert steps[0] < steps[1]
-
-
-def test_a_size_asked_for_overrides_the_presets():
-    scan, _ = s2a.synthetic.raw_scan(0, options=s2a.synthetic.RawScanOptions(spacing_mm=4.0))
-    image = s2a.process(scan, quality="draft", size=64, skip=["albedo"]).geometry_image
-    assert image.mask.shape == (64, 64)
