@@ -177,7 +177,7 @@ def _factor(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _eliminate(work, width, size):  # type: ignore[no-untyped-def]
     """Factor the first `width` columns of a front in place (row j of `work` is column j of the front)."""
     begin = 0
@@ -210,10 +210,11 @@ def _eliminate(work, width, size):  # type: ignore[no-untyped-def]
 
 
 # Columns are subtracted from those behind them eight, four or two in one pass: written out, because the time
-# goes into loading and storing the column that changes.
+# goes into loading and storing the column that changes. Products may be fused with sums, but not reordered:
+# a callee loaded from numba's cache is inlined otherwise than a new one, and would round otherwise.
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _subtract_eight(work, begin, size):  # type: ignore[no-untyped-def]
     a, b, c, d = work[begin], work[begin + 1], work[begin + 2], work[begin + 3]
     e, f, g, h = work[begin + 4], work[begin + 5], work[begin + 6], work[begin + 7]
@@ -225,7 +226,7 @@ def _subtract_eight(work, begin, size):  # type: ignore[no-untyped-def]
             here[i] -= first + w * e[i] + x * f[i] + y * g[i] + z * h[i]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _subtract_four(work, begin, size):  # type: ignore[no-untyped-def]
     a, b, c, d = work[begin], work[begin + 1], work[begin + 2], work[begin + 3]
     for j in range(begin + 4, size):
@@ -235,7 +236,7 @@ def _subtract_four(work, begin, size):  # type: ignore[no-untyped-def]
             here[i] -= s * a[i] + t * b[i] + u * c[i] + v * d[i]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _subtract_two(work, begin, size):  # type: ignore[no-untyped-def]
     a, b = work[begin], work[begin + 1]
     for j in range(begin + 2, size):
@@ -245,7 +246,7 @@ def _subtract_two(work, begin, size):  # type: ignore[no-untyped-def]
             here[i] -= s * a[i] + t * b[i]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _subtract_one(work, begin, size):  # type: ignore[no-untyped-def]
     a = work[begin]
     for j in range(begin + 1, size):
