@@ -53,7 +53,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
             "draft",
             size=256,
             registration=RegistrationOptions(
-                anchor_spacing_mm=60.0, kept_starts=60, candidates=2, settling_iterations=10
+                anchor_spacing_mm=50.0, kept_starts=60, candidates=4, settling_iterations=10
             ),
             fit=FitOptions(levels=(0, 0, 1), finest_level=0),
             albedo=EstimateOptions(
