@@ -146,6 +146,7 @@ def test_skipped_stages_cost_nothing_and_are_said(case):
     assert [(s.ran, s.reason) for s in result.plan.of_stage("albedo")] == [(False, "skipped by the caller")]
 
 
+@pytest.mark.slow
 def test_a_scan_without_colour_ends_without_albedo_and_says_so(case, tmp_path):
     plain = replace(case[0], uv=None, texture_linear=None)
     result = s2a.process(plain, tmp_path, size=64)

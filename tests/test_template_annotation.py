@@ -73,6 +73,7 @@ def test_what_is_given_is_kept(own):
     assert not any("carried over" in note for note in model.notes)
 
 
+@pytest.mark.slow
 def test_a_template_without_a_face_keeps_its_axes_and_says_so():
     vertices, faces = igl.icosahedron()
     for _ in range(3):

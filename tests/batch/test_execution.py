@@ -13,6 +13,7 @@ def statuses(out):
     return {row["name"]: row["status"] for row in load_catalogue(out).to_pylist()}
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_at_most_its_own_scan(scans_in, tmp_path, quick_stages):
     names = ("a", "kills", "kills-always", "waits", "b", "raises", "nofile")
     report = run_batch(scans_in(*names), tmp_path / "out", options=TINY, jobs=2)

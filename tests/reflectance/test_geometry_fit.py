@@ -194,6 +194,7 @@ def test_landmarks_alone_descend(model, face):
     assert not fit.plan.ran("reflectance.geometry.photometry")
 
 
+@pytest.mark.slow
 def test_exposure_does_not_matter(model, face):
     one = refine(face, model, reflectance=SKIN, light=LIGHT)
     bright = dataclasses.replace(face, image=1000 * face.image)
@@ -290,6 +291,7 @@ def test_light_of_other_places_does_not_make_it_worse(model):
         assert vertex_error(lit.vertices, face.vertices) < 1.05 * vertex_error(alone.vertices, face.vertices)
 
 
+@pytest.mark.slow
 def test_missing_pixels_are_left_out(model, face):
     image = face.image.copy()
     image[::7, ::5] = np.nan

@@ -55,7 +55,7 @@ def as_stiff(stiffness: float, most_mm: float) -> tuple[FittedFace, str]:
     return fitted(person(), most_mm, bending_mm=(bending, bending), membrane_mm=(membrane, membrane))
 
 
-@CASES.extreme(STAGE, "stiffness 1 and 1e8")
+@CASES.extreme(STAGE, "stiffness 1 and 1e8", slow=True)
 def _() -> str:
     return ", ".join(as_stiff(*each)[1] for each in ((1.0, 0.4), (1e8, 0.7)))
 
@@ -137,7 +137,7 @@ def _() -> str:
         return fitted(person(), 1.0, levels=())[1]
 
 
-@CASES.extreme(STAGE, "offset 1e6, 1e7 and 1e9 mm")
+@CASES.extreme(STAGE, "offset 1e6, 1e7 and 1e9 mm", slow=True)
 def _() -> str:
     plain = fitted(person(), 0.4)[0]
     gaps = []
@@ -175,7 +175,7 @@ def _() -> str:
     return Measured(f"{figure}, converged False, residual {face.metrics['residual_mean_mm']:.2f} mm mean")
 
 
-@CASES.extreme(STAGE, "60, 80 and 95 % of the triangles lost")
+@CASES.extreme(STAGE, "60, 80 and 95 % of the triangles lost", slow=True)
 def _() -> str:
     return ", ".join(fitted(shredded(person(), share), 0.5)[1] for share in (0.4, 0.2, 0.05))
 

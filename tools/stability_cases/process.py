@@ -86,7 +86,7 @@ def _() -> str:
     return "made"
 
 
-@CASES.extreme(STAGE, "seeds 0 and 2**32 - 1")
+@CASES.extreme(STAGE, "seeds 0 and 2**32 - 1", slow=True)
 def _() -> str:
     figures = []
     for seed in (0, 2**32 - 1):
@@ -130,14 +130,14 @@ def _() -> str:
     return f"landmarks {off:.2f} mm off"
 
 
-@CASES.extreme(STAGE, "1.5 times too large", "measured warning")
+@CASES.extreme(STAGE, "1.5 times too large", "measured warning", slow=True)
 def _() -> str:
     result = processed(person().scaled(1.5).scan, skip=["albedo"])
     (told,) = [text for text in result.messages if "of the model's size" in text]
     return Measured(told)
 
 
-@CASES.extreme(STAGE, "not registered, and upside down", "measured warning")
+@CASES.extreme(STAGE, "not registered, and upside down", "measured warning", slow=True)
 def _() -> str:
     turned = compose(rotation_from_vector([0.0, 0, np.pi]), np.zeros(3)) @ person().model_from_scan
     scan = person().moved(turned).scan

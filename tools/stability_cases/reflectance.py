@@ -585,7 +585,7 @@ def _red_shot() -> str:
     return Measured(f"the light's colour takes it: scales {np.round(fit.scale_rgb / fit.scale_rgb[0], 3)}")
 
 
-@CASES.extreme(STAGE, "photograph that shows one vertex", "measured warning")
+@CASES.extreme(STAGE, "photograph that shows one vertex", "measured warning", slow=True)
 def _one_seen() -> str:
     seen = np.zeros(len(NORMALS), bool)
     seen[np.flatnonzero(SEEN)[10]] = True

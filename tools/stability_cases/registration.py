@@ -125,7 +125,7 @@ def _() -> str:
         return found(person().with_vertices(person().scan.vertices * [-1, 1, 1]))[1]
 
 
-@CASES.extreme(STAGE, "two heads", "measured warning")
+@CASES.extreme(STAGE, "two heads", "measured warning", slow=True)
 def _() -> str:
     one, other = person(), person(3)
     beside = other.in_model_frame + [350.0, 0, 0]
@@ -147,7 +147,7 @@ def _() -> str:
     return f"{min(errors):.1f} mm off one of them, confidence {registration.confidence:.2f}"
 
 
-@CASES.extreme(STAGE, "1.5 times too large", "measured warning")
+@CASES.extreme(STAGE, "1.5 times too large", "measured warning", slow=True)
 def _() -> str:
     registration = register(person().scaled(1.5).scan, model())
     assert abs(registration.face_scale - 1.5) < 0.05

@@ -101,6 +101,7 @@ def test_turning_key_points_beat_shifted_ones(weighted, name):
     np.testing.assert_allclose(result.frames[0].vertices, by_hand, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_extreme_bend_stays_near(weighted):
     glasses, weights = weighted(GlassesBend(temple_spread_mm=40, bridge_deg=10))
     result = straightened(glasses, weights)
@@ -126,6 +127,7 @@ def some_set(weighted):
     return meshes, [posed(g.keypoints, i) for i, (g, _) in enumerate(frames)], [w for _, w in frames]
 
 
+@pytest.mark.slow
 def test_a_set_meets_at_its_mean_whatever_its_poses_and_order(weighted):
     meshes, points, weights = some_set(weighted)
     result = canonicalize(meshes, points, weights=weights)

@@ -163,6 +163,7 @@ def test_pictures_under_two_environments_add_up():
         np.testing.assert_allclose(getattr(both, name), apart, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_picture_is_the_weighted_sum_of_one_for_each_light():
     directions = distant_directions(6)
     weights = environment_weights(room(3), directions)
@@ -225,6 +226,7 @@ def test_a_photograph_takes_other_mirror_images():
     assert np.abs(again.image_linear - kept.image_linear).max() > 0.1
 
 
+@pytest.mark.slow
 def test_lights_that_are_dark_cost_nothing_and_change_nothing():
     toward = distant_directions(12)
     strength = np.zeros(12)

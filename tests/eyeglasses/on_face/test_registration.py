@@ -97,6 +97,7 @@ def test_labels_match_within_a_pixel_where_they_are_exact():
     assert found.iou.min() > 0.97
 
 
+@pytest.mark.slow
 def test_outliers_are_named():
     worn, found = person(1, WearerOptions(outliers=3)), register(1, WearerOptions(outliers=3))
     off = np.linalg.norm(worn.labels - projected(worn), axis=2)
@@ -249,6 +250,7 @@ def test_no_label_at_all_but_a_start_goes_by_the_outlines():
     assert found.keypoints_observed[errors > 4].sum() == 0
 
 
+@pytest.mark.slow
 def test_masks_that_show_a_temple_elsewhere_contradict_it():
     """A temple's end that nothing pulls back: no labels there, and its outline out of reach."""
     worn = person(1)
@@ -344,6 +346,7 @@ def test_a_frame_without_temples_needs_no_temples():
     assert not set(found.unobserved) & {n for n, gone in zip(KEY_POINT_NAMES, lacking, strict=True) if gone}
 
 
+@pytest.mark.slow
 def test_weights_are_solved_where_there_are_none():
     worn = person(1, SMALL)
     glasses = worn.glasses
