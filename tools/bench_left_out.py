@@ -56,8 +56,7 @@ def estimated(scene: SyntheticScene, options: EstimateOptions) -> Run:
     start = time.process_time()
     estimate = s2a.estimate_albedo(scene.image, options=options)
     cpu = time.process_time() - start
-    usable = scene.image.seen
-    error = s2a.albedo_error(estimate.albedo_linear[usable], scene.albedo_linear[usable]).mse_percent
+    error = s2a.albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.seen).mse_percent
     return Run(estimate.plan, cpu, error)
 
 
