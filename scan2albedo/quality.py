@@ -65,7 +65,6 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
             "best",
             size=1024,
             registration=RegistrationOptions(scan_spacing_mm=3.0, model_spacing_mm=4.0),
-            fit=FitOptions(levels=(0, 0, 0) + (1,) * 9),
             albedo=EstimateOptions(sizes=(64, 256), starts=6, descent_iterations=20),
         ),
     }

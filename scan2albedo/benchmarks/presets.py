@@ -20,13 +20,15 @@ others'."""
 
 
 def preset_settings(stage: str) -> list[Setting]:
-    """Return the presets of a stage as settings; the standard one is the default and left out."""
+    """Return the presets of a stage as settings, short of those that leave it at its default."""
     if stage in ("glasses", "weights"):
         named = _own_presets(stage)
     else:
         from scan2albedo.quality import PRESETS
 
-        named = {name: _of_process(stage, quality) for name, quality in PRESETS.items() if name != STANDARD}
+        standard = _of_process(stage, PRESETS[STANDARD])
+        every = {name: _of_process(stage, quality) for name, quality in PRESETS.items()}
+        named = {name: options for name, options in every.items() if options != standard}
     return [Setting("preset", name, options) for name, options in named.items()]
 
 
