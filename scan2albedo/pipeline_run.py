@@ -24,6 +24,8 @@ from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left for searching that each stage may take."""
+WHOLE_FACE = 0.8
+"""Part of the model with scan near, below which a person is told: whole faces have 0.85 and more."""
 SAMPLING_S, DIVISION_S = 3e-6, 2e-6
 """Seconds a texel that a geometry image and the removal of its light take, whatever the budget."""
 
@@ -68,6 +70,8 @@ class PipelineRun:
         with _kept_messages() as messages:
             registration, fitted, image = self.geometry(scan, template)
             estimate = self.albedo(image, scan, lights, brdf)
+        if fitted is not None:
+            messages += _cautions(fitted)
         options = {
             "size": self.size,
             "lights": lights,
@@ -231,6 +235,17 @@ def _kept_messages() -> Iterator[list[str]]:
             messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+
+
+def _cautions(fitted: FittedFace) -> list[str]:
+    """Return what the user has to be told of a fit that looks good where there was a scan."""
+    coverage = fitted.metrics["coverage"]
+    if coverage >= WHOLE_FACE:
+        return []
+    return [
+        f"only {100 * coverage:.0f} % of the face has scan near it, the rest is the model's own shape: is "
+        "the file cut short, or is it half a face?"
+    ]
 
 
 def _scan(source: str | Path | RawScan, unit: str, name: str | None) -> RawScan:

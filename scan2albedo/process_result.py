@@ -84,6 +84,11 @@ class ProcessResult:
                 figures["albedo"]["uncertainty"] = self.albedo.uncertainty.figures()
         return figures
 
+    def _unfinished(self) -> list[str]:
+        """Return the stages that a budget ended, or that found no end of their own."""
+        stages = {"register": self.registration, "fit": self.fitted, "albedo": self.albedo}
+        return [name for name, found in stages.items() if found is not None and not found.converged]
+
     def summary(self) -> str:
         """Return one line a person can judge the result by."""
         parts = [f"{self.scan.name}: done in {sum(self.timings_s.values()):.1f} s"]
@@ -97,6 +102,8 @@ class ProcessResult:
             parts.append(f"light at {lights}" if lights else "no directed light")
         else:
             parts.append("no albedo (see the plan)")
+        if unfinished := self._unfinished():
+            parts.append(f"not converged: {', '.join(unfinished)}")
         if self.out is not None:
             parts.append(f"files in {self.out}")
         return "; ".join(parts)

@@ -134,6 +134,7 @@ def test_same_input_and_seed_give_the_same_bits(case, result):
 def test_a_budget_gives_the_best_answer_so_far(case):
     hurried = s2a.process(case[0], size=64, budget=s2a.Budget(evaluations=20))
     assert not hurried.albedo.converged
+    assert "not converged: " in hurried.summary()
     assert np.isfinite(hurried.albedo.albedo_linear).all()
     assert np.isfinite(hurried.fitted.vertices).all()
 
@@ -226,6 +227,16 @@ def test_forced_steps_run_whatever_the_evidence(ball):
     forced = s2a.process(ball, model="none", size=48, force=steps)
     assert all(forced.plan.ran(step) for step in steps)
     assert forced.options["force"] == sorted(steps)
+
+
+def test_half_a_face_is_told(case):
+    scan, truth = case
+    across = transform_points(truth.model_from_scan, scan.vertices)[:, 0]
+    kept = (across[scan.faces] > -8).all(1)
+    half = replace(scan, faces=scan.faces[kept], uv=scan.uv[kept])
+    result = s2a.process(half, size=64, skip=["albedo"])
+    assert result.fitted.metrics["coverage"] < 0.8
+    assert sum("% of the face has scan near it" in message for message in result.messages) == 1
 
 
 def test_warnings_of_the_stages_are_kept_and_others_pass(ball, monkeypatch):

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from face_data import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -25,7 +25,6 @@ from scan2albedo.synthetic.identity import person
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.renderer import render
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 LIGHTS = [
     light_at(0, 0),
     light_at(30, 20),
@@ -129,7 +128,7 @@ def measured_moves(shapes: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 def measured_pairs() -> tuple[list[Pair], s2a.AnnotatedFaceModel]:
     """Return pairs of light-stage shapes, and the model that the generic one makes."""
-    with np.load(DATA / "ict_faces.npz") as data:
+    with np.load(face_data("ict_faces.npz")) as data:
         shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
         faces, inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
         own = s2a.AnnotatedFaceModel.from_mesh(

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from face_data import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -35,7 +36,6 @@ from scan2albedo.synthetic.clutter import grid_faces, join, with_holes
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 PEERS = Path(fit_peers.__file__)
 SHAPES = (
     "person1",
@@ -114,7 +114,7 @@ def whole_head_scan(
 
 
 def cases(names: tuple[str, ...], target: int) -> list[Case]:
-    data = np.load(DATA / "ict_faces.npz")
+    data = np.load(face_data("ict_faces.npz"))
     faces, inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
     template = data["shape_generic_neutral"].astype(float)[:inner]
     model = s2a.AnnotatedFaceModel.from_mesh(
@@ -208,8 +208,8 @@ def run_peer(python: str, peer: str, source: Path, target: Path) -> bool:
 
 def james(python: str, folder: Path) -> None:
     """The textured scan with hand-placed landmarks: ours from any pose, and autofacemonker."""
-    scan = s2a.load_scan(DATA / "james.obj")
-    given = np.loadtxt(DATA / "james_ibug68.csv", delimiter=",")
+    scan = s2a.load_scan(face_data("james.obj"))
+    given = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
     model = s2a.AnnotatedFaceModel.default()
     start = time.process_time()
     fitted = s2a.fit(scan, model, s2a.register(scan, model))
@@ -224,7 +224,7 @@ def james(python: str, folder: Path) -> None:
     residual = query.query(transform_points(scan_from_model, fitted.vertices)).distance
     _print_james("scan2albedo", residual, error[keys], spent)
     print(f"{'':22}51 inner landmarks {error[17:].mean():.2f} mm")
-    if not run_peer(python, "autofacemonker", DATA / "james.obj", folder / "james.npz"):
+    if not run_peer(python, "autofacemonker", face_data("james.obj"), folder / "james.npz"):
         return
     peer = np.load(folder / "james.npz")
     number = {int(k): int(v) for k, v in peer["key_points"]}

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from face_data import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -44,7 +45,6 @@ from scan2albedo.synthetic import RawLikeOptions, raw_like
 
 FloatArray = NDArray[np.float64]
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 FACE_PART = 6706
 REPEAT_DEG, REPEAT_MM = 2.0, 2.0
@@ -92,7 +92,7 @@ class Shapes:
 
     @classmethod
     def load(cls, model: s2a.AnnotatedFaceModel) -> Shapes:
-        with np.load(DATA / "ict_faces.npz") as data:
+        with np.load(face_data("ict_faces.npz")) as data:
             shapes = {k[6:]: data[k].astype(float) for k in data if k.startswith("shape_")}
             faces, inner = data["faces"].astype(np.int64), data["landmarks68"][17:]
         return cls(shapes, faces, procrustes(shapes["generic_neutral"][inner], model.landmarks[17:]))
@@ -155,11 +155,11 @@ def noisier(scan: s2a.RawScan, rng: np.random.Generator) -> s2a.RawScan:
 def scan_of(shapes: Shapes, shape: str, seed: int) -> tuple[s2a.RawScan, FloatArray | None]:
     """Return an unposed scan and its (4, 4) pose in the default model, None where unknown."""
     if shape == "humface":
-        return s2a.load_scan(DATA / REAL_SCANS[shape]), None
+        return s2a.load_scan(face_data(REAL_SCANS[shape])), None
     if shape == "james":
-        picked = np.loadtxt(DATA / "james_ibug68.csv", delimiter=",")[17:]
+        picked = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")[17:]
         model = s2a.AnnotatedFaceModel.default()
-        return s2a.load_scan(DATA / REAL_SCANS[shape]), procrustes(picked, model.landmarks[17:])
+        return s2a.load_scan(face_data(REAL_SCANS[shape])), procrustes(picked, model.landmarks[17:])
     noise = np.random.default_rng(seed).uniform(0.2, 0.5)
     options = RawLikeOptions(noise_mm=noise, **UNPOSED)
     scan, _ = raw_like(shapes.vertices[shape], shapes.faces, seed, options=options)

@@ -9,9 +9,9 @@ The real scan and its hand-placed landmarks; and every shape of the light-stage 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import numpy as np
+from face_data import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -19,7 +19,6 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_angle_rad, transform_points
 from scan2albedo.synthetic import raw_like
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 INNER = slice(17, 68)
 WRONG_POSE_DEG, WRONG_POSE_MM = 10.0, 15.0
 
@@ -31,9 +30,9 @@ def landmark_errors(fitted: s2a.FittedFace, truth_in_scan: NDArray[np.float64]) 
 
 
 def real_scan(model: s2a.AnnotatedFaceModel) -> None:
-    scan = s2a.load_scan(DATA / "james.obj")
+    scan = s2a.load_scan(face_data("james.obj"))
     fitted = s2a.fit(scan, model, s2a.register(scan, model))
-    errors = landmark_errors(fitted, np.loadtxt(DATA / "james_ibug68.csv", delimiter=","))
+    errors = landmark_errors(fitted, np.loadtxt(face_data("james_ibug68.csv"), delimiter=","))
     print(f"james: 51 inner landmarks {errors[INNER].mean():.2f} mm mean, all 68 {errors.mean():.2f} mm")
     print(
         f"james: fitted surface to scan {np.nanmean(fitted.residual_mm):.3f} mm mean, "
@@ -42,7 +41,7 @@ def real_scan(model: s2a.AnnotatedFaceModel) -> None:
 
 
 def measured_shapes(model: s2a.AnnotatedFaceModel, poses: int) -> None:
-    data = np.load(DATA / "ict_faces.npz")
+    data = np.load(face_data("ict_faces.npz"))
     faces = data["faces"].astype(np.int64)
     print(f"{'shape':48}{'pose off: deg':>14}{'mm':>7}{'51 landmarks mm':>17}{'surface mm':>12}")
     wrong = 0

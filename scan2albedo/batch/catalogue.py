@@ -93,7 +93,7 @@ def _line(scan: ManifestScan, row: BatchScanRecord | None) -> dict[str, Any]:
         return line
     line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}
     line |= {"source": scan.source, "plan_ran": ", ".join(row.plan_ran)}
-    line["plan_skipped"] = ", ".join(row.plan_skipped)
+    line |= {"plan_skipped": ", ".join(row.plan_skipped), "notes": "; ".join(row.notes)}
     line["folder"] = scan.name if row.status == "done" else None
     line |= {f"seconds_{_plain(stage)}": seconds for stage, seconds in row.timings_s.items()}
     line |= flattened(row.metrics)

@@ -18,6 +18,7 @@ FIXED = {
     "finished_at": "timestamp",
     "plan_ran": "string",
     "plan_skipped": "string",
+    "notes": "string",
 }
 """Columns of every scan."""
 

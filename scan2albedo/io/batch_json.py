@@ -33,6 +33,7 @@ class BatchScanRecord(Record):
     timings_s: dict[str, Number] = Field(default={}, description="Wall-clock seconds of each stage.")
     plan_ran: tuple[str, ...] = ()
     plan_skipped: tuple[str, ...] = ()
+    notes: tuple[str, ...] = Field(default=(), description="Repairs and warnings, as in result.json.")
     files: dict[str, Sha256] = Field(default={}, description="SHA-256 of every file of the result.")
 
 

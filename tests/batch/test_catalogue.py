@@ -47,6 +47,7 @@ DONE = {
     "timings_s": {"load": 0.5, "files": 1},
     "plan_ran": ("register", "fit"),
     "plan_skipped": ("albedo.inpainting",),
+    "notes": ("unit: mm", "only 36 % of the face has scan near it"),
     "files": {"albedo.exr": SHA, "result.json": SHA},
 }
 
@@ -60,6 +61,7 @@ def test_a_row_tells_what_became_of_a_scan(tmp_path):
     assert a["source"] == "a.ply"
     assert (a["path_albedo_exr"], a["path_fitted_glb"]) == ("a/albedo.exr", None)
     assert (a["plan_ran"], a["plan_skipped"]) == ("register, fit", "albedo.inpainting")
+    assert a["notes"] == "unit: mm; only 36 % of the face has scan near it"
     assert (a["seconds"], a["seconds_load"], a["seconds_fit"]) == (3.0, 0.5, None)
     assert (a["metrics_albedo_lights"], a["metrics_fit_converged"]) == (2.0, True)
     assert a["metrics_fit_scale"] is None

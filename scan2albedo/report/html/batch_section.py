@@ -11,17 +11,18 @@ from pathlib import Path
 from scan2albedo.report.html.histogram import Histogram, histogram
 from scan2albedo.report.html.rows import DONE, FAILED, NOT_RUN, ScanRow
 from scan2albedo.report.html.scan_section import relative_link
-from scan2albedo.report.html.selection import RESIDUAL, UNCERTAINTY
+from scan2albedo.report.html.selection import COVERAGE, RESIDUAL, UNCERTAINTY
 from scan2albedo.report.html.texts import label_of, number_text, seconds_text, unit_of, value_text
 
 FIGURES = (
     RESIDUAL,
+    COVERAGE,
+    "metrics_geometry_image_seen",
     "metrics_fit_residual_p95_mm",
     "metrics_registration_rmse_mm",
     "metrics_registration_confidence",
     "metrics_albedo_lights",
     UNCERTAINTY,
-    "metrics_geometry_image_seen",
     "seconds",
     "cpu_seconds",
     "peak_memory_mb",
@@ -29,9 +30,16 @@ FIGURES = (
 """Columns of the table and distributions, where the batch has them."""
 _TOLD_ELSEWHERE = {
     "source", "input_sha256", "options_sha256", "worker", "finished_at", "plan_ran", "plan_skipped",
+    "notes",
 }  # fmt: skip
 _BATCH_PREFIXES = ("metrics_", "seconds_", "path_")
-_EXTREMES = (("seconds", "Slowest"), (RESIDUAL, "Worst fits"), (UNCERTAINTY, "Least certain albedos"))
+_EXTREMES = (
+    ("seconds", "Slowest", -1),
+    (RESIDUAL, "Worst fits", -1),
+    (COVERAGE, "Least scanned", 1),
+    (UNCERTAINTY, "Least certain albedos", -1),
+)
+"""Column, title, and whether the greatest (-1) or the least (1) come first."""
 _MOST_EXTREME, _MOST_REASONS = 6, 12
 
 
@@ -171,9 +179,9 @@ def _histograms(rows: Sequence[ScanRow]) -> tuple[Histogram, ...]:
 
 def _extremes(rows: Sequence[ScanRow], anchors: Mapping[int, str], page: Path) -> tuple[Extremes, ...]:
     lists = []
-    for column, title in _EXTREMES:
+    for column, title, order in _EXTREMES:
         known = [k for k, row in enumerate(rows) if row.status == DONE and row.number(column) is not None]
-        known.sort(key=lambda k: -(rows[k].number(column) or 0.0))
+        known.sort(key=lambda k: order * (rows[k].number(column) or 0.0))
         if len(known) > 1:
             chosen = [_table_row(rows[k], (), anchors.get(k), page) for k in known[:_MOST_EXTREME]]
             values = [_with_unit(rows[k], column) for k in known[:_MOST_EXTREME]]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from scan2albedo.report.html.rows import DONE, ScanRow
 
 RESIDUAL = "metrics_fit_residual_mean_mm"
+COVERAGE = "metrics_fit_coverage"
 UNCERTAINTY = "metrics_albedo_uncertainty_albedo_deviation"
 
 
