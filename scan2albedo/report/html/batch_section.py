@@ -142,6 +142,8 @@ def _columns(rows: Sequence[ScanRow]) -> tuple[Column, ...]:
         for name in names
         if name not in FIGURES and name not in _TOLD_ELSEWHERE and not name.startswith(_BATCH_PREFIXES)
     ]
+    if len({row.values.get("model") for row in rows if row.status == DONE}) == 1:
+        own = [name for name in own if name != "model"]
     figures = [name for name in FIGURES if any(row.number(name) is not None for row in rows)]
     return tuple(
         Column(name, label_of(name), unit_of(name) if name in figures else "", _is_numeric(name, rows))
