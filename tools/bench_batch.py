@@ -131,6 +131,11 @@ class Outcome:
     def done_per_hour(self) -> float:
         return 3600 * (self.summary["done"] - self.summary["kept"]) / self.summary["seconds"]
 
+    def steady_s(self, jobs: int) -> float:
+        """Return the seconds between two scans that end, once every process has ended its first."""
+        ends = sorted(row["finished_at"].timestamp() for row in self.rows if row["status"] == "done")
+        return float((ends[-1] - ends[jobs - 1]) / (len(ends) - jobs))
+
     def show(self, title: str) -> None:
         done = [row for row in self.rows if row["status"] == "done"]
         cpu = float(np.median([row["cpu_seconds"] for row in done])) if done else float("nan")
@@ -220,7 +225,9 @@ def bench(folder: Path, arguments: argparse.Namespace) -> None:
     alone.show(f"{len(alone.rows)} scans, 1 job")
     # Broken scans fail at once and would count as speed.
     ratio = whole.done_per_hour / alone.done_per_hour
-    print(f"\n{arguments.jobs} jobs are {ratio:.2f} times as fast as 1")
+    steady, alone_s = whole.steady_s(arguments.jobs), alone.steady_s(1)
+    print(f"\n{arguments.jobs} jobs are {ratio:.2f} times as fast as 1, starting included;")
+    print(f"once they run {alone_s / steady:.2f} times: {steady:.2f} s a scan against {alone_s:.2f} s")
     run(few, folder / "bare", *options, "--jobs", "1", "--no-pictures").show("the same without pictures")
     kill_and_resume(few, folder / "killed", many)
 
