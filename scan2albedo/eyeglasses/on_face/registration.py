@@ -92,6 +92,7 @@ def register_on_face(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from scan2albedo.synthetic import wearer
     >>> person = wearer(seed=1)
     >>> g = person.glasses
