@@ -16,6 +16,8 @@ from scan2albedo.errors import OutputError
 from scan2albedo.io.images import read_exr_channels, write_exr
 from scan2albedo.synthetic import face, light_at
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
@@ -84,7 +86,6 @@ def test_an_environment_lights_from_its_side(folders, tmp_path):
     assert green[:, 16:].sum() > 2 * green[:, :16].sum()
 
 
-@pytest.mark.slow
 def test_relight_writes_glb_and_sweeps(folders, tmp_path):
     assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "relit.glb").exit_code == 0
     assert (tmp_path / "relit.glb").read_bytes()[:4] == b"glTF"

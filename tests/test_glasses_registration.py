@@ -43,6 +43,8 @@ from scan2albedo.optimization import Trace
 from scan2albedo.report.overview import Panel
 from scan2albedo.synthetic import WearerOptions, wearer
 
+pytestmark = pytest.mark.slow
+
 SCHEMAS = Path(__file__).resolve().parents[1] / "data_schemas"
 FILES = {
     "registered.glb",
@@ -367,7 +369,6 @@ def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeyp
     assert {path: path.read_bytes() for path in out.iterdir()} == before
 
 
-@pytest.mark.slow
 def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_path):
     # The overview comes when most other files are made.
     code = (

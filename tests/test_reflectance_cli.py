@@ -23,6 +23,8 @@ from scan2albedo.synthetic import (
     flash_capture,
 )
 
+pytestmark = pytest.mark.slow
+
 OPTIONS = FlashCaptureOptions(views=3, flashes=4, picture_size=96, levels=1)
 
 
@@ -117,7 +119,6 @@ def photographs(people):
     ]
 
 
-@pytest.mark.slow
 def test_fit_image_with_a_mesh(model, photographs, tmp_path):
     done = run("fit-image", photographs[0], "--model", model, "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
@@ -130,7 +131,6 @@ def test_fit_image_with_a_mesh(model, photographs, tmp_path):
     assert read_reflectance(tmp_path / "out" / "reflectance.npz").reflectance.known.any()
 
 
-@pytest.mark.slow
 def test_fit_image_from_landmarks(model, photographs, tmp_path):
     done = run("fit-image", photographs[2], "--model", model, "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
@@ -149,7 +149,6 @@ def test_landmarks_without_a_shape_model_are_refused(people, model, photographs,
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_finetune_writes_a_model_that_is_not_worse(model, photographs, tmp_path):
     done = run(
         "finetune", model, photographs[0], "--held-out", photographs[1], "-o", tmp_path / "out", "--json"
@@ -185,7 +184,6 @@ def test_landmark_vertices_that_do_not_fit_are_refused(people, tmp_path, content
     assert "marks.json" in str(done.exception)
 
 
-@pytest.mark.slow
 def test_demo_compares_with_the_truth(tmp_path):
     done = run("demo", "-o", tmp_path / "out", "--people", "3", "--photographs", "2", "--json")
     assert done.exit_code == 0, done.output
@@ -307,7 +305,6 @@ def test_a_result_is_not_written_over_its_input(people, model):
     assert read_record(model / "reflectance.json", ReflectanceRecord).command == "build"
 
 
-@pytest.mark.slow
 def test_a_later_fit_leaves_no_file_of_an_earlier_one(people, tmp_path):
     capture = people / "capture_0" / "capture.json"
     assert run("fit", capture, "-o", tmp_path / "out").exit_code == 0
