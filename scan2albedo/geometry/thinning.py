@@ -12,6 +12,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+_MOST_CELLS = 2**20
+"""Along a side of the grid."""
+
 
 @dataclass(frozen=True)
 class ThinnedSurface:
@@ -38,7 +41,17 @@ class ThinnedSurface:
 
 
 def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurface:
-    """Join the vertices (V, 3) that lie in the same cell of a grid of side `cell`; seams close by it."""
+    """Join the vertices that lie in the same cell of a grid; seams close by it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+    faces : (F, 3) int64
+    cell : float
+        Side of the grid's cells, in the mesh's unit; at least a millionth of the mesh's size.
+    """
+    # Beyond that cells could not be numbered in 64 bits.
+    cell = max(cell, float(np.ptp(vertices, axis=0).max()) / _MOST_CELLS)
     place = np.floor((vertices - vertices.min(0)) / cell + 0.5).astype(np.int64)
     span = place.max(0) + 1
     key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]

@@ -62,3 +62,10 @@ def test_a_surface_within_one_cell_has_no_faces_left():
     thin = thinned(vertices * 1e-3, faces, 5.0)
     assert len(thin.vertices) == 1
     assert thin.faces.shape == (0, 3)
+
+
+def test_a_vertex_far_away_joins_only_its_neighbours():
+    vertices = np.array([[0.0, 0, 0], [1e20, 0, 0], [0, 1e20, 0], [0, 1e20, 1.0]])
+    thin = thinned(vertices, np.array([[0, 1, 2], [0, 1, 3]]), 2.0)
+    np.testing.assert_array_equal(np.sort(thin.count), [1, 1, 2])
+    np.testing.assert_allclose(np.sort(thin.vertices[:, 0]), [0, 0, 1e20])
