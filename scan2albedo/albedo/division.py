@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 from scipy.optimize import nnls
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
@@ -77,7 +76,7 @@ def divide_light(
     own = np.where(noise > 0, own, 1.0)
     kept = np.where(usable, mean + own * (quotient - mean), quotient)
     typical = float(np.median(light[usable])) if usable.any() else 1.0
-    lit = 1 / (1 + (_DIM * typical / divisor) ** 6)
+    lit = 1 / (1 + ((_DIM * typical / divisor) ** 2) ** 3)
     if shrink:
         continued = np.maximum(value - specular, 0.0) / _continued_light(
             value, light, lit < _TAKEN_OVER, mask, usable
@@ -113,8 +112,11 @@ def _continued_light(
 
 def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
     """Return the weighted mean over a small window; 0 where nothing in it has weight."""
-    mass = uniform_filter(weight, window, mode="constant")
-    total = uniform_filter(field * weight, window, mode="constant")
+    import cv2
+
+    box, outside = (window, window), cv2.BORDER_CONSTANT
+    mass = cv2.boxFilter(weight, -1, box, borderType=outside)
+    total = cv2.boxFilter(field * weight, -1, box, borderType=outside)
     return np.where(mass > 1e-12, total / np.maximum(mass, 1e-12), 0.0)
 
 

@@ -180,7 +180,7 @@ def _divide(
     albedo, rectification = rectified(division.albedo, light, cast, usable, options, hasty=hasty)
     # A highlight is white: what remains below it has the albedo's hue.
     below = np.maximum(image.texture_linear - specular[..., None], 0)
-    color = recolor(below, below.max(-1), albedo)
+    color = recolor(below, value_channel(below), albedo)
     color, inpainting = inpainted(color, image, specular, usable, options, seed, hasty=hasty)
     return AlbedoEstimate(
         albedo_linear=color,
@@ -217,8 +217,10 @@ def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, .
 def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray[np.float32]:
     """Return (H, W, 3) the texture scaled to V = `wanted`: hue and saturation stay; black turns grey."""
     ratio = wanted / np.maximum(value, 1e-9)
-    color = texture_linear * ratio[..., None]
-    return np.where(value[..., None] > 1e-9, color, wanted[..., None]).astype(np.float32)
+    color = (texture_linear * ratio[..., None]).astype(np.float32)
+    black = value <= 1e-9
+    color[black] = wanted[black, None]
+    return color
 
 
 def _on_grid(mask: NDArray[np.bool_], values: NDArray) -> NDArray[np.float64]:

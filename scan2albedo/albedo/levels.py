@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.errors import LightingError
+from scan2albedo.geometry.mesh import lengths
 from scan2albedo.io.geometry_image import GeometryImage
 
 FloatArray = NDArray[np.float64]
@@ -86,15 +87,17 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.boo
     V itself is the largest of three channels with noise, and so brighter than the surface: most where the
     channels are alike and the light is poor. Averages choose, so noise does not.
     """
+    import cv2
+
     known = usable[..., None] * texture_linear
-    means = np.stack([uniform_filter(known[..., c], _CHOICE_SIDE) for c in range(3)], -1)
+    means = cv2.boxFilter(known, -1, (_CHOICE_SIDE, _CHOICE_SIDE), borderType=cv2.BORDER_REFLECT)
     chosen = means.argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
 def known_normals(image: GeometryImage) -> NDArray[np.bool_]:
     """Return (H, W) where the normal is known: not 0."""
-    return np.asarray(np.linalg.norm(image.normal, axis=-1) > _SHORT)
+    return np.asarray(lengths(image.normal) > _SHORT)
 
 
 def with_every_normal(image: GeometryImage) -> GeometryImage:
@@ -108,7 +111,7 @@ def with_every_normal(image: GeometryImage) -> GeometryImage:
 
 def toward_viewer(image: GeometryImage, usable: NDArray[np.bool_], view: tuple[float, float, float]) -> float:
     """Return which part of the usable texels faces the viewer."""
-    return float(np.mean(image.normal[usable] @ np.asarray(view) > 0))
+    return float(np.mean((image.normal @ np.asarray(view))[usable] > 0))
 
 
 def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:

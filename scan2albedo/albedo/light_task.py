@@ -11,6 +11,7 @@ from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.uncertainty import LightUncertainty
+from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.optimization import Meter
@@ -57,6 +58,5 @@ class LightTask:
 
     def model(self, lights: int) -> LightModel:
         """Return the plain model of so many lights."""
-        position = self.image.position[self.image.mask]
-        radius = float(np.linalg.norm(position, axis=1).max()) or 1.0
+        radius = float(lengths(self.image.position)[self.image.mask].max()) or 1.0
         return LightModel(lights, self.brdf, self.view, radius)

@@ -31,6 +31,83 @@ def blend_positions(rest, weights, transforms):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row, place):  # type: ignore[no-untyped-def]
+    """Write the derivatives of one value that are not 0, and their places; return how many there are.
+
+    By the frame's turn and translation, by the key points' shifts at fixed turns of the handles, and by
+    these turns.
+    """
+    handles = len(weights)
+    gx, gy, gz = slope[0], slope[1], slope[2]
+    x, y, z = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]
+    row[0], row[1], row[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+    row[3], row[4], row[5] = gx, gy, gz
+    for i in range(6):
+        place[i] = i
+    used = 6
+    lx = rotation[0, 0] * gx + rotation[1, 0] * gy + rotation[2, 0] * gz
+    ly = rotation[0, 1] * gx + rotation[1, 1] * gy + rotation[2, 1] * gz
+    lz = rotation[0, 2] * gx + rotation[1, 2] * gy + rotation[2, 2] * gz
+    for k in range(handles):
+        w = weights[k]
+        if w < _NEGLIGIBLE:
+            continue
+        ax, ay, az = rest[0] - keypoints[k, 0], rest[1] - keypoints[k, 1], rest[2] - keypoints[k, 2]
+        bx = turns[k, 0, 0] * ax + turns[k, 0, 1] * ay + turns[k, 0, 2] * az
+        by = turns[k, 1, 0] * ax + turns[k, 1, 1] * ay + turns[k, 1, 2] * az
+        bz = turns[k, 2, 0] * ax + turns[k, 2, 1] * ay + turns[k, 2, 2] * az
+        px, py, pz = w * lx, w * ly, w * lz
+        row[used], row[used + 1], row[used + 2] = px, py, pz
+        row[used + 3], row[used + 4], row[used + 5] = by * pz - bz * py, bz * px - bx * pz, bx * py - by * px
+        for i in range(3):
+            place[used + i] = 6 + 3 * k + i
+            place[used + 3 + i] = 6 + 3 * handles + 3 * k + i
+        used += 6
+    return used
+
+
+@njit(cache=True, nogil=True)
+def point_covariances(rest, weights, positions, turns, keypoints, rotation, origin, root):  # type: ignore[no-untyped-def]
+    """Return (N, 3, 3) covariances of points under parameters of covariance root root^T.
+
+    Parameters
+    ----------
+    rest, positions : (N, 3) float64
+        At rest, and in the world.
+    weights : (N, K)
+    turns : (K, 3, 3)
+        Rotations of the handles.
+    keypoints : (K, 3)
+    rotation : (3, 3)
+        `world_from_frame`.
+    origin : (3,)
+    root : (6 + 6 K, P)
+        In the order of `normal_sums`.
+    """
+    count, size, parameters = len(rest), 6 + 6 * weights.shape[1], root.shape[1]
+    result = np.empty((count, 3, 3))
+    row, place, axes = np.empty(size), np.empty(size, np.int64), np.eye(3)
+    spread = np.empty((3, parameters))
+    for n in range(count):
+        spread[:] = 0.0
+        for i in range(3):
+            used = _row(
+                rest[n], weights[n], positions[n], axes[i], turns, keypoints, rotation, origin, row, place
+            )
+            for a in range(used):
+                for p in range(parameters):
+                    spread[i, p] += row[a] * root[place[a], p]
+        for i in range(3):
+            for j in range(i + 1):
+                total = 0.0
+                for p in range(parameters):
+                    total += spread[i, p] * spread[j, p]
+                result[n, i, j] = total
+                result[n, j, i] = total
+    return result
+
+
+@njit(cache=True, nogil=True)
 def normal_sums(  # type: ignore[no-untyped-def]
     rest, weights, positions, slopes, values, votes, turns, keypoints, rotation, origin, with_matrix
 ):
@@ -60,41 +137,10 @@ def normal_sums(  # type: ignore[no-untyped-def]
     row, place = np.empty(size), np.empty(size, np.int64)
     for n in range(count):
         vote = votes[n]
-        gx, gy, gz = slopes[n, 0], slopes[n, 1], slopes[n, 2]
-        if vote == 0.0 or (gx == 0.0 and gy == 0.0 and gz == 0.0):
+        slope = slopes[n]
+        if vote == 0.0 or (slope[0] == 0.0 and slope[1] == 0.0 and slope[2] == 0.0):
             continue
-        x, y, z = positions[n, 0] - origin[0], positions[n, 1] - origin[1], positions[n, 2] - origin[2]
-        row[0], row[1], row[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
-        row[3], row[4], row[5] = gx, gy, gz
-        for i in range(6):
-            place[i] = i
-        used = 6
-        lx = rotation[0, 0] * gx + rotation[1, 0] * gy + rotation[2, 0] * gz
-        ly = rotation[0, 1] * gx + rotation[1, 1] * gy + rotation[2, 1] * gz
-        lz = rotation[0, 2] * gx + rotation[1, 2] * gy + rotation[2, 2] * gz
-        for k in range(handles):
-            w = weights[n, k]
-            if w < _NEGLIGIBLE:
-                continue
-            ax, ay, az = (
-                rest[n, 0] - keypoints[k, 0],
-                rest[n, 1] - keypoints[k, 1],
-                rest[n, 2] - keypoints[k, 2],
-            )
-            bx = turns[k, 0, 0] * ax + turns[k, 0, 1] * ay + turns[k, 0, 2] * az
-            by = turns[k, 1, 0] * ax + turns[k, 1, 1] * ay + turns[k, 1, 2] * az
-            bz = turns[k, 2, 0] * ax + turns[k, 2, 1] * ay + turns[k, 2, 2] * az
-            px, py, pz = w * lx, w * ly, w * lz
-            row[used], row[used + 1], row[used + 2] = px, py, pz
-            row[used + 3], row[used + 4], row[used + 5] = (
-                by * pz - bz * py,
-                bz * px - bx * pz,
-                bx * py - by * px,
-            )
-            for i in range(3):
-                place[used + i] = 6 + 3 * k + i
-                place[used + 3 + i] = 6 + 3 * handles + 3 * k + i
-            used += 6
+        used = _row(rest[n], weights[n], positions[n], slope, turns, keypoints, rotation, origin, row, place)
         for a in range(used):
             pa = place[a]
             va = vote * row[a]

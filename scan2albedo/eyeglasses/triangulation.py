@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.geometry.pinhole import normalized_cameras
@@ -19,6 +20,8 @@ _DAMPING = 1e-6
 """First damping, as a part of the normal matrix's diagonal: the linear start is nearly right."""
 _ENOUGH = 1e-12
 """Step over distance from the origin below which a point is done."""
+_FAR = 1e300
+"""Squared error, in those of the noise, of what lies behind a camera."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,8 @@ def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArr
     if len(starts) == 0:
         return np.full(3, np.nan)
     x = starts[int(np.argmin(_loss(_residuals(starts, labels, cameras), noise_px)))]
-    return _refined(x, labels, cameras, noise_px)
+    refined: FloatArray = _refined(x, labels, cameras, float(noise_px))
+    return refined
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
@@ -142,30 +146,86 @@ def _residuals(points: FloatArray, labels: FloatArray, cameras: FloatArray) -> F
 
 def _loss(residuals: FloatArray, noise_px: float) -> FloatArray:
     square = (residuals**2).sum(-1) / (2 * noise_px) ** 2
-    return np.log1p(np.minimum(square, 1e300)).sum(-1)
+    return np.log1p(np.minimum(square, _FAR)).sum(-1)
 
 
-def _refined(x: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refined(x, labels, cameras, noise_px):  # type: ignore[no-untyped-def]
     """Return the point (3,) after reweighted Levenberg-Marquardt steps that each lower the loss."""
-    residual = _residuals(x[None], labels, cameras)[0]
-    loss, damping = float(_loss(residual[None], noise_px)[0]), _DAMPING
+    loss, damping = _point_loss(x, labels, cameras, noise_px), _DAMPING
     for _ in range(_STEPS):
-        usable = np.isfinite(residual).all(1)
-        image = cameras[usable, :, :3] @ x + cameras[usable, :, 3]
-        projected = image[:, :2] / image[:, 2:]
-        slope = (cameras[usable, :2, :3] - projected[:, :, None] * cameras[usable, 2:, :3]) / image[
-            :, 2:, None
-        ]
-        weight = 1 / (1 + (residual[usable] ** 2).sum(1) / (2 * noise_px) ** 2)
-        normal = np.einsum("c,cia,cib->ab", weight, slope, slope)
-        gradient = np.einsum("c,cia,ci->a", weight, slope, residual[usable])
-        step = -np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
-        trial = _residuals((x + step)[None], labels, cameras)[0]
-        lower = float(_loss(trial[None], noise_px)[0])
+        normal, gradient = _normal_equations(x, labels, cameras, noise_px)
+        for k in range(3):
+            normal[k, k] *= 1 + damping
+        step = _solved(normal, gradient)
+        trial = x - step
+        lower = _point_loss(trial, labels, cameras, noise_px)
         if lower < loss:
-            x, residual, loss, damping = x + step, trial, lower, damping / 10
+            x, loss, damping = trial, lower, damping / 10
         else:
             damping *= 100
-        if damping > 1e12 or np.linalg.norm(step) <= _ENOUGH * (1 + np.linalg.norm(x)):
+        if damping > 1e12 or not np.sum(step**2) > (_ENOUGH * (1 + np.sqrt(np.sum(x**2)))) ** 2:
             break
     return x
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _point_loss(x, labels, cameras, noise_px):  # type: ignore[no-untyped-def]
+    """Return the sum of the Cauchy losses; what lies behind a camera counts as far off."""
+    loss = 0.0
+    for c in range(len(cameras)):
+        u, v, depth = _image(x, cameras[c])
+        square = _FAR
+        if depth > 0:
+            dx, dy = u / depth - labels[c, 0], v / depth - labels[c, 1]
+            square = min((dx * dx + dy * dy) / (2 * noise_px) ** 2, _FAR)
+        loss += np.log1p(square)
+    return loss
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normal_equations(x, labels, cameras, noise_px):  # type: ignore[no-untyped-def]
+    """Return the matrix (3, 3) and the gradient (3,) of the reweighted squares."""
+    normal, gradient, slope = np.zeros((3, 3)), np.zeros(3), np.empty(3)
+    for c in range(len(cameras)):
+        u, v, depth = _image(x, cameras[c])
+        if not depth > 0:
+            continue
+        u, v = u / depth, v / depth
+        dx, dy = u - labels[c, 0], v - labels[c, 1]
+        weight = 1 / (1 + (dx * dx + dy * dy) / (2 * noise_px) ** 2)
+        for axis, place, error in ((0, u, dx), (1, v, dy)):
+            for k in range(3):
+                slope[k] = (cameras[c, axis, k] - place * cameras[c, 2, k]) / depth
+            for k in range(3):
+                gradient[k] += weight * slope[k] * error
+                for m in range(3):
+                    normal[k, m] += weight * slope[k] * slope[m]
+    return normal, gradient
+
+
+@njit(cache=True, nogil=True)
+def _image(x, camera):  # type: ignore[no-untyped-def]
+    """Return the homogeneous pixel of a point."""
+    u, v, depth = camera[0, 3], camera[1, 3], camera[2, 3]
+    for k in range(3):
+        u += camera[0, k] * x[k]
+        v += camera[1, k] * x[k]
+        depth += camera[2, k] * x[k]
+    return u, v, depth
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solved(matrix, right):  # type: ignore[no-untyped-def]
+    """Return the solution (3,) of a positive definite system by Cramer's rule, 0 where it is singular."""
+    minors, step = np.empty((3, 3)), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            minors[i, j] = matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
+    determinant = matrix[0, 0] * minors[0, 0] + matrix[0, 1] * minors[0, 1] + matrix[0, 2] * minors[0, 2]
+    if determinant > 0:
+        for i in range(3):
+            for j in range(3):
+                step[i] += minors[j, i] * right[j] / determinant
+    return step

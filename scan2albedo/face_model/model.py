@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.annotation import Region
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
+from scan2albedo.geometry.operators import linear_refinement
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -71,6 +72,7 @@ class AnnotatedFaceModel:
     notes: tuple[str, ...] = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
+    _refined_uv: dict[int, FloatArray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         count, faces = len(self.control_vertices), len(self.control_faces)
@@ -92,6 +94,13 @@ class AnnotatedFaceModel:
                 len(self.control_vertices), self.control_faces, levels
             )
         return self._subdivisions[levels]
+
+    def refined_uv(self, levels: int) -> FloatArray:
+        """Return the (cached) chart (V, 2) at the vertices of `subdivision(levels)`, linear in each face."""
+        if levels not in self._refined_uv:
+            matrix = linear_refinement(len(self.control_vertices), self.control_faces, levels)
+            self._refined_uv[levels] = matrix @ self.uv
+        return self._refined_uv[levels].copy()
 
     def surface(self, levels: int = 2) -> tuple[FloatArray, IntArray]:
         """Return (vertices (V, 3), faces (F 4^levels, 3)) of the limit surface at rest."""

@@ -16,7 +16,6 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
 from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
-from scan2albedo.geometry.operators import linear_refinement
 
 FloatArray = NDArray[np.float64]
 
@@ -70,7 +69,7 @@ def fitted_face(
     return FittedFace(
         vertices=vertices,
         faces=subdivision.faces,
-        uv=linear_refinement(len(control), model.control_faces, options.result_levels) @ model.uv,
+        uv=model.refined_uv(options.result_levels),
         region=model.region[subdivision.parent],
         control_points=control,
         landmarks=model.landmarks_of(control),

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy import sparse
+
+from scan2albedo.geometry.incidence import neighbour_lists
+from scan2albedo.geometry.mesh import lengths
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -20,82 +26,140 @@ Without it a vertex whose neighbours are 8 mm away would be averaged with them a
 SPIKE = 6.0
 """Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
 MAX_PASSES = 40
+_NO_SHARE = 1e-9
 
 
-def smoothed(
-    vertices: FloatArray,
-    faces: IntArray,
-    boundary: BoolArray,
-    scale_mm: float,
-    count: FloatArray | None = None,
-    *,
-    keep_curvature: bool = False,
-) -> FloatArray:
-    """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
-
-    As many averages over the neighbours as the length of the edges asks for, none when edges are as long as
-    the scale. Borders stay; spikes have no say, and move to where their neighbours are.
-
-    Averages flatten what is curved. With `keep_curvature` what they took away is averaged as well and given
-    back ("twicing"): 2 S - S^2 in place of S, at about a third more noise.
+@dataclass(frozen=True)
+class SurfaceAverages:
+    """A surface whose points are averaged with their neighbours'.
 
     Parameters
     ----------
     vertices : (V, 3) float64
     faces : (F, 3) int64
     boundary : (V,) bool
-    scale_mm : float
+        Vertices that stay.
     count : (V,) float64, optional
         How many measurements each vertex is the mean of: its say.
-    keep_curvature : bool
-
-    References
-    ----------
-    .. [1] J. W. Tukey, "Exploratory Data Analysis", 1977, section 16 (twicing).
     """
-    edge_mm = float(np.median(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)))
-    passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)
-    if passes == 0:
-        return vertices
-    joined = _neighbours(len(vertices), faces)
-    spike = _spikes(vertices, joined)
-    say = np.where(spike, 0.0, 1.0 if count is None else count)
-    weights = _weights(vertices, joined, spike, say, REACH * max(scale_mm, edge_mm))
-    total = np.asarray(weights.sum(1))
-    still = boundary[:, None] | (total < 1e-9)
 
-    def averaged(values: FloatArray, at_border: FloatArray) -> FloatArray:
+    vertices: FloatArray
+    faces: IntArray
+    boundary: BoolArray
+    count: FloatArray | None = None
+
+    def smoothed(self, scale_mm: float, *, keep_curvature: bool = False) -> FloatArray:
+        """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
+
+        As many averages over the neighbours as the length of the edges asks for, none when edges are as long
+        as the scale. Borders stay; spikes have no say, and move to where their neighbours are.
+
+        Averages flatten what is curved. With `keep_curvature` what they took away is averaged as well and
+        given back ("twicing"): 2 S - S^2 in place of S, at about a third more noise.
+
+        References
+        ----------
+        .. [1] J. W. Tukey, "Exploratory Data Analysis", 1977, section 16 (twicing).
+        """
+        edge_mm = self._edge_mm
+        passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)
+        if passes == 0:
+            return self.vertices
+        shares = self._shares(REACH * max(scale_mm, edge_mm))
+        points = self._averaged(self.vertices, self.vertices, shares, passes)
+        if not keep_curvature:
+            return points
+        taken = self.vertices - points
+        return points + self._averaged(taken, np.zeros_like(taken), shares, passes)
+
+    @cached_property
+    def _edge_mm(self) -> float:
+        along = self.vertices[self.faces[:, 0]] - self.vertices[self.faces[:, 1]]
+        return float(np.median(lengths(along)))
+
+    @cached_property
+    def _joined(self) -> tuple[IntArray, IntArray]:
+        return neighbour_lists(len(self.vertices), self.faces)
+
+    @cached_property
+    def _spike(self) -> BoolArray:
+        begins, neighbours = self._joined
+        gap = _gaps(self.vertices, begins, neighbours)
+        around = _largest_around(gap, begins, neighbours)
+        return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
+
+    @cached_property
+    def _say(self) -> FloatArray:
+        count = np.ones(len(self.vertices)) if self.count is None else self.count
+        return np.where(self._spike, 0.0, count)
+
+    def _shares(self, reach_mm: float) -> FloatArray:
+        """Return (N,) what each vertex takes from each neighbour; spikes take from all alike."""
+        return _neighbour_shares(self.vertices, *self._joined, self._spike, self._say, reach_mm)
+
+    def _averaged(
+        self, values: FloatArray, at_border: FloatArray, shares: FloatArray, passes: int
+    ) -> FloatArray:
         for _ in range(passes):
-            values = np.where(still, at_border, (weights @ values) / np.maximum(total, 1e-9))
+            values = _average(values, at_border, self.boundary, *self._joined, shares, self._say)
         return values
 
-    points = averaged(vertices, vertices)
-    if not keep_curvature:
-        return points
-    return points + averaged(vertices - points, np.zeros_like(points))
+
+@njit(cache=True, nogil=True)
+def _gaps(vertices, begins, neighbours):  # type: ignore[no-untyped-def]
+    """Return (V,) distances from the mean of the neighbours."""
+    gap = np.empty(len(vertices))
+    for v in range(len(vertices)):
+        degree, square = max(begins[v + 1] - begins[v], 1), 0.0
+        for k in range(3):
+            total = 0.0
+            for n in neighbours[begins[v] : begins[v + 1]]:
+                total += vertices[n, k]
+            square += (total / degree - vertices[v, k]) ** 2
+        gap[v] = np.sqrt(square)
+    return gap
 
 
-def _neighbours(count: int, faces: IntArray) -> sparse.csr_matrix:
-    start, end = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
-    directed = sparse.csr_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
-    joined = directed + directed.T
-    joined.data[:] = 1.0
-    return joined
+@njit(cache=True, nogil=True)
+def _largest_around(values, begins, neighbours):  # type: ignore[no-untyped-def]
+    """Return (V,) the largest value of a neighbour, 0 without one."""
+    largest = np.zeros(len(values))
+    for v in range(len(values)):
+        for n in neighbours[begins[v] : begins[v + 1]]:
+            largest[v] = max(largest[v], values[n])
+    return largest
 
 
-def _spikes(vertices: FloatArray, joined: sparse.csr_matrix) -> BoolArray:
-    degree = np.maximum(np.diff(joined.indptr), 1)
-    gap = np.linalg.norm((joined @ vertices) / degree[:, None] - vertices, axis=1)
-    around = joined.multiply(gap).max(axis=1).toarray().ravel()
-    return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
+@njit(cache=True, nogil=True)
+def _neighbour_shares(vertices, begins, neighbours, spike, say, reach_mm):  # type: ignore[no-untyped-def]
+    shares = np.empty(len(neighbours))
+    for v in range(len(vertices)):
+        for e in range(begins[v], begins[v + 1]):
+            n, near = neighbours[e], 1.0
+            if not spike[v]:
+                square = 0.0
+                for k in range(3):
+                    square += (vertices[n, k] - vertices[v, k]) ** 2
+                near = np.exp(-0.5 * square / reach_mm**2)
+            shares[e] = near * say[n]
+    return shares
 
 
-def _weights(
-    vertices: FloatArray, joined: sparse.csr_matrix, spike: BoolArray, say: FloatArray, reach_mm: float
-) -> sparse.csr_matrix:
-    """Return (V, V) what each vertex (row) takes from itself and its neighbours; spikes from all alike."""
-    row = np.repeat(np.arange(len(vertices)), np.diff(joined.indptr))
-    length = np.linalg.norm(vertices[row] - vertices[joined.indices], axis=1)
-    near = np.where(spike[row], 1.0, np.exp(-0.5 * (length / reach_mm) ** 2))
-    around = sparse.csr_matrix((near * say[joined.indices], joined.indices, joined.indptr), joined.shape)
-    return sparse.csr_matrix(around + sparse.diags(say))
+@njit(cache=True, nogil=True)
+def _average(values, at_border, boundary, begins, neighbours, shares, say):  # type: ignore[no-untyped-def]
+    """Return (V, 3) each vertex's mean over itself and its neighbours; `at_border` where it has none."""
+    result = np.empty_like(values)
+    for v in range(len(values)):
+        total = say[v]
+        a, b, c = total * values[v, 0], total * values[v, 1], total * values[v, 2]
+        for e in range(begins[v], begins[v + 1]):
+            share, n = shares[e], neighbours[e]
+            total += share
+            a += share * values[n, 0]
+            b += share * values[n, 1]
+            c += share * values[n, 2]
+        if boundary[v] or total < _NO_SHARE:
+            result[v] = at_border[v]
+        else:
+            result[v, 0], result[v, 1], result[v, 2] = a / total, b / total, c / total
+    return result

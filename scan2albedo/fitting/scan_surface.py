@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.fitting.scan_smoothing import smoothed
+from scan2albedo.fitting.scan_smoothing import SurfaceAverages
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
     vertex_components,
@@ -123,8 +123,9 @@ def scan_near_model(
     kept, index = without_unreferenced(thin.vertices, thin.faces if torn else _without_floaters(thin))
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
-    fair = smoothed(points, index, boundary, NORMAL_SMOOTHING * smoothing_mm, count)
-    points = smoothed(points, index, boundary, smoothing_mm, count, keep_curvature=True)
+    averages = SurfaceAverages(points, index, boundary, count)
+    fair = averages.smoothed(NORMAL_SMOOTHING * smoothing_mm)
+    points = averages.smoothed(smoothing_mm, keep_curvature=True)
     return ScanSurface(points, index, vertex_normals(fair, index), boundary)
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
+
+from scan2albedo.geometry.incidence import neighbour_lists, require_vertices
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -13,18 +16,35 @@ IntArray = NDArray[np.int64]
 
 def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F, 3) cross products of two edges of each face: normal direction, length twice the area."""
-    corners = vertices[faces]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crosses: FloatArray = _corner_crosses(np.ascontiguousarray(vertices[faces], np.float64))
+    return crosses
+
+
+@njit(cache=True, nogil=True)
+def _corner_crosses(corners):  # type: ignore[no-untyped-def]
+    """Return (F, 3) cross products of the first two edges of triangles (F, 3, 3)."""
+    result = np.empty((len(corners), 3))
+    for i in range(len(corners)):
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        for k in range(3):
+            m, n = (k + 1) % 3, (k + 2) % 3
+            result[i, k] = (b[m] - a[m]) * (c[n] - a[n]) - (b[n] - a[n]) * (c[m] - a[m])
+    return result
 
 
 def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F,) areas."""
-    return 0.5 * np.linalg.norm(face_cross_products(vertices, faces), axis=1)
+    return 0.5 * lengths(face_cross_products(vertices, faces))
+
+
+def lengths(vectors: FloatArray) -> FloatArray:
+    """Return (...) lengths of vectors (..., 3): a third of what `numpy.linalg.norm` takes for as many."""
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def normalized(vectors: FloatArray) -> FloatArray:
     """Return the vectors (..., 3) at unit length; zero vectors stay zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = lengths(vectors)[..., None]
     return vectors / np.where(length > 0, length, 1.0)
 
 
@@ -35,12 +55,18 @@ def face_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (V, 3) unit normals, faces weighted by area; zero where a vertex has no area around it."""
-    cross = face_cross_products(vertices, faces)
-    sums = np.zeros_like(vertices)
-    for corner in range(3):
-        for axis in range(3):
-            sums[:, axis] += np.bincount(faces[:, corner], cross[:, axis], minlength=len(vertices))
+    sums = np.zeros((len(vertices), 3))
+    _add_to_corners(face_cross_products(vertices, faces), np.ascontiguousarray(faces, np.int64), sums)
     return normalized(sums)
+
+
+@njit(cache=True, nogil=True)
+def _add_to_corners(values, faces, sums):  # type: ignore[no-untyped-def]
+    """Add values (F, 3) of faces to `sums` (V, 3) at their corners."""
+    for i in range(len(faces)):
+        for corner in range(3):
+            for k in range(3):
+                sums[faces[i, corner], k] += values[i, k]
 
 
 def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -75,19 +101,44 @@ def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> NDArray[np.bool_
 
 def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     """Return the symmetric (V, V) 0/1 adjacency of vertices joined by an edge."""
-    edges, _ = edges_with_faces(faces)
-    rows = np.concatenate([edges[:, 0], edges[:, 1]])
-    columns = np.concatenate([edges[:, 1], edges[:, 0]])
-    return sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(vertex_count, vertex_count))
+    begins, neighbours = neighbour_lists(vertex_count, faces)
+    joined = np.ones(len(neighbours))
+    return sparse.csr_matrix((joined, neighbours, begins), shape=(vertex_count, vertex_count))
 
 
 def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     """Return (V,) component labels 0..n-1 of vertices connected through faces."""
-    # Two edges join a face's three vertices; repeated entries do not matter for connectivity.
-    rows, columns = faces[:, :2].ravel(), faces[:, 1:].ravel()
-    graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(vertex_count, vertex_count))
-    _, labels = connected_components(graph, directed=False)
-    return labels.astype(np.int64)
+    index = np.ascontiguousarray(faces, np.int64)
+    require_vertices(index, vertex_count)
+    labels: IntArray = _component_labels(vertex_count, index)
+    return labels
+
+
+@njit(cache=True, nogil=True)
+def _component_labels(count, faces):  # type: ignore[no-untyped-def]
+    """Return (V,) labels by union and find; each part's root is its first vertex."""
+    parent = np.arange(count)
+    for i in range(len(faces)):
+        for k in range(2):
+            a, b = faces[i, k], faces[i, k + 1]
+            while parent[a] != a:
+                parent[a] = parent[parent[a]]
+                a = parent[a]
+            while parent[b] != b:
+                parent[b] = parent[parent[b]]
+                b = parent[b]
+            if a < b:
+                parent[b] = a
+            else:
+                parent[a] = b
+    labels, found = np.empty(count, np.int64), 0
+    for v in range(count):
+        if parent[v] == v:
+            labels[v] = found
+            found += 1
+        else:
+            labels[v] = labels[parent[v]]
+    return labels
 
 
 def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.closest_points import (
@@ -16,6 +15,7 @@ from scan2albedo.geometry.closest_points import (
     checked_faces,
     checked_points,
 )
+from scan2albedo.geometry.incidence import face_lists, neighbour_lists
 from scan2albedo.geometry.triangle_distance import weights_nearest_origin
 
 FloatArray = NDArray[np.float64]
@@ -61,11 +61,8 @@ class NearestSurface:
         used[self._faces.ravel()] = True
         self._used = np.flatnonzero(used)
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
-        order = np.argsort(self._faces.ravel(), kind="stable")
-        self._ring = order // 3
-        self._edges = _neighbours(len(self._vertices), self._faces)
-        self._ring_start = np.zeros(len(self._vertices) + 1, np.int64)
-        np.cumsum(np.bincount(self._faces.ravel(), minlength=len(self._vertices)), out=self._ring_start[1:])
+        self._ring_start, self._ring = face_lists(len(self._vertices), self._faces)
+        self._near_start, self._near = neighbour_lists(len(self._vertices), self._faces)
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:
@@ -74,8 +71,7 @@ class NearestSurface:
         The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], its neighbours
         near[near_start[v] : near_start[v + 1]].
         """
-        near, near_start = self._edges.indices, self._edges.indptr
-        return self._vertices, self._faces, self._ring, self._ring_start, near, near_start
+        return self._vertices, self._faces, self._ring, self._ring_start, self._near, self._near_start
 
     def nearest_vertices(self, points: FloatArray) -> IntArray:
         """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
@@ -108,12 +104,6 @@ class NearestSurface:
             distance,
         )
         return NearestHits(closest, face, weights, distance, vertex)
-
-
-def _neighbours(count: int, faces: IntArray) -> sparse.csr_matrix:
-    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    directed = sparse.csr_matrix((np.ones(len(start), np.int8), (start, end)), shape=(count, count))
-    return (directed + directed.T).tocsr()
 
 
 @njit(cache=True, nogil=True)

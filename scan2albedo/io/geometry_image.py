@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import GeometryImageError
+from scan2albedo.geometry.mesh import lengths
 
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -123,7 +124,7 @@ class GeometryImage:
 
     def check_normals(self) -> None:
         """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
-        length = np.linalg.norm(self.normal[self.mask], axis=1)
+        length = lengths(self.normal[self.mask])
         wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
         if wrong.any():
             raise GeometryImageError(

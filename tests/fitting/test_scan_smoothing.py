@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.scan_smoothing import smoothed
+from scan2albedo.fitting.scan_smoothing import SurfaceAverages
 from scan2albedo.geometry.mesh import boundary_vertex_mask
 from tests.fitting.conftest import mask_surface
 
@@ -15,12 +15,12 @@ def noisy_plane(size: int, noise_mm: float):
 
 def test_a_coarse_scan_stays_as_it_is():
     vertices, faces, border = noisy_plane(41, 0.3)
-    np.testing.assert_array_equal(smoothed(vertices, faces, border, 0.8), vertices)
+    np.testing.assert_array_equal(SurfaceAverages(vertices, faces, border).smoothed(0.8), vertices)
 
 
 def test_noise_of_a_fine_scan_averages_out():
     vertices, faces, border = noisy_plane(161, 0.3)
-    fair = smoothed(vertices, faces, border, 2.0)
+    fair = SurfaceAverages(vertices, faces, border).smoothed(2.0)
     assert fair[~border, 2].std() < 0.13
     np.testing.assert_array_equal(fair[border], vertices[border])
 
@@ -29,7 +29,7 @@ def test_a_spike_has_no_say_and_is_drawn_in():
     vertices, faces, border = noisy_plane(161, 0.1)
     spike = int(np.argmin(np.linalg.norm(vertices[:, :2], axis=1)))
     vertices[spike, 2] = 20.0
-    fair = smoothed(vertices, faces, border, 2.0)
+    fair = SurfaceAverages(vertices, faces, border).smoothed(2.0)
     assert np.abs(fair[~border, 2]).max() < 0.4
 
 
@@ -38,7 +38,7 @@ def test_curvature_loses_no_more_than_theory_says(radius):
     vertices, faces, border = noisy_plane(161, 0.0)
     middle = np.linalg.norm(vertices[:, :2], axis=1) < 30
     vertices[:, 2] = -(vertices[:, :2] ** 2).sum(1) / (2 * radius)
-    fair = smoothed(vertices, faces, border, 1.0)
+    fair = SurfaceAverages(vertices, faces, border).smoothed(1.0)
     assert np.abs(fair - vertices)[middle, 2].max() < 1.5 * 1.0**2 / radius
 
 
@@ -49,7 +49,9 @@ def test_curvature_stays_when_asked(radius):
     vertices[:, 2] = np.sqrt(np.maximum(radius**2 - distance**2, 0))
     cap = distance < 0.4 * radius
     lost, kept = (
-        np.abs(smoothed(vertices, faces, border, 1.5, keep_curvature=keep) - vertices)[cap, 2].max()
+        np.abs(SurfaceAverages(vertices, faces, border).smoothed(1.5, keep_curvature=keep) - vertices)[
+            cap, 2
+        ].max()
         for keep in (False, True)
     )
     assert kept < 0.25 * lost
@@ -57,7 +59,7 @@ def test_curvature_stays_when_asked(radius):
 
 def test_noise_averages_out_with_curvature_kept():
     vertices, faces, border = noisy_plane(161, 0.3)
-    fair = smoothed(vertices, faces, border, 2.0, keep_curvature=True)
+    fair = SurfaceAverages(vertices, faces, border).smoothed(2.0, keep_curvature=True)
     assert fair[~border, 2].std() < 0.17
 
 
@@ -67,5 +69,5 @@ def test_a_mesh_of_uneven_density_does_not_shrink():
     x, y = np.meshgrid(45 * u**3, 45 * u**3)
     dome = np.column_stack([x.ravel(), y.ravel(), np.sqrt(radius**2 - x.ravel() ** 2 - y.ravel() ** 2)])
     _, faces = mask_surface(size)
-    fair = smoothed(dome, faces, boundary_vertex_mask(len(dome), faces), 0.8)
+    fair = SurfaceAverages(dome, faces, boundary_vertex_mask(len(dome), faces)).smoothed(0.8)
     assert np.abs(np.linalg.norm(fair, axis=1) - radius).max() < 3 * 0.8**2 / radius

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.handle_transforms import PRIOR, known_bones, turned_translations
-from scan2albedo.eyeglasses.motion_kernels import blend_positions, normal_sums
+from scan2albedo.eyeglasses.motion_kernels import blend_positions, normal_sums, point_covariances
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 
@@ -89,24 +89,31 @@ class FrameMotion:
         """Return (N, 3) in the world."""
         return np.asarray(blend_positions(points.rest, points.weights, self.transforms))
 
-    def rows(self, points: SkinnedPoints, positions: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return (N, 6 + 3 K) derivatives of N values with the given slopes (N, 3) at the world's points.
+    def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
+        """Return (N, 3, 3) of points in the world, where a step has the covariance root root^T.
 
         Parameters
         ----------
         points : SkinnedPoints
-        positions : (N, 3)
-            What `positions` gave for them.
-        slopes : (N, 3)
-            Derivatives of each value by its point's place in the world.
+        root : (6, P) or (6 + 3 K, P)
+            Of a step of a rigid frame, or of one that bends.
         """
-        # Slow and plain: the search itself sums rows by `normal_matrix`.
-        local = slopes @ self.state.rotation
-        pull = points.weights[:, :, None] * local[:, None]
-        arm = np.einsum("kij,nkj->nki", self.handles[:, :3, :3], points.rest[:, None] - self._filled)
-        turning = np.cross(arm, pull).reshape(len(slopes), -1)
-        bending = pull.reshape(len(slopes), -1) + turning @ self.turns
-        return np.concatenate([np.cross(positions - self.state.origin, slopes), slopes, bending], 1)
+        raw = np.zeros((RIGID + 2 * len(self.turns), root.shape[1]))
+        raw[: len(root)] = root
+        if len(root) > RIGID:
+            raw[len(root) :] = self.turns @ root[RIGID:]
+        return np.asarray(
+            point_covariances(
+                points.rest,
+                points.weights,
+                self.positions(points),
+                np.ascontiguousarray(self.handles[:, :3, :3]),
+                self._filled,
+                self.state.rotation,
+                self.state.origin,
+                raw,
+            )
+        )
 
     def raw_sums(
         self,
@@ -120,7 +127,7 @@ class FrameMotion:
     ) -> tuple[FloatArray, FloatArray]:
         """Return sums of vote value row and vote row row^T over N values, turns of handles apart.
 
-        `chained` brings sums (6 + 6 K) of any number of calls to those of rows as `rows` has them.
+        `chained` brings sums (6 + 6 K) of any number of calls to those of a step's (6 + 3 K) derivatives.
         """
         gradient, matrix = normal_sums(
             points.rest,

@@ -15,8 +15,6 @@ FloatArray = NDArray[np.float64]
 
 _RIDGE = 1e-12
 """Least eigenvalue of the scaled matrix, as a part of the largest: open directions stay finite."""
-_BLOCK = 4096
-"""Points at once: their rows of 198 numbers stay in the cache."""
 _MEDIAN_OF_RAYLEIGH, _MEDIAN_OF_NORMAL = 1.1774, 0.6745
 """Medians of a label's distance and of an outline's absolute error at a deviation of 1 a coordinate."""
 
@@ -52,7 +50,7 @@ class PointDeviations:
     """
 
     def __init__(self, motion: FrameMotion, matrix: FloatArray) -> None:
-        self._motion, self._size = motion, len(matrix)
+        self._motion = motion
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
         values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
         values = np.maximum(values, _RIDGE * values.max())
@@ -60,18 +58,7 @@ class PointDeviations:
 
     def covariances(self, points: SkinnedPoints) -> FloatArray:
         """Return (N, 3, 3) of points in the world."""
-        blocks = [slice(i, i + _BLOCK) for i in range(0, len(points.rest), _BLOCK)]
-        return np.concatenate(
-            [self._block(SkinnedPoints(points.rest[b], points.weights[b])) for b in blocks]
-            or [np.zeros((0, 3, 3))]
-        )
-
-    def _block(self, points: SkinnedPoints) -> FloatArray:
-        place = self._motion.positions(points)
-        axes = [np.broadcast_to(np.eye(3)[i], place.shape) for i in range(3)]
-        rows = np.stack([self._motion.rows(points, place, axis)[:, : self._size] for axis in axes], 1)
-        spread = rows @ self._root
-        return spread @ spread.transpose(0, 2, 1)
+        return self._motion.covariances(points, self._root)
 
 
 def worst_deviation(covariances: FloatArray) -> FloatArray:

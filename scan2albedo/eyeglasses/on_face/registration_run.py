@@ -41,18 +41,19 @@ _DISAGREE = 2.0
 """Times by which outlines may raise the labels' error before they are taken for another picture's."""
 _NEAR_MM = 40.0
 """Distance up to which a frame whose depth is not known may be drawn onto the nose."""
-_OCCLUDER_MM = 2.0
-"""Cells in which the head's vertices are joined: finer than that it hides the same and costs more."""
+_OCCLUDER_MM, _HASTY_OCCLUDER_MM = 2.0, 4.0
+"""Cells in which the head's vertices are joined: finer than 2 mm it hides the same and costs more; coarser
+where the budget has ended."""
 _STILL, _NO_LESS = 0.5, 2
 """Movement of the key points between two tracings at which the outlines have settled, in standard deviations
 of what is still open about them; and how often it may get no less: tracing jumps from pixel to pixel."""
 
 
-def _caster(given: RegistrationInputs) -> RayCaster | None:
+def _caster(given: RegistrationInputs, cell_mm: float) -> RayCaster | None:
     """Return what the head hides is asked of; None without a head."""
     if given.head is None:
         return None
-    coarse = thinned(*given.head, _OCCLUDER_MM)
+    coarse = thinned(*given.head, cell_mm)
     return RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)
 
 
@@ -78,7 +79,8 @@ class RegistrationRun:
         self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         mesh = FrameMesh(SkinnedPoints(given.vertices, self.weights), given.faces)
-        self.sampler = OutlineSampler(mesh, given.views, _caster(given), options)
+        cell_mm = _HASTY_OCCLUDER_MM if meter.out_of_time else _OCCLUDER_MM
+        self.sampler = OutlineSampler(mesh, given.views, _caster(given, cell_mm), options)
 
     def result(self) -> RegisteredEyeglasses:
         """Run the stages that the input asks for.
