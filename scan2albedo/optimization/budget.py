@@ -71,6 +71,18 @@ def checked_seed(seed: int) -> int:
 
 ProgressCallback = Callable[[TraceRow], None]
 
+GRACE_SHARE, GRACE_S = 0.2, 0.3
+"""How far a budget in seconds may be overrun to finish what was found: this part of it, or these seconds."""
+
+
+def grace(seconds: float) -> float:
+    """Return the seconds by which a budget of so many may be overrun.
+
+    >>> grace(1.0), grace(10.0)
+    (0.3, 2.0)
+    """
+    return max(GRACE_SHARE * seconds, GRACE_S)
+
 
 @dataclass
 class Meter:
@@ -121,6 +133,11 @@ class Meter:
     def out_of_time(self) -> bool:
         """Whether the budget's seconds have ended: what costs time but no evaluations may be left out."""
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
+
+    def late_for(self, seconds: float) -> bool:
+        """Whether work of so many seconds would end too late, by more than a budget may be overrun."""
+        budget = self.budget.seconds
+        return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
 
     def count(self, evaluations: int = 1) -> None:
         """Add to the evaluations spent."""
