@@ -39,6 +39,14 @@ def test_only_seconds_run_out_of_time():
     assert not Meter("fit", "mm", Budget(seconds=1e9, evaluations=1)).out_of_time
 
 
+def test_finishing_may_take_a_fifth_of_the_budget_or_three_tenths_of_a_second():
+    assert not Meter("fit", "mm").late_for(1e9)
+    assert not Meter("fit", "mm", Budget(evaluations=1)).late_for(1e9)
+    short, long = Meter("fit", "mm", Budget(seconds=0.1)), Meter("fit", "mm", Budget(seconds=1000))
+    assert (short.late_for(0.05), short.late_for(0.41)) == (False, True)
+    assert (long.late_for(1100), long.late_for(1201)) == (False, True)
+
+
 def test_meter_records_rows_and_tells_the_caller():
     heard = []
     meter = Meter("fit", "mm", Budget(), heard.append)
