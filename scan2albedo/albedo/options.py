@@ -37,6 +37,9 @@ class EstimateOptions:
     """Root mean square share of the image that a highlight has to have."""
     specular_deviations: float = 4.0
     """Standard deviations by which its strength has to differ from 0; `specular_gain` serves as well."""
+    specular_likely: float = 2.4
+    """Standard deviations that serve where it removes `specular_likely_gain` of the cost."""
+    specular_likely_gain: float = 0.02
     specular_certain: float = 12.0
     """Standard deviations beyond which it may even add `specular_loss` to the cost."""
     specular_loss: float = 0.03

@@ -154,6 +154,7 @@ def _decide_highlight(
         and (
             gain >= options.specular_gain
             or (deviations >= options.specular_deviations and gain > 0)
+            or (deviations >= options.specular_likely and gain >= options.specular_likely_gain)
             or (deviations >= options.specular_certain and gain >= -options.specular_loss)
         )
     )
