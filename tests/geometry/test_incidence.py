@@ -1,5 +1,7 @@
 """Lists of neighbours and faces against plain sets."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from scan2albedo.geometry.incidence import face_lists, neighbour_lists
 
 
 def rows(begins, values):
-    return [values[a:b].tolist() for a, b in zip(begins[:-1], begins[1:], strict=True)]
+    return [values[a:b].tolist() for a, b in itertools.pairwise(begins)]
 
 
 def fan(count):
