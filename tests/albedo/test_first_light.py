@@ -8,6 +8,7 @@ import pytest
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.first_light import nearest_first, shading_direction
 from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.optimization import Meter
 from scan2albedo.synthetic import face, hemisphere, light_at
 
 
@@ -59,6 +60,14 @@ def test_what_there_was_no_time_for_is_said():
     assert told["albedo.shadows"] == "the budget ended before it was judged"
     assert "albedo.rectification" in told
     assert "albedo.specular" in told
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_lines_along_shadows_go_after_the_budget_where_that_is_not_too_late(late, monkeypatch):
+    monkeypatch.setattr(Meter, "late_for", lambda meter, seconds: late)
+    estimate = estimate_albedo(face(3, size=64).image, budget=1e-6)
+    told = {step.stage: step.reason for step in estimate.plan}
+    assert (told["albedo.rectification"] == "the budget ended before it") is late
 
 
 def test_what_was_asked_for_is_done_without_time():
