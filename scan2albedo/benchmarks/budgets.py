@@ -26,6 +26,7 @@ _GAINED, _GAIN_OF_TRACE = 0.9, 0.95
 _FEWEST_ROWS = 3
 _LEAST_ERROR = 1e-12
 _REPEATS = 3
+_AS_GOOD = 1.01
 
 Budgeted = Callable[[float | None, ProgressCallback | None], Any]
 """Runs a stage with a budget in seconds (None: no limit) and returns what it found."""
@@ -83,9 +84,14 @@ class BudgetRow:
 
     @property
     def share(self) -> float:
-        """Part of the whole reduction of the error that was reached; 1 where there was none to reach."""
+        """Part of the whole reduction of the error that was reached.
+
+        Where there was none to reach 1 if no more than a hundredth was lost, else 0.
+        """
         whole = self.start_error - self.full_error
-        return (self.start_error - self.error) / whole if whole > 0 else 1.0
+        if whole > 0:
+            return (self.start_error - self.error) / whole
+        return float(self.error <= _AS_GOOD * self.start_error)
 
     @property
     def overrun_s(self) -> float:
@@ -134,11 +140,12 @@ def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAIN_OF
     Returns
     -------
     float
-        inf without rows.
+        inf without rows of finite errors.
     """
     yardsticks: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for seconds, row in rows:
-        yardsticks.setdefault((row.stage, row.unit), []).append((seconds, row.error))
+        if math.isfinite(row.error):
+            yardsticks.setdefault((row.stage, row.unit), []).append((seconds, row.error))
     if not yardsticks:
         return math.inf
     every = list(yardsticks.values())
@@ -208,7 +215,7 @@ def budget_rows(
         Those without a budget are passed over; "reflectance" stands for the three of reflectance, which run
         with all others too.
     quick : bool
-        One run each, of tiny scenes.
+        One run each, of tiny scenes; without names of registration, fit and albedo alone.
     on_row : callable
         Called with each row.
     """

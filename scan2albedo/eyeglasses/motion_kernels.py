@@ -50,7 +50,7 @@ def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row
     lz = rotation[0, 2] * gx + rotation[1, 2] * gy + rotation[2, 2] * gz
     for k in range(handles):
         w = weights[k]
-        if w < _NEGLIGIBLE:
+        if abs(w) < _NEGLIGIBLE:
             continue
         ax, ay, az = rest[0] - keypoints[k, 0], rest[1] - keypoints[k, 1], rest[2] - keypoints[k, 2]
         bx = turns[k, 0, 0] * ax + turns[k, 0, 1] * ay + turns[k, 0, 2] * az

@@ -31,7 +31,8 @@ class TriangulatedPoints:
     points: FloatArray
     """(K, 3) in the unit of the cameras; NaN rows where fewer than two views see a point."""
     errors_px: FloatArray
-    """(C, K) distances of labels from the reprojected points; NaN where a label or a point is missing."""
+    """(C, K) distances of labels from the reprojected points; NaN where a label or a point is missing,
+    infinite where a point lies behind the camera."""
     inliers: BoolArray
     """(C, K) labels within three times the noise of their point."""
 
@@ -92,9 +93,9 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         if len(seen) < 2:
             continue
         points[k] = _place(labels[seen, k], matrices[seen], noise_px)
-        errors[seen, k] = np.linalg.norm(
-            _residuals(points[k][None], labels[seen, k], matrices[seen])[0], axis=-1
-        )
+        if np.isfinite(points[k]).all():
+            residual = _residuals(points[k][None], labels[seen, k], matrices[seen])[0]
+            errors[seen, k] = np.linalg.norm(residual, axis=-1)
     with np.errstate(invalid="ignore"):
         inliers = errors <= 3 * noise_px
     return TriangulatedPoints(points, errors, inliers)

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scan2albedo.geometry.incidence import neighbour_lists
-from scan2albedo.geometry.mesh import lengths
+from scan2albedo.geometry.mesh import usual_edge
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,7 +36,9 @@ class SurfaceAverages:
     Parameters
     ----------
     vertices : (V, 3) float64
+        Each in a face.
     faces : (F, 3) int64
+        One at least.
     boundary : (V,) bool
         Vertices that stay.
     count : (V,) float64, optional
@@ -51,8 +53,9 @@ class SurfaceAverages:
     def smoothed(self, scale_mm: float, *, keep_curvature: bool = False) -> FloatArray:
         """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
 
-        As many averages over the neighbours as the length of the edges asks for, none when edges are as long
-        as the scale. Borders stay; spikes have no say, and move to where their neighbours are.
+        As many averages over the neighbours as the length of the edges asks for, none when edges are more
+        than twice as long as the scale, MAX_PASSES at most. Borders stay; spikes have no say, and move to
+        where their neighbours are.
 
         Averages flatten what is curved. With `keep_curvature` what they took away is averaged as well and
         given back ("twicing"): 2 S - S^2 in place of S, at about a third more noise.
@@ -74,8 +77,7 @@ class SurfaceAverages:
 
     @cached_property
     def _edge_mm(self) -> float:
-        along = self.vertices[self.faces[:, 0]] - self.vertices[self.faces[:, 1]]
-        return float(np.median(lengths(along)))
+        return usual_edge(self.vertices, self.faces)
 
     @cached_property
     def _joined(self) -> tuple[IntArray, IntArray]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.fitting.scan_smoothing import SurfaceAverages
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
+    usual_edge,
     vertex_components,
     vertex_normals,
     without_unreferenced,
@@ -62,8 +63,7 @@ class ScanSurface:
     @cached_property
     def edge_mm(self) -> float:
         """Median length of the edges."""
-        start, end = self.vertices[self.faces[:, 0]], self.vertices[self.faces[:, 1]]
-        return float(np.median(np.linalg.norm(end - start, axis=1)))
+        return usual_edge(self.vertices, self.faces)
 
     def normals_at(self, hits: NearestHits | ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""

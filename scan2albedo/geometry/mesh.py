@@ -42,6 +42,11 @@ def lengths(vectors: FloatArray) -> FloatArray:
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
+def usual_edge(vertices: FloatArray, faces: IntArray) -> float:
+    """Return the median length of the faces' first edges."""
+    return float(np.median(lengths(vertices[faces[:, 0]] - vertices[faces[:, 1]])))
+
+
 def normalized(vectors: FloatArray) -> FloatArray:
     """Return the vectors (..., 3) at unit length; zero vectors stay zero."""
     length = lengths(vectors)[..., None]

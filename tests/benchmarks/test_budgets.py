@@ -32,6 +32,7 @@ def test_the_last_yardstick_of_some_rows_decides():
 
 def test_no_rows_no_time():
     assert time_of_gain([]) == math.inf
+    assert time_of_gain(rows((0.1, math.nan))) == math.inf
 
 
 def row(**changes):
@@ -54,7 +55,9 @@ def test_share_and_overrun():
     assert row().overrun_s == pytest.approx(0.1)
     assert row(wall_s=3.0, cpu_s=1.5).overrun_s == pytest.approx(1.0)
     assert row(wall_s=0.5).overrun_s == 0
-    assert row(start_error=0.5).share == 1.0
+    assert row(start_error=0.5, error=0.5).share == 1.0
+    assert row(start_error=0.5).share == 0.0
+    assert row(start_error=math.nan).share == 0.0
 
 
 @pytest.mark.parametrize(

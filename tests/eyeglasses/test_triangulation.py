@@ -86,7 +86,10 @@ def test_missing_labels_leave_gaps_only_where_fewer_than_two_views_see():
 def test_views_from_one_place_see_no_depth():
     camera = ring_of_cameras(3)[:1]
     cameras = np.concatenate([camera, camera])
-    assert np.isnan(triangulate(seen_by(cameras, POINTS), cameras).points).all()
+    found = triangulate(seen_by(cameras, POINTS), cameras)
+    assert np.isnan(found.points).all()
+    assert np.isnan(found.errors_px).all()
+    assert not found.inliers.any()
 
 
 def test_misuse_is_a_value_error():
