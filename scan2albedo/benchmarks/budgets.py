@@ -27,6 +27,7 @@ _FEWEST_ROWS = 3
 _LEAST_ERROR = 1e-12
 _REPEATS = 3
 _AS_GOOD = 1.01
+"""Where an error cannot fall it may rise by this factor."""
 
 Budgeted = Callable[[float | None, ProgressCallback | None], Any]
 """Runs a stage with a budget in seconds (None: no limit) and returns what it found."""
