@@ -17,7 +17,7 @@ _BAND = 1 / 128
 """Half width of the repaired band as a part of the image's side."""
 _TAIL = 0.95
 """Quantile of the gradients beside the band above which a gradient counts as steep."""
-_SHARE = 0.2
+_SHARE = 0.05
 """Part of an outline's length on which the albedo has to step against the light for it to be repaired."""
 _LARGEST = 1.1
 """A gradient steeper than this many times the light's step at the outline is the texture's."""
@@ -46,7 +46,7 @@ def rectify(
 
     Where the estimated outline misses the real one, by a penumbra or a small error of the light, the
     quotient holds a bright or dark line: the albedo steps up where the light steps down. Connected pieces of
-    the outlines where it does so on more than a fifth of their length are repaired. The texture's own
+    the outlines where it does so on more than a twentieth of their length are repaired. The texture's own
     gradients are known from beside the band: those above their 95th percentile, but no steeper than the
     light's own step makes them, are cut to it, and the albedo is integrated again from the band's border
     (gradient-domain form of the rectification of [1]_).
