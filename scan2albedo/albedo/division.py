@@ -76,6 +76,7 @@ def divide_light(
     own = np.where(noise > 0, own, 1.0)
     kept = np.where(usable, mean + own * (quotient - mean), quotient)
     typical = float(np.median(light[usable])) if usable.any() else 1.0
+    # Powers of 2 and 3: NumPy multiplies for a square, but not for a sixth power.
     lit = 1 / (1 + ((_DIM * typical / divisor) ** 2) ** 3)
     if shrink:
         continued = np.maximum(value - specular, 0.0) / _continued_light(

@@ -40,6 +40,7 @@ class EstimateOptions:
     specular_likely: float = 2.4
     """Standard deviations that serve where it removes `specular_likely_gain` of the cost."""
     specular_likely_gain: float = 0.02
+    """Part of the cost beside which `specular_likely` serves."""
     specular_certain: float = 12.0
     """Standard deviations beyond which it may even add `specular_loss` to the cost."""
     specular_loss: float = 0.03

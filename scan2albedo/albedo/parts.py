@@ -160,7 +160,8 @@ def _decide_highlight(
     )
     evidence = (
         f"{100 * effect:.2f} % of the image ({100 * options.specular_effect:g} % asked), {deviations:.0f} "
-        f"standard deviations ({options.specular_deviations:g} asked), removes {100 * gain:.1f} % of the "
+        f"standard deviations ({options.specular_deviations:g} asked, {options.specular_likely:g} beside "
+        f"{100 * options.specular_likely_gain:g} % of the cost), removes {100 * gain:.1f} % of the "
         f"cost, brighter than a channel on {100 * beyond:.1f} % of the cells"
     )
     rows.append(PlanStep(stage, enters, f"{what} matters" if enters else f"{what} does not matter", evidence))

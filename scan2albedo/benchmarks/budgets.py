@@ -165,7 +165,7 @@ def checked_budgets(
     for budget in (knee_s, *budgets_s):
         if not math.isfinite(budget):
             continue
-        error, cost = _undisturbed(stage, budget, repeats)
+        error, cost = _farthest(stage, budget, repeats)
         found.append(
             BudgetRow(
                 stage.name,
@@ -193,7 +193,7 @@ def _unlimited(stage: BudgetedStage, repeats: int) -> tuple[float, float]:
     return stage.error(found), max(knees)
 
 
-def _undisturbed(stage: BudgetedStage, budget_s: float, repeats: int) -> tuple[float, Cost]:
+def _farthest(stage: BudgetedStage, budget_s: float, repeats: int) -> tuple[float, Cost]:
     """Return error and cost of the run that came farthest: what others' work delays says nothing of ours."""
     runs = []
     for _ in range(repeats):

@@ -27,6 +27,7 @@ SPIKE = 6.0
 """Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
 MAX_PASSES = 40
 _NO_SHARE = 1e-9
+"""Sum of the shares below which nothing has a say in a vertex's mean."""
 
 
 @dataclass(frozen=True)

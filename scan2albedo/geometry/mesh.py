@@ -38,7 +38,7 @@ def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def lengths(vectors: FloatArray) -> FloatArray:
-    """Return (...) lengths of vectors (..., 3): a third of what `numpy.linalg.norm` takes for as many."""
+    """Return (...) lengths of vectors (..., 3), without the slow reduction over so short an axis."""
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
