@@ -11,47 +11,50 @@ Examples
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from scan2albedo.core.version import VERSION
 
 if TYPE_CHECKING:
     from scan2albedo import applications, batch, eyeglasses, recognition, reflectance, report, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
+    from scan2albedo.core import Budget, GeometryImage, PointLight, RawScan, Trace
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
     from scan2albedo.fitting import FittedFace, fit
-    from scan2albedo.io import GeometryImage, RawScan, load_scan, read_geometry_image
-    from scan2albedo.lighting import PointLight
-    from scan2albedo.optimization import Budget, Trace
-    from scan2albedo.pipeline import process
-    from scan2albedo.process_result import ProcessResult
-    from scan2albedo.quality import Quality
+    from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
+    from scan2albedo.io import load_scan, read_geometry_image
+    from scan2albedo.pipeline.process import process
+    from scan2albedo.pipeline.quality import Quality
+    from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.registration import Registration, register
-    from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 _HOMES = {
     "AlbedoEstimate": "albedo",
     "AnnotatedFaceModel": "face_model",
-    "Budget": "optimization",
+    "Budget": "core",
     "FittedFace": "fitting",
-    "GeometryImage": "io",
-    "PointLight": "lighting",
-    "ProcessResult": "process_result",
-    "Quality": "quality",
-    "RawScan": "io",
+    "GeometryImage": "core",
+    "PointLight": "core",
+    "ProcessResult": "pipeline.result",
+    "Quality": "pipeline.quality",
+    "RawScan": "core",
     "Region": "face_model",
     "Registration": "registration",
     "Scan2AlbedoError": "errors",
-    "Trace": "optimization",
+    "Trace": "core",
     "albedo_error": "albedo",
     "estimate_albedo": "albedo",
     "fit": "fitting",
-    "geometry_image": "sampling",
-    "geometry_image_of_scan": "sampling",
+    "geometry_image": "geometry_image",
+    "geometry_image_of_scan": "geometry_image",
     "load_scan": "io",
-    "process": "pipeline",
+    "process": "pipeline.process",
     "read_geometry_image": "io",
     "register": "registration",
 }
@@ -103,3 +106,18 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_HOMES, *_SUBPACKAGES})
+
+
+class _Package(ModuleType):
+    """The package, in which `geometry_image` stays the stage's function.
+
+    The import system binds a loaded subpackage to its name in the parent, and the stage's folder has the name
+    of its function.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name == "geometry_image" and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

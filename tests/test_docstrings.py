@@ -175,7 +175,9 @@ def test_what_is_public_was_found():
     assert len(FUNCTIONS) > 100
     assert len(CLASSES) > 80
     assert "scan2albedo.albedo.estimate.estimate_albedo" in FUNCTIONS
-    assert {"scan2albedo.pipeline.process", "scan2albedo.registration.register.register"} <= set(FUNCTIONS)
+    assert {"scan2albedo.pipeline.process.process", "scan2albedo.registration.register.register"} <= set(
+        FUNCTIONS
+    )
 
 
 def test_the_first_line_is_a_sentence():

@@ -54,7 +54,7 @@ def shell_lines(page: Path) -> Iterator[list[str]]:
 def root() -> Any:
     import typer
 
-    from scan2albedo.cli import app
+    from scan2albedo.cli.commands import app
 
     return typer.main.get_command(app)
 
@@ -184,8 +184,8 @@ PLACES = {
     "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
     + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions"],
     "registration": ["RegistrationOptions"],
-    "sampling": ["LookupOptions"],
-    "sampling.model_free": ["ModelFreeOptions"],
+    "geometry_image": ["LookupOptions"],
+    "geometry_image.model_free": ["ModelFreeOptions"],
 }
 """Where the options that pages name are."""
 BARE = {"registration": "RegistrationOptions", "fitting": "FitOptions", "light_and_albedo": "EstimateOptions"}

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.benchmarks.weight_peers import fixed_nodes, igl_bbw, kuhn_tetrahedra
+from scan2albedo.core import Meter
 from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual
 from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
@@ -42,7 +43,6 @@ from scan2albedo.eyeglasses.weighting.lattice_weights import solve_lattice
 from scan2albedo.eyeglasses.weighting.options import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.io import load_scan
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

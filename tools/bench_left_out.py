@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions
-from scan2albedo.choices import FORCEABLE
-from scan2albedo.demo import compare_with_truth
-from scan2albedo.optimization import Plan
+from scan2albedo.core import Plan
+from scan2albedo.pipeline.choices import FORCEABLE
+from scan2albedo.pipeline.demo import compare_with_truth
 from scan2albedo.synthetic import Material, RawScanOptions, face, hemisphere, light_at, raw_scan
 from scan2albedo.synthetic.scenes import SyntheticScene
 

@@ -22,9 +22,9 @@ from scan2albedo.albedo.levels import build_level, usable_texels
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.problem import Problem
 from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.core import Budget, Meter
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import cone_directions
-from scan2albedo.optimization import Budget, Meter
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
 
 MAKERS = {"hemisphere": hemisphere, "face": face}

@@ -47,9 +47,9 @@ from scan2albedo.reflectance import (
     read_capture,
     sample_vertices,
 )
+from scan2albedo.reflectance.app.capture_run import FittedCapture, fit_capture, relit_pair
+from scan2albedo.reflectance.app.synthetic_files import write_synthetic_capture
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
-from scan2albedo.reflectance_capture_run import FittedCapture, fit_capture, relit_pair
-from scan2albedo.reflectance_synthetic_files import write_synthetic_capture
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
 
 FloatArray = NDArray[np.float64]

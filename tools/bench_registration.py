@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
+from scan2albedo.core import Budget
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import (
@@ -36,7 +37,6 @@ from scan2albedo.geometry.rigid import (
     transform_points,
 )
 from scan2albedo.io.units import millimetres_per_unit
-from scan2albedo.optimization import Budget
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
 from scan2albedo.registration.robust_icp import SimilarPose

@@ -17,13 +17,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from scan2albedo.core import TraceRow
 from scan2albedo.experiments.recognition import (
     RecognitionExperimentOptions,
     RecognitionReport,
     run_recognition_experiment,
 )
 from scan2albedo.experiments.recognition.files import write_report
-from scan2albedo.optimization import TraceRow
 from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 
 CHOICES = {

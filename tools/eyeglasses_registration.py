@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.benchmarks.glasses import WornGlasses, worn_glasses
+from scan2albedo.core import Budget, Meter
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
@@ -31,7 +32,6 @@ from scan2albedo.eyeglasses.on_face.registration_terms import (
     RegistrationObjective,
 )
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.optimization import Budget, Meter
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer
 
 FloatArray = NDArray[np.float64]

@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import scan2albedo as s2a
 from scan2albedo.io.color import linear_to_srgb
-from scan2albedo.process_result import ProcessResult
+from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.report.overview import preview_srgb
 from scan2albedo.report.rendering import View, render_mesh
 from scan2albedo.synthetic.raw_scan import RawScanOptions

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.io import RawScan
+from scan2albedo.core import RawScan
 from scan2albedo.io.images import write_png
 
 

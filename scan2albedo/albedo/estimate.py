@@ -28,11 +28,11 @@ from scan2albedo.albedo.limits import limits_step
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.result import AlbedoEstimate, shade_image
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.lighting.point_light import PointLight
-from scan2albedo.optimization import Budget, Meter, ProgressCallback
-from scan2albedo.optimization.plan import Plan, PlanStep
 
 _LEAST_FACING = 0.1
 """Part of the texels that has to face the viewer."""

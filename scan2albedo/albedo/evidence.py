@@ -14,9 +14,9 @@ from scan2albedo.albedo.light_task import LightFound, LightTask
 from scan2albedo.albedo.problem import Problem, Solution, Yardstick, cost_removed
 from scan2albedo.albedo.search import anneal, direction_grid, disagree, polish
 from scan2albedo.albedo.shadow_caster import shadow_caster
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import VisibilityTable, cone_directions
-from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from scan2albedo.albedo.clipped_channels import all_channels, any_channel, resto
 from scan2albedo.albedo.inpainting import resynthesize
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.rectification import rectify
-from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.optimization.plan import PlanStep
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

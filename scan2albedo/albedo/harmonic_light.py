@@ -10,9 +10,9 @@ from scipy.optimize import least_squares
 
 from scan2albedo.albedo.levels import Level, build_level
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core import Meter
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.lighting.spherical_harmonics import COEFFICIENTS, spherical_harmonics_basis
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths
-from scan2albedo.io.geometry_image import GeometryImage
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.asrm import Reflectance, light_from_direction
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.lighting.shadow_map import view_frame
 
 FloatArray = NDArray[np.float64]

@@ -22,9 +22,9 @@ from scan2albedo.albedo.problem import Solution, Yardstick, cost_removed
 from scan2albedo.albedo.residual_problem import ResidualProblem
 from scan2albedo.albedo.shadow_caster import shadow_caster
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import cone_directions
-from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 

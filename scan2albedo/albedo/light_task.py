@@ -11,11 +11,11 @@ from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.uncertainty import LightUncertainty
+from scan2albedo.core import Meter
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.optimization import Meter
-from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 

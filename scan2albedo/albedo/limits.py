@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.problem import Solution
-from scan2albedo.optimization.plan import PlanStep
+from scan2albedo.core.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 

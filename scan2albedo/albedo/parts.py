@@ -12,7 +12,7 @@ from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.problem import Solution, cost_removed
 from scan2albedo.albedo.residual_problem import ResidualProblem
-from scan2albedo.optimization.plan import PlanStep
+from scan2albedo.core.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 Descent = Callable[[ResidualProblem, LightModel, FloatArray], Solution]

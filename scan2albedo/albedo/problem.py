@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_model import Hypothesis, LightModel
 from scan2albedo.albedo.objective import KINDS, evaluate
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from scan2albedo.albedo.color_guide import ColorGuide, color_guide
 from scan2albedo.albedo.levels import Level, local_mean, partitions
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.normal_equations import cluster_scores, normal_equations
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.kernels import shade_with_derivatives
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 

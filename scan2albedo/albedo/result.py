@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
+from scan2albedo.core import Trace
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.plan import Plan
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.asrm import Reflectance, Shading, shade_points
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.optimization import Trace
-from scan2albedo.optimization.plan import Plan
 
 
 @dataclass(frozen=True)

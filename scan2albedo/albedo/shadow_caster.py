@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.core.geometry_image import GeometryImage, Occluder
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.io.geometry_image import GeometryImage, Occluder
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.optimization.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 

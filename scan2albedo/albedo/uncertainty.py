@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.residual_problem import ResidualProblem
-from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.core.point_light import PointLight
 
 FloatArray = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.model_surface import limit_control_points
 from scan2albedo.applications.processed_face import FaceMesh
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
-from scan2albedo.io.raw_scan import RawScan
 
 FloatArray = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scan2albedo.applications.compatibility import same_mesh
 from scan2albedo.applications.loading import load_result
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.lighting.asrm import Reflectance, shade_points
-from scan2albedo.lighting.point_light import PointLight
 
 if TYPE_CHECKING:
-    from scan2albedo.process_result import ProcessResult
+    from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
 
 FloatArray = NDArray[np.float64]

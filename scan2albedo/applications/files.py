@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo import __version__
 from scan2albedo.applications.pictures import auto_exposure, padded
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import relight
+from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError
 from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.io.atomic import make_folder
@@ -21,9 +22,8 @@ from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.result_json import LightRecord, plain_json, write_record
+from scan2albedo.io.staging import publish, staging_folder, telling_where
 from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.lighting.point_light import PointLight
-from scan2albedo.staging import publish, staging_folder, telling_where
 
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
@@ -116,7 +116,7 @@ def _record(
     files: tuple[str, ...],
 ) -> ApplicationRecord:
     return ApplicationRecord(
-        scan2albedo_version=__version__,
+        scan2albedo_version=VERSION,
         name=face.name,
         application=application,
         inputs=tuple(given.name for given in inputs),

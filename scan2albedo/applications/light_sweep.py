@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.io.atomic import make_folder, write_bytes
 from scan2albedo.io.images import write_png
-from scan2albedo.lighting.point_light import PointLight
-from scan2albedo.staging import publish, staging_folder, telling_where
+from scan2albedo.io.staging import publish, staging_folder, telling_where
 
 
 def light_arc(

@@ -11,17 +11,17 @@ import numpy as np
 
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError, Scan2AlbedoError
 from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.result_json import LightRecord, ResultRecord, read_record
 from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.lighting.point_light import PointLight
 
 if TYPE_CHECKING:
-    from scan2albedo.process_result import ProcessResult
+    from scan2albedo.pipeline.result import ProcessResult
 
 RESULT_FILE = "result.json"
 _SAME_PLACE_MM = 0.01

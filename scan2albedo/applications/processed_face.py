@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.lighting.point_light import PointLight
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

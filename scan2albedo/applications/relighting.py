@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, padded, photograph
 from scan2albedo.applications.processed_face import ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import write_glb
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.asrm import Reflectance
 from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 FloatArray = NDArray[np.float64]

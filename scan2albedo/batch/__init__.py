@@ -5,7 +5,7 @@ from scan2albedo.batch.catalogue import load_catalogue
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan, read_manifest
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.run import run_batch
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 __all__ = [
     "BatchManifest",

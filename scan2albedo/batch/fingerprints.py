@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from scan2albedo import __version__
+from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ModelError
 from scan2albedo.io.input_hash import files_of_scan
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 
 def model_sha256(model: str) -> str | None:
@@ -37,7 +37,7 @@ def model_sha256(model: str) -> str | None:
 
 def options_sha256(options: ProcessOptions, model_hash: str | None) -> str:
     """Return the SHA-256 of options, package version and model."""
-    told = {"version": __version__, "model_sha256": model_hash, **options.plain()}
+    told = {"version": VERSION, "model_sha256": model_hash, **options.plain()}
     if options.model not in ("default", "none"):
         told["model"] = Path(options.model).name  # its place does not count
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()

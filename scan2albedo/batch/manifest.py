@@ -14,7 +14,7 @@ from typing import Any
 from scan2albedo.batch.columns import is_taken
 from scan2albedo.errors import BatchError
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 SCAN = "scan"
 OWN_OPTIONS = ("unit", "model", "lights", "seed")

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from scan2albedo import __version__
 from scan2albedo.batch.catalogue import catalogue_table, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
 from scan2albedo.batch.fingerprints import model_sha256, options_sha256
@@ -22,10 +21,11 @@ from scan2albedo.batch.memory import job_limit
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.resume import Resumed, remove_leftovers, verified
 from scan2albedo.batch.worker import ScanTask
+from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError
 from scan2albedo.io.batch_json import BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
 from scan2albedo.io.result_json import installed_versions, write_record
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 CATALOGUE_INTERVAL_S = 30.0
 """Seconds between two writings of the catalogue while scans are processed."""
@@ -89,7 +89,7 @@ def run_batch(
     layout = Layout.of(out)
     if not isinstance(manifest, BatchManifest):
         manifest = read_manifest(manifest, leave_out=layout.out)
-    from scan2albedo.result_files import check_writable
+    from scan2albedo.pipeline.result_files import check_writable
 
     options = ProcessOptions() if options is None else options
     tasks = _tasks(manifest, layout, options, timeout_s)
@@ -123,7 +123,7 @@ def _tasks(
                 options_sha256=options_sha256(chosen, models[chosen.model]),
                 model_sha256=models[chosen.model],
                 run=run,
-                version=__version__,
+                version=VERSION,
                 timeout_s=timeout_s,
             )
         )
@@ -242,7 +242,7 @@ class _Run:
     def record(self, status: BatchStatus) -> BatchRecord:
         progress, failures = self.progress(), self.failures()
         return BatchRecord(
-            scan2albedo_version=__version__,
+            scan2albedo_version=VERSION,
             versions=installed_versions(),
             run=self.run,
             status=status,

@@ -24,8 +24,8 @@ from scan2albedo.io.input_hash import input_sha256
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
-    from scan2albedo.process_options import ProcessOptions
-    from scan2albedo.process_result import ProcessResult
+    from scan2albedo.pipeline.options import ProcessOptions
+    from scan2albedo.pipeline.result import ProcessResult
 
 _ONE_AT_A_TIME = threading.Lock()
 _PARENT_INTERVAL_S = 0.5
@@ -124,16 +124,16 @@ def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
     """Process a scan and return what its record tells of it."""
-    from scan2albedo import __version__
+    from scan2albedo.core.version import VERSION
 
-    if __version__ != task.version:
-        raise BatchError(f"the worker has scan2albedo {__version__}, the batch {task.version}; install one")
+    if task.version != VERSION:
+        raise BatchError(f"the worker has scan2albedo {VERSION}, the batch {task.version}; install one")
     layout.forget(task.name)
     # Hashed before it is read: a file that changes meanwhile is stale at once.
     known: dict[str, Any] = {"input_sha256": input_sha256(task.path)}
     with _one_thread():
-        from scan2albedo.pipeline import process
-        from scan2albedo.result_files import write_result
+        from scan2albedo.pipeline.process import process
+        from scan2albedo.pipeline.result_files import write_result
 
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
         result = process(task.path, name=task.name, **chosen)
@@ -164,7 +164,7 @@ def _input(task: ScanTask) -> dict[str, str]:
 
 def _remove_older_result(folder: Path) -> None:
     """Remove the files of an earlier result, so that nobody takes them for those of this input."""
-    from scan2albedo.result_files import FILES
+    from scan2albedo.pipeline.result_files import FILES
 
     with suppress(OSError):
         for name in FILES:
@@ -206,7 +206,7 @@ def _one_thread() -> Iterator[None]:
     import numba
     from threadpoolctl import threadpool_limits
 
-    import scan2albedo.pipeline  # noqa: F401  loads the libraries that are to be limited
+    import scan2albedo.pipeline.process  # noqa: F401  loads the libraries that are to be limited
 
     numba.set_num_threads(1)
     cv2.setNumThreads(1)

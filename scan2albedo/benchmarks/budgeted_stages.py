@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.benchmarks.budgets import BudgetedStage
-from scan2albedo.io import GeometryImage
-from scan2albedo.optimization import ProgressCallback
+from scan2albedo.core import GeometryImage, ProgressCallback
 
 FloatArray = NDArray[np.float64]
 Make = Callable[[], BudgetedStage]
@@ -130,8 +129,8 @@ def _weights(quick: bool) -> BudgetedStage:
 
 def _glasses(quick: bool) -> BudgetedStage:
     from scan2albedo.benchmarks.glasses import QUICK_WEARER, registered, rms_mm, worn_glasses
+    from scan2albedo.core import Budget
     from scan2albedo.eyeglasses import FaceRegistrationOptions
-    from scan2albedo.optimization import Budget
     from scan2albedo.synthetic import WearerOptions
 
     scene = worn_glasses(0, QUICK_WEARER if quick else WearerOptions())

@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from scan2albedo.benchmarks.measurement import Cost, timed
-from scan2albedo.optimization import ProgressCallback, TraceRow
-from scan2albedo.optimization.budget import grace
+from scan2albedo.core import ProgressCallback, TraceRow
+from scan2albedo.core.budget import grace
 
 TINY_S = (0.01, 0.1)
 """Budgets in which hardly anything can be done."""

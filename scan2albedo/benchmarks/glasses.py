@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scan2albedo.benchmarks.measurement import timed
 from scan2albedo.benchmarks.presets import preset_settings
 from scan2albedo.benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, varied, within
+from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
     bounded_biharmonic_weights,
     register_on_face,
 )
-from scan2albedo.optimization import Budget, ProgressCallback
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer
 
 FloatArray = NDArray[np.float64]

@@ -24,7 +24,7 @@ def preset_settings(stage: str) -> list[Setting]:
     if stage in ("glasses", "weights"):
         named = _own_presets(stage)
     else:
-        from scan2albedo.quality import PRESETS
+        from scan2albedo.pipeline.quality import PRESETS
 
         standard = _of_process(stage, PRESETS[STANDARD])
         every = {name: _of_process(stage, quality) for name, quality in PRESETS.items()}

@@ -28,9 +28,9 @@ from scan2albedo.benchmarks.sweep import (
     varied,
     within,
 )
+from scan2albedo.core import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
-from scan2albedo.io import RawScan
 from scan2albedo.registration import RegistrationOptions, register
 
 FloatArray = NDArray[np.float64]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import compose
-from scan2albedo.io.raw_scan import RawScan
 
 FloatArray = NDArray[np.float64]
 

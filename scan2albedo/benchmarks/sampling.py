@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scan2albedo.benchmarks.measurement import timed
 from scan2albedo.benchmarks.presets import preset_settings
 from scan2albedo.benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark
+from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.io import GeometryImage, RawScan
-from scan2albedo.sampling import LookupOptions, geometry_image
-from scan2albedo.sampling.texture_lookup import TextureLookup
+from scan2albedo.geometry_image import LookupOptions, geometry_image
+from scan2albedo.geometry_image.texture_lookup import TextureLookup
 from scan2albedo.synthetic import RawScanOptions, raw_scan
 
 FloatArray = NDArray[np.float64]

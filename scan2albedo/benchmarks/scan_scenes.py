@@ -8,11 +8,11 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import procrustes, transform_points
-from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.identity import Expression

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.benchmarks.measurement import Cost
+from scan2albedo.core import Budget
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.optimization import Budget
 
 OURS = "scan2albedo"
 

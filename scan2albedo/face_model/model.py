@@ -205,9 +205,9 @@ class AnnotatedFaceModel:
         ModelError
             When the template, the regions or the landmarks cannot be used; the message says why.
         """
+        from scan2albedo.applications.template_annotation import annotated_model
         from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_surface
         from scan2albedo.face_model.template_surface import template_surface
-        from scan2albedo.template_annotation import annotated_model
 
         given = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
         surface = template_surface(vertices, faces, name)

@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.expression_start import corners_pulled, mouth_opened
@@ -21,8 +23,6 @@ from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.optimization import Budget, Meter, ProgressCallback
 
 FloatArray = NDArray[np.float64]
 

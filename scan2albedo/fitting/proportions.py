@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from scan2albedo.core import Meter
 from scan2albedo.fitting.forces import ForceGates, scan_forces
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 

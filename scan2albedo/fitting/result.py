@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Trace
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.optimization import Trace
 
 FloatArray = NDArray[np.float64]
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core import Meter
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.flip_guard import FoldFinder, guarded
@@ -19,7 +20,6 @@ from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,6 @@ from scan2albedo.io.load_scan import load_scan
 if TYPE_CHECKING:
     from scan2albedo.io.atomic import atomic_path
     from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
-    from scan2albedo.io.geometry_image import GeometryImage
     from scan2albedo.io.geometry_image_files import (
         read_geometry_image,
         write_geometry_image,
@@ -20,13 +19,10 @@ if TYPE_CHECKING:
     from scan2albedo.io.glb import write_glb
     from scan2albedo.io.images import read_image_linear, write_exr, write_image, write_png
     from scan2albedo.io.input_hash import input_sha256
-    from scan2albedo.io.raw_scan import RawScan
     from scan2albedo.io.result_json import RegistrationRecord, ResultRecord, read_record, write_record
     from scan2albedo.io.skinned_glb import write_skinned_glb
 
 _MODULE_OF = {
-    "GeometryImage": "geometry_image",
-    "RawScan": "raw_scan",
     "RegistrationRecord": "result_json",
     "ResultRecord": "result_json",
     "atomic_path": "atomic",
@@ -47,8 +43,6 @@ _MODULE_OF = {
 }
 
 __all__ = [
-    "GeometryImage",
-    "RawScan",
     "RegistrationRecord",
     "ResultRecord",
     "atomic_path",

@@ -9,9 +9,9 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import GeometryImageError, ScanError
 from scan2albedo.io.atomic import atomic_path
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.images import read_exr_channels, write_exr_channels
 from scan2albedo.io.npz import read_npz
 

@@ -14,7 +14,7 @@ from scan2albedo.io.images import SUPPORTED_IMAGES
 from scan2albedo.io.mtl import MaterialText, find_beside, library_names, parse_mtl
 
 if TYPE_CHECKING:
-    from scan2albedo.io.raw_scan import RawScan
+    from scan2albedo.core.raw_scan import RawScan
 
 
 def input_sha256(source: str | Path | RawScan) -> str:

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.io.parsed_mesh import ParsedMesh
-    from scan2albedo.io.raw_scan import RawScan
 
 _READERS = {
     ".obj": ("obj", "read_obj"),
@@ -76,8 +76,8 @@ def load_scan_with(
         Maps the repaired mesh, in file units, and its (V,) component labels to (factor to millimetres, note).
     name : str, optional
     """
+    from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.geometry.mesh import vertex_components
-    from scan2albedo.io.raw_scan import RawScan
     from scan2albedo.io.repair import refuse_unusable, repair
     from scan2albedo.io.texture_atlas import pack_texture
     from scan2albedo.io.units import largest_extent, rounding_note

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.raw_scan import LARGEST_COORDINATE
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.io.parsed_mesh import ParsedMesh
-from scan2albedo.io.raw_scan import LARGEST_COORDINATE
 
 IntArray = NDArray[np.int64]
 

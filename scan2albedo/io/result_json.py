@@ -16,7 +16,7 @@ from scan2albedo.io.atomic import write_text
 from scan2albedo.io.checked_json import checked_content
 
 if TYPE_CHECKING:
-    from scan2albedo.lighting.point_light import PointLight
+    from scan2albedo.core.point_light import PointLight
 
 _LIBRARIES = ("numpy", "scipy", "numba", "libigl", "open3d-cpu", "open3d", "embreex", "xatlas", "trimesh")
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting import kernels
-from scan2albedo.lighting.point_light import PointLight
 
 FloatArray = NDArray[np.float64]
 

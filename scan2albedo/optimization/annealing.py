@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.optimization.budget import Meter
+from scan2albedo.core.budget import Meter
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.surface_diffusion import surface_diffusion
-from scan2albedo.optimization import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel

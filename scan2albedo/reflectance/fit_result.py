@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.optimization import Trace
+from scan2albedo.core import Trace
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
 FloatArray = NDArray[np.float64]

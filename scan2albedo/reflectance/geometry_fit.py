@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import Budget, Plan, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.pinhole import normalized_cameras
-from scan2albedo.optimization import Budget, Plan, ProgressCallback, Trace
 from scan2albedo.reflectance.environment_shading import checked_light
 from scan2albedo.reflectance.geometry_input import checked_landmarks, edge_px, initial_state
 from scan2albedo.reflectance.geometry_options import GeometryFitOptions

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, Trace
 from scan2albedo.geometry.pinhole import project
-from scan2albedo.optimization import Budget, Meter, PlanStep, ProgressCallback, Trace
 from scan2albedo.reflectance.geometry_input import landmark_term
 from scan2albedo.reflectance.geometry_options import GeometryFitOptions
 from scan2albedo.reflectance.geometry_search import GeometrySearch, GeometryState

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.optimization import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.reflectance.image_fit_options import ImageFitOptions
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.image_search import ImageSearch

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.optimization import Meter
+from scan2albedo.core import Meter
 from scan2albedo.reflectance.image_fit_options import ImageFitOptions
 from scan2albedo.reflectance.image_terms import ImageTerms, Prediction
 from scan2albedo.reflectance.perceptual_term import PerceptualTerm, PerceptualValue, secant_curvature

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.optimization import Meter
+from scan2albedo.core import Meter
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions
 from scan2albedo.reflectance.robust_fit import Observations, RobustFit, fit_rows
 

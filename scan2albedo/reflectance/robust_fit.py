@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Meter
 from scan2albedo.geometry.blocks import blocks, each_block
-from scan2albedo.optimization import Meter
 from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.optimization import Budget, Meter, ProgressCallback
 from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.fit_result import ReflectanceFit
 from scan2albedo.reflectance.light_gains import divided_by_gain, find_light_gains

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import rotation_angle_rad
-from scan2albedo.optimization import Meter
 from scan2albedo.registration.face_evidence import FaceEvidence
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.optimization import Meter
+from scan2albedo.core import Meter
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
 from scan2albedo.registration.normal_relief import normal_relief
 from scan2albedo.registration.options import RegistrationOptions

@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.core import Meter
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image, render_depth
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.optimization import AnnealingOptions, AnnealingResult, Meter, simulated_annealing
+from scan2albedo.optimization import AnnealingOptions, AnnealingResult, simulated_annealing
 from scan2albedo.registration.robust_icp import SimilarPose
 from scan2albedo.registration.template import Template
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import rotation_angle_rad
-from scan2albedo.optimization import Meter
 from scan2albedo.registration.candidates import ScanView, rigid_distance_mm
 from scan2albedo.registration.depth_annealing import AnnealedPose, anneal_depth_derivatives
 from scan2albedo.registration.options import RegistrationOptions

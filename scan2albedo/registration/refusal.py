@@ -7,10 +7,10 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Meter
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import turned_against_neighbours
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.optimization import Meter
 from scan2albedo.registration.candidates import Candidate, ScanView, judged_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.open3d_icp import ScanTarget

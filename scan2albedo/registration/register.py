@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Budget, Meter, ProgressCallback, checked_seed
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.optimization import Budget, Meter, ProgressCallback, checked_seed
 from scan2albedo.registration.candidates import (
     Candidate,
     ScanView,

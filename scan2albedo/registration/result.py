@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.optimization import Trace
+from scan2albedo.core import Trace
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from scan2albedo.albedo import AlbedoEstimate
+    from scan2albedo.core.geometry_image import GeometryImage
+    from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.fitting import FittedFace
-    from scan2albedo.io.geometry_image import GeometryImage
-    from scan2albedo.io.raw_scan import RawScan
 
 Picture = NDArray[np.uint8]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.synthetic.textures import smooth_noise
 
 FloatArray = NDArray[np.float64]

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.range_scan import Pod
 from scan2albedo.synthetic.ray_scene import RayScene

@@ -9,9 +9,9 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.identity import Expression
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
-from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.synthetic.clutter import (
     HEAD_AXIS_FROM_NOSE_MM,
     crumbs,

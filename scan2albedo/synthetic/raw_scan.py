@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.clutter import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
 from scan2albedo.synthetic.face_chart import face_geometry_image
 from scan2albedo.synthetic.flash_pictures import flash_pictures

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.ray_scene import RayScene
 
 FloatArray = NDArray[np.float64]

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface
 from scan2albedo.synthetic.face_paint import paint_face

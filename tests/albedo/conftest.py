@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.color_guide import ColorGuide, _noise_variance, color_guide
 from scan2albedo.albedo.levels import build_level
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage
 
 SIZE = 96
 ABSORPTION = np.array([0.6, 1.4, 2.2])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
-from scan2albedo.optimization import Budget
+from scan2albedo.core import Budget
 
 FAR = math.inf
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 FAR = math.inf

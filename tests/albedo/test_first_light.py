@@ -8,7 +8,7 @@ import pytest
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.first_light import nearest_first, shading_direction
 from scan2albedo.albedo.levels import build_level, usable_texels
-from scan2albedo.optimization import Meter
+from scan2albedo.core import Meter
 from scan2albedo.synthetic import face, hemisphere, light_at
 
 

@@ -11,8 +11,8 @@ from scan2albedo.albedo.levels import (
     usable_texels,
     value_channel,
 )
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
-from scan2albedo.io.geometry_image import GeometryImage
 
 OPTIONS = EstimateOptions()
 

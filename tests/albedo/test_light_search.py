@@ -11,8 +11,8 @@ from scan2albedo.albedo.levels import build_level, usable_texels
 from scan2albedo.albedo.levenberg_marquardt import descend, promise
 from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.residual_problem import Linearization, ResidualProblem
+from scan2albedo.core import Budget, Meter
 from scan2albedo.lighting.shadow_map import cone_directions
-from scan2albedo.optimization import Budget, Meter
 from scan2albedo.synthetic import face, hemisphere, light_at
 
 FAR = math.inf

@@ -9,7 +9,7 @@ import pytest
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.albedo.shadow_caster import shadow_caster
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.lighting.shadow_map import cone_directions
 
 OPTIONS = EstimateOptions()

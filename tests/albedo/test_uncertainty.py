@@ -12,9 +12,9 @@ from scan2albedo.albedo.light_model import LightModel
 from scan2albedo.albedo.problem import Solution
 from scan2albedo.albedo.residual_problem import ResidualProblem
 from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty, light_uncertainty
-from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.lighting.point_light import PointLight
-from scan2albedo.optimization import Budget, Meter
+from scan2albedo.core import Budget, Meter
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.synthetic import face, light_at
 
 FAR = math.inf

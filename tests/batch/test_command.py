@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.layout import Layout
-from scan2albedo.cli import app
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.cli.commands import app
+from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ("--model", "none", "--size", "32", "--unit", "mm", "--no-pictures")
-COMMAND = [sys.executable, "-m", "scan2albedo.cli", "batch"]
+COMMAND = [sys.executable, "-m", "scan2albedo", "batch"]
 
 
 def invoke(*arguments):

@@ -4,7 +4,7 @@ import pytest
 
 from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.errors import BatchError
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ProcessOptions(model="none", size=32, pictures=False)
 

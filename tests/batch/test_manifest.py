@@ -6,7 +6,7 @@ import pytest
 
 from scan2albedo.batch import read_manifest
 from scan2albedo.errors import BatchError
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 
 def write(path, text):

@@ -11,7 +11,7 @@ from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.resume import remove_leftovers
 from scan2albedo.errors import BatchError
-from scan2albedo.process_options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ProcessOptions(model="none", size=32, pictures=False)
 

@@ -12,7 +12,7 @@ from scan2albedo.benchmarks.budgets import (
     checked_budgets,
     time_of_gain,
 )
-from scan2albedo.optimization import TraceRow
+from scan2albedo.core import TraceRow
 
 
 def rows(*points, stage="fit", unit="mm"):

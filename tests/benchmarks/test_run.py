@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from scan2albedo.benchmarks.presets import preset_settings
 from scan2albedo.benchmarks.run import STAGES, benchmark_of, run_benchmarks
-from scan2albedo.cli import app
+from scan2albedo.cli.commands import app
 
 
 def test_every_stage_has_its_default_first():

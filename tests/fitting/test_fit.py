@@ -4,6 +4,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
@@ -17,8 +19,6 @@ from scan2albedo.geometry.rigid import (
     rotation_from_vector,
     transform_points,
 )
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import raw_like
 from scan2albedo.synthetic.raw_like import RawLikeOptions
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_corners import CORNERS, PULLS_MM, CornerJudge, MouthCorners
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.io.raw_scan import RawScan
-from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import raw_like
 
 RIGHT, LEFT = CORNERS

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, MouthSearch
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.io.raw_scan import RawScan
 from scan2albedo.synthetic import raw_like
 
 

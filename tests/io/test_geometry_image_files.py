@@ -3,8 +3,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from scan2albedo.core import GeometryImage
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.io import GeometryImage, read_geometry_image, write_geometry_image, write_geometry_image_exr
+from scan2albedo.io import read_geometry_image, write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.images import read_exr_channels
 
 RNG = np.random.default_rng(8)

@@ -4,8 +4,9 @@ import shutil
 import numpy as np
 import pytest
 
+from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
-from scan2albedo.io import RawScan, input_sha256
+from scan2albedo.io import input_sha256
 from scan2albedo.io.input_hash import files_of_scan
 from tests.io.meshes import glb_bytes, quarters, square_gltf, write_image, write_square_obj
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.result_json import (
     InputRecord,
@@ -19,7 +20,6 @@ from scan2albedo.io.result_json import (
     read_record,
     write_record,
 )
-from scan2albedo.lighting.point_light import PointLight
 
 SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
-from scan2albedo.lighting.point_light import PointLight
 from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis, spherical_harmonics_shading
 
 LIGHTS = (PointLight(0.5, 0.2, 400.0, 2.0), PointLight(-1.1, 0.4, math.inf, 0.7))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from scan2albedo.optimization import AnnealingOptions, Budget, Meter, simulated_annealing
+from scan2albedo.core import Budget, Meter
+from scan2albedo.optimization import AnnealingOptions, simulated_annealing
 
 
 def rastrigin(x):

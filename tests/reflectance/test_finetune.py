@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.surface_diffusion import surface_diffusion
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_harmonics import project_environment
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.optimization import Budget
 from scan2albedo.reflectance import (
     FineTuneOptions,
     ImageObservation,

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from scan2albedo import AnnotatedFaceModel
+from scan2albedo.core import Budget, Meter
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.lighting.environment_harmonics import project_environment
-from scan2albedo.optimization import Budget, Meter
 from scan2albedo.reflectance import (
     GeometryFitOptions,
     MorphableShapeModel,

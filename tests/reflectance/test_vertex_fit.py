@@ -7,8 +7,8 @@ import pytest
 from bench_reflectance import design
 from reflectance_captures import head_capture, of_pairs, radiance, relative_rmse, samples_of
 
+from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.optimization import Budget
 from scan2albedo.reflectance import (
     ReflectanceFitOptions,
     ReflectancePrior,

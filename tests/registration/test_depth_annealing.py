@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget, Meter
 from scan2albedo.geometry.rigid import rotation_angle_rad, rotation_from_vector
-from scan2albedo.optimization import Budget, Meter
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective, anneal_depth_derivatives
 from scan2albedo.registration.robust_icp import SimilarPose
 from scan2albedo.registration.template import Template

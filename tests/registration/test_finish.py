@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, rotation_from_vector
-from scan2albedo.optimization import Meter
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.candidates import ScanView, rigid_distance_mm
 from scan2albedo.registration.finish import Tightened, annealed

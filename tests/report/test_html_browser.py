@@ -12,7 +12,7 @@ from PIL import Image
 
 from scan2albedo import report
 from scan2albedo.applications import RelightOptions, default_camera, load_result, relight
-from scan2albedo.lighting import PointLight
+from scan2albedo.core import PointLight
 
 pytestmark = [
     pytest.mark.slow,

@@ -9,13 +9,13 @@ import trimesh
 from PIL import Image
 
 from scan2albedo.applications.processed_face import FaceMesh
+from scan2albedo.core import TraceRow
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.io.color import decode_srgb_integers
-from scan2albedo.io.geometry_image import GeometryImage
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.result_json import InputRecord, RegistrationRecord, write_record
-from scan2albedo.optimization import TraceRow
 from scan2albedo.report.html.axes import Axis
 from scan2albedo.report.html.mesh_data import Topologies, ViewMesh, mesh_entry, octahedral, thinned_chart
 from scan2albedo.report.html.residual import residual_of_result

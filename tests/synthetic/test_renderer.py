@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import scan2albedo.synthetic
-from scan2albedo.lighting.point_light import PointLight
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.synthetic.ray_scene import RayScene
 from scan2albedo.synthetic.renderer import Material, incident_light, oren_nayar, phong, render
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.inpainting import resynthesize
 from scan2albedo.albedo.rectification import rectify
-from scan2albedo.io.geometry_image import GeometryImage
-from scan2albedo.lighting import PointLight
-from scan2albedo.optimization import Budget
+from scan2albedo.core import Budget, PointLight
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.synthetic import Material, SyntheticScene, hemisphere, light_at
 from stability_cases.case import Cases, Measured, assert_finite
 

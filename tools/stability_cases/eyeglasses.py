@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Budget
 from scan2albedo.eyeglasses import (
     CanonicalizationOptions,
     DistantLights,
@@ -27,7 +28,6 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import GlassesBend, WearerOptions, eyeglasses, wearer
 from stability_cases.case import Cases, Measured, assert_finite
 

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import PointLight
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting import PointLight
 from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
 from scan2albedo.lighting.environment import DistantLights

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 
+from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.errors import RecognitionError
 from scan2albedo.experiments.recognition.methods import albedo_method, method_names, session_templates
 from scan2albedo.experiments.recognition.options import RecognitionExperimentOptions
 from scan2albedo.experiments.recognition.report import MethodResult, RecognitionReport
 from scan2albedo.experiments.recognition.sessions import Session, cached_session, session_of
-from scan2albedo.optimization import Budget, Meter, ProgressCallback
 from scan2albedo.recognition import Identification, Templates, cmc_curve, identify, roc_curve
 
 STAGE = "experiment.recognition"

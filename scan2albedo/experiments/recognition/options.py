@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 
 from scan2albedo.albedo.estimate import BRDFS
+from scan2albedo.geometry_image.size import SMALLEST_SIZE
 from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
-from scan2albedo.sampling.size import SMALLEST_SIZE
 from scan2albedo.synthetic.population import PopulationOptions
 from scan2albedo.synthetic.raw_scan import RawScanOptions
 

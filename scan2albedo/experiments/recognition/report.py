@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from scan2albedo.core import Trace
 from scan2albedo.experiments.recognition.options import RecognitionExperimentOptions
-from scan2albedo.optimization import Trace
 from scan2albedo.recognition import CmcCurve, Identification, RocCurve
 
 PAPER_RANK_1 = {

@@ -15,7 +15,7 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.experiments.recognition.options import RecognitionExperimentOptions
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.npz import read_npz, write_npz
-from scan2albedo.pipeline import process
+from scan2albedo.pipeline.process import process
 from scan2albedo.synthetic.population import population_scan
 
 TEXTURE = "texture"

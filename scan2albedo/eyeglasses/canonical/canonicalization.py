@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.frame_weights import WeightedFrame, frames_of, key_points, weigh_frames
 from scan2albedo.eyeglasses.canonical.mean_keypoints import (
@@ -23,7 +24,6 @@ from scan2albedo.eyeglasses.handle_transforms import translations, turned_transl
 from scan2albedo.eyeglasses.skinning import skin
 from scan2albedo.eyeglasses.weighting.options import WeightOptions
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.optimization import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import Budget, Meter, Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import fullest, require_posable
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.eyeglasses.weighting.options import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import STAGE, UNIT, metered_weights
-from scan2albedo.optimization import Budget, Meter, Plan, PlanStep
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

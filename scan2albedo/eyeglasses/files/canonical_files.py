@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scan2albedo.core import Plan
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.files.array_files import Layout, read_arrays, write_arrays
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
-from scan2albedo.optimization import Plan
 
 _LAYOUT: Layout = {
     "vertices": (float, "V", 3),

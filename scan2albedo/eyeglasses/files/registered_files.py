@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scan2albedo.core import Plan, Trace
 from scan2albedo.eyeglasses.files.array_files import Layout, read_arrays, write_arrays
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
-from scan2albedo.optimization import Plan, Trace
 
 _LAYOUT: Layout = {
     "vertices": (float, "V", 3),

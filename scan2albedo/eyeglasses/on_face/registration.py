@@ -8,11 +8,11 @@ from typing import Any
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
 from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration_run import RegistrationRun
-from scan2albedo.optimization import Budget, Meter, ProgressCallback
 
 
 def register_on_face(

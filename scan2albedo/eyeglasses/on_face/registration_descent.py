@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scan2albedo.core import Meter
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.registration_terms import Linearization
-from scan2albedo.optimization import Meter
 
 _DAMPING, _EASE, _BRAKE, _STUCK = 1e-3, 0.2, 8.0, 1e6
 """First damping (of the matrix's diagonal), its factors after a better and a worse step, where to stop."""

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
 from scan2albedo.eyeglasses.on_face.registration_terms import ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
-from scan2albedo.optimization import PlanStep
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

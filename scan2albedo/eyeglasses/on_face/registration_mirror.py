@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+from scan2albedo.core import Meter
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.registration_descent import ENOUGH, descend
@@ -12,7 +13,6 @@ from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInput
 from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.registration_start import starting_poses
 from scan2albedo.eyeglasses.on_face.registration_terms import RegistrationObjective, median_label_px
-from scan2albedo.optimization import Meter
 
 _MIRRORED = 0.5
 """Part of the labels' error below which exchanging left and right explains them."""

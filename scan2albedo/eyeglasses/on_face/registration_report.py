@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.mask_agreement import compare_masks, contradicted
@@ -29,7 +30,6 @@ from scan2albedo.eyeglasses.on_face.registration_terms import (
 )
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project
-from scan2albedo.optimization import Meter, Plan, PlanStep
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Plan, Trace
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.optimization import Plan, Trace
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Budget, Meter, Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.head_contact import HeadContact
@@ -30,7 +31,6 @@ from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
-from scan2albedo.optimization import Budget, Meter, Plan, PlanStep
 
 FloatArray = NDArray[np.float64]
 

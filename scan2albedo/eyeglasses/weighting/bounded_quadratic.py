@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core import Meter
 from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

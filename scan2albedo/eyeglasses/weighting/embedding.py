@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from scan2albedo.core import Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.weighting.bridges import join_parts
 from scan2albedo.eyeglasses.weighting.handle_cells import cells_of_handles, closest_spacing
@@ -19,7 +20,6 @@ from scan2albedo.eyeglasses.weighting.spacing import spacing_wanted
 from scan2albedo.eyeglasses.weighting.voxelization import enclosed_cells, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_components
-from scan2albedo.optimization import Plan, PlanStep
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core import Meter
 from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded
 from scan2albedo.eyeglasses.weighting.lattice import Lattice
 from scan2albedo.eyeglasses.weighting.options import WeightOptions
 from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
 from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
-from scan2albedo.optimization import Meter
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
 from scan2albedo.eyeglasses.weighting.lattice_weights import solve_lattice
 from scan2albedo.eyeglasses.weighting.options import WeightOptions
-from scan2albedo.optimization import Budget, Meter, Plan, ProgressCallback, Trace
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

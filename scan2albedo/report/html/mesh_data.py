@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
-from scan2albedo.io.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

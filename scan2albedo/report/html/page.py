@@ -11,7 +11,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from scan2albedo import __version__
+from scan2albedo.core.version import VERSION
 from scan2albedo.report.html.batch_section import BatchSection
 from scan2albedo.report.html.scan_section import ScanSection
 
@@ -55,7 +55,7 @@ def page_html(page: Page) -> str:
         f"style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'"
     )
     template = _environment().get_template("page.html")
-    return template.render(page=page, style=style, script=script, policy=policy, version=__version__)
+    return template.render(page=page, style=style, script=script, policy=policy, version=VERSION)
 
 
 def data_json(value: Any) -> str:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from scan2albedo.core import TraceRow
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.optimization import TraceRow
 from scan2albedo.report.html.axes import Axis, tick_text
 from scan2albedo.report.html.texts import number_text
 

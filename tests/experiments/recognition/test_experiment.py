@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget
 from scan2albedo.errors import RecognitionError
 from scan2albedo.experiments.recognition import (
     RecognitionExperimentOptions,
@@ -20,7 +21,6 @@ from scan2albedo.experiments.recognition.sessions import (
     made_session,
     session_file,
 )
-from scan2albedo.optimization import Budget
 
 pytestmark = pytest.mark.slow
 

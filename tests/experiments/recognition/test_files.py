@@ -8,11 +8,11 @@ import cv2
 import pytest
 from typer.testing import CliRunner
 
-from scan2albedo.cli import app
+from scan2albedo.cli.commands import app
+from scan2albedo.core import Trace, TraceRow
 from scan2albedo.errors import OutputError
 from scan2albedo.experiments.recognition import run_recognition_experiment
 from scan2albedo.experiments.recognition.files import RECORD, write_report
-from scan2albedo.optimization import Trace, TraceRow
 
 pytestmark = pytest.mark.slow
 

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     KEY_POINT_NAMES,
@@ -14,7 +15,6 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
-from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
 SMALL = {

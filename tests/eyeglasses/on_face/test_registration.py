@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     KEY_POINT_NAMES,
@@ -15,7 +16,6 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
-from scan2albedo.optimization import Budget
 from scan2albedo.synthetic import WearerOptions, wearer
 
 SMALL = WearerOptions(picture_size=512, focal_px=900, label_noise_px=0.5, mask_noise_px=0.5)

@@ -1,0 +1,163 @@
+"""The commands for processed faces: relight, swap, blend, transfer-expression, personal-model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+from scan2albedo.cli.relight import relight
+
+if TYPE_CHECKING:
+    from scan2albedo.applications import ProcessedFace
+
+Result = Annotated[Path, typer.Argument(help="Folder of a processed scan, OUT/<scan name>.")]
+OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the new face.")]
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    app.command()(relight)
+    app.command()(swap)
+    app.command()(blend)
+    app.command("transfer-expression")(transfer_expression)
+    app.command("personal-model")(personal_model)
+
+
+def swap(
+    a: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the shape.")],
+    b: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the skin.")],
+    out: OutFolder,
+    keep_level: Annotated[
+        bool, typer.Option("--keep-level", help="Leave B's albedo at its own level, not A's.")
+    ] = False,
+    json_summary: JsonOption = False,
+) -> None:
+    """Give A's shape B's skin."""
+    from scan2albedo.applications import SwapOptions, load_result, swap_texture
+
+    _new_folder(out, [a, b])
+    first, second = load_result(a), load_result(b)
+    made = swap_texture(first, second, options=SwapOptions(match_level=not keep_level))
+    _finish(made, out, "swap", [first, second], {"match_level": not keep_level}, json_summary)
+
+
+def blend(
+    a: Result,
+    b: Result,
+    out: OutFolder,
+    weight: Annotated[float, typer.Option(help="0 is all A, 1 is all B.")] = 0.5,
+    json_summary: JsonOption = False,
+) -> None:
+    """Make a face between two, in shape and skin."""
+    from scan2albedo.applications import blend_faces, load_result
+
+    if not 0 <= weight <= 1:
+        raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
+    _new_folder(out, [a, b])
+    first, second = load_result(a), load_result(b)
+    made = blend_faces(first, second, weight)
+    _finish(made, out, "blend", [first, second], {"weight": weight}, json_summary)
+
+
+def transfer_expression(
+    neutral_a: Annotated[Path, typer.Argument(help="Folder of A's processed scan at rest.")],
+    expression_a: Annotated[Path, typer.Argument(help="Folder of A's processed scan with the expression.")],
+    neutral_b: Annotated[Path, typer.Argument(help="Folder of B's processed scan at rest.")],
+    out: OutFolder,
+    method: Annotated[
+        str, typer.Option(help="addition, or local-frames: turned and scaled with the surface.")
+    ] = "addition",
+    strength: Annotated[float, typer.Option(help="Factor of the expression.")] = 1.0,
+    correspondence: Annotated[
+        str,
+        typer.Option(
+            help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
+            "refined where the faces are on the model's mesh."
+        ),
+    ] = "auto",
+    model: Annotated[
+        str,
+        typer.Option(help="With which the faces were processed: default, or a model's or template's file."),
+    ] = "default",
+    json_summary: JsonOption = False,
+) -> None:
+    """Give B's face the expression of A's."""
+    from scan2albedo import applications
+    from scan2albedo.applications.expression_transfer import level_to_refine
+    from scan2albedo.face_model.chosen_model import chosen_model
+
+    chosen: dict[str, Any] = {"method": method, "strength": strength, "correspondence": correspondence}
+    try:
+        options = applications.TransferOptions(**chosen)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    _new_folder(out, [neutral_a, expression_a, neutral_b])
+    load = applications.load_result
+    faces = [load(neutral_a), load(expression_a), load(neutral_b)]
+    template = chosen_model(model)
+    made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
+    refined = level_to_refine(faces[0].mesh, options, template) is not None
+    chosen["correspondence"] = "refined" if refined else "as-fitted"
+    _finish(made, out, "transfer-expression", faces, chosen, json_summary)
+
+
+def personal_model(
+    result: Annotated[Path, typer.Argument(help="Folder of the person's processed scan at rest.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The model: a .json file, and .npz beside it.")],
+    model: Annotated[
+        str, typer.Option(help="What the scan was processed with: a model's file, a mesh, or 'default'.")
+    ] = "default",
+    json_summary: JsonOption = False,
+) -> None:
+    """Make a model of one person, for process --model on other scans of the same person.
+
+    Expressions then start from the person's own face at rest, which transfer-expression gains by; the chart
+    stays, so results go with those of the model itself.
+    """
+    from scan2albedo import applications
+    from scan2albedo.face_model.chosen_model import chosen_model
+
+    if out.suffix.lower() != ".json":
+        raise typer.BadParameter(f"-o takes a name that ends in .json, not {out}")
+    if out.resolve() == Path(model).resolve():
+        raise typer.BadParameter(f"-o {out} is the model itself; choose another name")
+    template = chosen_model(model)
+    if template is None:
+        raise typer.BadParameter("--model none has no shape to make a person's of")
+    face = applications.load_result(result)
+    stop_cleanly_on_interrupt(None)
+    applications.personal_model(face, template).save(out)
+    typer.echo(f"{face.name}: personal model in {out}", err=True)
+    if json_summary:
+        echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
+
+
+def _new_folder(out: Path, inputs: list[Path]) -> None:
+    """Refuse to write a new face over one that it is made of, or over a processed scan."""
+    from scan2albedo.applications.files import check_face_folder
+
+    if out.resolve() in [path.resolve() for path in inputs]:
+        raise typer.BadParameter(f"-o {out} is one of the inputs; choose another folder for the new face")
+    check_face_folder(out)
+
+
+def _finish(
+    face: ProcessedFace,
+    out: Path,
+    application: str,
+    inputs: list[ProcessedFace],
+    options: dict[str, Any],
+    json_summary: bool,
+) -> None:
+    """Write the face and tell where."""
+    from scan2albedo.applications import write_face
+
+    stop_cleanly_on_interrupt(out)
+    write_face(face, out, application=application, inputs=inputs, options=options)
+    typer.echo(f"{face.name}: {application}; files in {out}", err=True)
+    if json_summary:
+        names = [given.name for given in inputs]
+        echo_json({"face": face.name, "status": "done", "out": str(out), "inputs": names, "options": options})

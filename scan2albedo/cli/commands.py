@@ -1,0 +1,195 @@
+"""The command line: thin wrappers around the library's calls."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scan2albedo.cli.applications import add_commands
+from scan2albedo.cli.batch import batch
+from scan2albedo.cli.benchmark import benchmark
+from scan2albedo.cli.common import (
+    SOME_FAILED,
+    USAGE_ERROR,
+    JsonOption,
+    echo_json,
+    one_line,
+    refuse_shared_folders,
+    stop_cleanly_on_interrupt,
+)
+from scan2albedo.cli.experiments import app as experiments_app
+from scan2albedo.cli.glasses import app as glasses_app
+from scan2albedo.cli.identify import identify
+from scan2albedo.cli.process_flags import (
+    PresetSizeOption,
+    QualityOption,
+    SeedOption,
+    SizeOption,
+    with_process_flags,
+)
+from scan2albedo.cli.reflectance import app as reflectance_app
+from scan2albedo.cli.report import report
+from scan2albedo.errors import Scan2AlbedoError
+
+if TYPE_CHECKING:
+    from scan2albedo.pipeline.options import ProcessOptions
+
+app = typer.Typer(
+    help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+app.add_typer(glasses_app, name="glasses")
+app.add_typer(experiments_app, name="experiment")
+app.add_typer(reflectance_app, name="reflectance")
+add_commands(app)
+app.command()(identify)
+app.command()(batch)
+app.command()(report)
+app.command()(benchmark)
+
+OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
+
+
+@app.callback()
+def _common() -> None:
+    """scan2albedo."""
+
+
+@app.command()
+@with_process_flags
+def process(
+    scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
+    out: OutOption,
+    options: ProcessOptions,
+    json_summary: JsonOption = False,
+) -> None:
+    """Process raw scans: register, fit, sample, find the light, remove it."""
+    refuse_shared_folders(scans)
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.face_model.chosen_model import chosen_model
+    from scan2albedo.pipeline.process import process as run
+
+    stop_cleanly_on_interrupt(out)
+    template = chosen_model(options.model)
+    for note in template.notes if template is not None else ():
+        typer.echo(f"{options.model}: {note}", err=True)
+    chosen = options.arguments() | {"model": template or "none"}
+    summaries, failures = [], 0
+    for path in scans:
+        with ProgressLines(path.stem) as progress:
+            progress.say(f"{path.stem}: reading {path}")
+            try:
+                result = run(path, out=out, on_progress=progress.update, **chosen)
+            except (Scan2AlbedoError, ValueError) as error:
+                failures += 1
+                progress.say(f"scan2albedo: error: {one_line(error)}")
+                summaries.append({"scan": str(path), "status": "failed", "reason": one_line(error)})
+                continue
+            for note in result.scan.notes:
+                progress.say(f"{path.stem}: {note}")
+            progress.say(result.summary())
+        summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
+    if json_summary:
+        echo_json(summaries if len(scans) > 1 else summaries[0])
+    if failures:
+        raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
+
+
+@app.command()
+def demo(
+    out: OutOption = Path("demo_out"),
+    seed: SeedOption = 0,
+    size: PresetSizeOption = None,
+    quality: QualityOption = "standard",
+    json_summary: JsonOption = False,
+) -> None:
+    """Process the built-in raw scan and print the error against its ground truth."""
+    stop_cleanly_on_interrupt(out)
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.pipeline.demo import run_demo
+    from scan2albedo.pipeline.quality import quality_of
+
+    try:
+        preset = quality_of(quality)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    with ProgressLines("demo") as progress:
+        report = run_demo(out, seed=seed, size=size, quality=preset, on_progress=progress.update)
+        progress.say(report.result.summary())
+    if json_summary:
+        echo_json(report.figures())
+    else:
+        typer.echo(report.table())
+
+
+@app.command()
+def validate(
+    what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
+    size: SizeOption = 256,
+    seed: Annotated[int, typer.Option(help="Seed of the scenes.", min=0)] = 1,
+    json_summary: JsonOption = False,
+) -> None:
+    """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.pipeline import validation
+
+    tables: dict[str, Callable[..., Any]] = {
+        "hemisphere": validation.validate_hemisphere,
+        "face": validation.validate_face,
+        "lighting": validation.validate_lighting,
+    }
+    chosen = list(tables) if what == "all" else [what]
+    if unknown := [name for name in chosen if name not in tables]:
+        raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(tables)}, all")
+    results = {}
+    for name in chosen:
+        with ProgressLines(name) as progress:
+            results[name] = tables[name](
+                size=size, seed=seed, on_row=lambda row, show=progress.say: show(row.text())
+            )
+    if json_summary:
+        echo_json({name: table.figures() for name, table in results.items()})
+        return
+    for table in results.values():
+        typer.echo(validation.format_table(table))
+
+
+@app.command()
+def doctor(json_summary: JsonOption = False) -> None:
+    """Tell what is missing on this machine and the command that mends it."""
+    from dataclasses import asdict
+
+    from scan2albedo.cli.doctor import examine
+
+    findings = []
+    for finding in examine():
+        findings.append(finding)
+        if not json_summary:
+            typer.echo(f"{'ok     ' if finding.good else 'MISSING'}  {finding.subject}: {finding.detail}")
+            if finding.remedy:
+                typer.echo(f"         mend it with: {finding.remedy}")
+    if json_summary:
+        echo_json([asdict(finding) for finding in findings])
+    if not all(finding.good for finding in findings):
+        raise typer.Exit(SOME_FAILED)
+
+
+def main() -> None:
+    """Run the command line; every expected trouble ends in one line and an exit status."""
+    stop_cleanly_on_interrupt(None)
+    try:
+        app()
+    except Scan2AlbedoError as error:
+        print(f"scan2albedo: error: {one_line(error)}", file=sys.stderr)
+        sys.exit(USAGE_ERROR)
+
+
+if __name__ == "__main__":
+    main()

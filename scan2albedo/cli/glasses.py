@@ -1,0 +1,293 @@
+"""The commands for eyeglasses: thin wrappers around the library's calls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from scan2albedo.cli.common import (
+    SOME_FAILED,
+    USAGE_ERROR,
+    JsonOption,
+    echo_json,
+    one_line,
+    refuse_shared_folders,
+    stop_cleanly_on_interrupt,
+)
+
+if TYPE_CHECKING:
+    from scan2albedo.core import Budget
+
+app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces.", no_args_is_help=True)
+
+UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")]
+BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
+
+
+@app.callback()
+def _common() -> None:
+    """Eyeglasses."""
+
+
+@app.command()
+def canonicalize(
+    meshes: Annotated[
+        list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files, one a frame.", metavar="MESH...")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a frame.")],
+    keypoints: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Key points, once for each mesh, in order; otherwise <mesh stem>.keypoints.json beside it."
+        ),
+    ] = None,
+    mean: Annotated[
+        Path | None, typer.Option(help="mean_keypoints.json of an earlier set, to bring frames to it.")
+    ] = None,
+    handles: Annotated[
+        str, typer.Option(help="turned, or translated: whether key points turn as the skeleton does.")
+    ] = "turned",
+    unit: UnitOption = "auto",
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Bring frames to the mean of their key points: poses and bends go, shapes stay."""
+    refuse_shared_folders(meshes)
+    if keypoints and len(keypoints) != len(meshes):
+        raise typer.BadParameter(
+            f"--keypoints is given {len(keypoints)} times for {len(meshes)} meshes; give it once for each"
+        )
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.errors import EyeglassesError
+    from scan2albedo.eyeglasses.app.canonical_files import write_canonical_files
+    from scan2albedo.eyeglasses.app.canonicalization import FailedFrame, canonicalize_frames, read_frames
+    from scan2albedo.pipeline.result_files import check_writable
+
+    carrier, spend = _carrier(handles), _checked_budget(unit, budget)
+    stop_cleanly_on_interrupt(out)
+    check_writable(out)
+    figures: dict[str, dict[str, Any]] = {}
+    with ProgressLines("glasses") as progress:
+        frames, failures = read_frames(meshes, keypoints, unit)
+        for frame in frames:
+            for note in frame.scan.notes:
+                progress.say(f"{frame.name}: {note}")
+        try:
+            done = canonicalize_frames(
+                frames, failures, mean=mean, handles=carrier, budget=spend, on_progress=progress.update
+            )
+            failures, figures = list(done.failures), write_canonical_files(done, out)
+            if not done.result.converged:
+                progress.say("glasses: not converged; set.json says which frames, in its plan")
+        except EyeglassesError as error:
+            failures += [FailedFrame(frame.mesh_file, str(error)) for frame in frames]
+        for failure in failures:
+            progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
+        for name, row in figures.items():
+            bend = row["key_point_residual_mm"]
+            progress.say(f"{name}: key points were {bend:.2f} mm rms off the mean; files in {out / name}")
+    if json_summary:
+        reasons = {failure.file: one_line(failure.reason) for failure in failures}
+        rows = [_row(mesh, reasons.get(mesh), figures, out) for mesh in meshes]
+        echo_json(rows if len(rows) > 1 else rows[0])
+    if failures:
+        raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
+
+
+def _carrier(handles: str) -> Literal["turned", "translated"]:
+    if handles not in ("turned", "translated"):
+        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
+    return "turned" if handles == "turned" else "translated"
+
+
+def _checked_budget(unit: str, budget: float | None) -> Budget:
+    """Return the budget, or refuse what no library call takes."""
+    from scan2albedo.core import Budget
+    from scan2albedo.io.units import MM_PER_UNIT
+
+    if unit != "auto" and unit not in MM_PER_UNIT:
+        raise typer.BadParameter(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
+    try:
+        return Budget.of(budget)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out: Path) -> dict[str, Any]:
+    if reason is not None:
+        return {"frame": str(mesh), "status": "failed", "reason": reason}
+    return {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
+
+
+@app.command()
+def register(
+    mesh: Annotated[
+        Path, typer.Argument(help="OBJ, PLY, GLB, STL or OFF file, or a canonical.npz.", metavar="MESH")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    cameras: Annotated[Path, typer.Option(help="JSON file of the cameras.")],
+    labels: Annotated[Path, typer.Option(help="JSON file of key points labelled in their pictures.")],
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks, <camera>.png: where a picture shows the frame.")
+    ] = None,
+    head: Annotated[
+        Path | None,
+        typer.Option(help="Mesh of what may hide the frame, in the cameras' frame, such as a fitted.glb."),
+    ] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="Of the mesh; otherwise <mesh stem>.keypoints.json beside it.")
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="A pose, or an earlier registered.npz, where labels fix none.")
+    ] = None,
+    unit: UnitOption = "auto",
+    rigid: Annotated[bool, typer.Option("--rigid", help="Move the frame without bending it.")] = False,
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Place a frame where calibrated pictures show it on a face, bent as they show it.
+
+    Cameras and head share one frame. A fitted.glb lies in the frame of the face model: cameras that were
+    calibrated with the scanner come into it by their matrices times the inverse of fitted_from_scan in the
+    registration.json beside it.
+    """
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.errors import Scan2AlbedoError
+    from scan2albedo.eyeglasses.app.registration import register_frame
+    from scan2albedo.eyeglasses.app.registration_files import write_registration_files
+    from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
+    from scan2albedo.pipeline.result_files import check_writable
+
+    spend = _checked_budget(unit, budget)
+    if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
+        raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
+    files = RegistrationFiles(mesh, cameras, labels, masks, head, keypoints, start, unit)
+    stop_cleanly_on_interrupt(out)
+    check_writable(out)
+    with ProgressLines("glasses") as progress:
+        progress.say(f"glasses: reading {mesh}")
+        try:
+            given = read_registration(files)
+            done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
+            figures = write_registration_files(done, out)
+        except Scan2AlbedoError as error:
+            progress.say(f"scan2albedo: error: {one_line(error)}")
+            if json_summary:
+                echo_json({"frame": str(mesh), "status": "failed", "reason": one_line(error)})
+            raise typer.Exit(USAGE_ERROR) from None
+        for note in done.notes:
+            progress.say(f"{given.name}: {note}")
+        progress.say(f"{done.summary()}; files in {out}")
+    if json_summary:
+        result = done.result
+        echo_json(
+            {
+                "frame": str(mesh),
+                "status": "done",
+                "out": str(out),
+                **figures,
+                "converged": result.converged,
+                "unobserved": result.unobserved,
+                "views": done.view_figures(),
+            }
+        )
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("glasses_out"),
+    seed: Annotated[int, typer.Option(help="Of the person, the frame and the noise.", min=0)] = 0,
+    json_summary: JsonOption = False,
+) -> None:
+    """Register a synthetic person's frame on their fitted face, print the error, put lenses in."""
+    stop_cleanly_on_interrupt(out)
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.eyeglasses.app.demo import run_glasses_demo
+
+    with ProgressLines("demo") as progress:
+        report = run_glasses_demo(out, seed=seed, on_progress=progress.update, say=progress.say)
+        progress.say(f"{report.placed.summary()}; files in {out}")
+    if json_summary:
+        echo_json(report.figures())
+    else:
+        typer.echo(report.table())
+
+
+@app.command()
+def lenses(
+    frame: Annotated[
+        Path, typer.Argument(help="The frame's mesh where it sits on the head.", metavar="FRAME")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    cameras: Annotated[Path, typer.Option(help="cameras.json.")],
+    head: Annotated[Path, typer.Option(help="The head's mesh, in the same world.")],
+    view: Annotated[
+        list[str] | None, typer.Option(help="Name of a camera; may be repeated. All when omitted.")
+    ] = None,
+    keypoints: Annotated[
+        Path | None,
+        typer.Option(help="Otherwise <frame stem>.keypoints.json or keypoints.json beside the frame."),
+    ] = None,
+    picture: Annotated[
+        list[Path] | None,
+        typer.Option(help="Photograph to put the lenses into, once a view; otherwise the scene is drawn."),
+    ] = None,
+    environment: Annotated[
+        Path | None,
+        typer.Option(help="Equirectangular EXR, HDR or PNG: light of a drawn scene, and what lenses mirror."),
+    ] = None,
+    dioptres: Annotated[str, typer.Option(help="D, or L,R: one number for both lenses or two.")] = "0",
+    tint: Annotated[str | None, typer.Option(help="R,G,B, linear: the glass's colour.")] = None,
+    alpha: Annotated[float | None, typer.Option(help="Share of the tint, 0 to 1.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Share of the reflection, 0 to 1.")] = None,
+    sunglasses: Annotated[
+        bool, typer.Option("--sunglasses", help="Dark glass that filters light, and mirrors.")
+    ] = False,
+    fresnel: Annotated[
+        bool, typer.Option("--fresnel", help="Let the reflection grow towards glancing angles.")
+    ] = False,
+    supersampling: Annotated[int, typer.Option(help="n x n rays for pixels on edges.", min=1)] = 3,
+    lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 64,
+    unit: Annotated[str, typer.Option(help="Of frame and head: auto, mm, cm or m.")] = "auto",
+    json_summary: JsonOption = False,
+) -> None:
+    """Put lenses into a frame on a face and show them, drawn or in photographs."""
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.errors import Scan2AlbedoError
+    from scan2albedo.eyeglasses import LensPictureOptions
+    from scan2albedo.eyeglasses.app.lens_input import check_unit, material_pair, read_lens_input
+    from scan2albedo.eyeglasses.app.lens_run import run_lenses
+    from scan2albedo.pipeline.result_files import check_writable
+
+    try:
+        check_unit(unit)
+        materials = material_pair(
+            dioptres, tint=tint, alpha=alpha, beta=beta, sunglasses=sunglasses, fresnel=fresnel
+        )
+    except (ValueError, Scan2AlbedoError) as error:
+        raise typer.BadParameter(one_line(error)) from None
+    stop_cleanly_on_interrupt(out)
+    with ProgressLines("lenses") as progress:
+        try:
+            source = read_lens_input(
+                frame,
+                head,
+                cameras,
+                keypoints=keypoints,
+                views=view or (),
+                pictures=picture or (),
+                environment=environment,
+                unit=unit,
+            )
+            check_writable(out)
+            options = LensPictureOptions(supersampling=supersampling, light_count=lights)
+            record = run_lenses(source, materials, options, out, progress.say)
+        except Scan2AlbedoError as error:
+            progress.say(f"scan2albedo: error: {one_line(error)}")
+            if json_summary:
+                echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
+            raise typer.Exit(USAGE_ERROR) from None
+    if json_summary:
+        echo_json({"frame": str(frame), "status": "done", "out": str(out), **record.model_dump(mode="json")})

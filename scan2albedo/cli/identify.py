@@ -1,0 +1,137 @@
+"""The command `identify`: who of a gallery of processed scans is on other processed scans."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+
+if TYPE_CHECKING:
+    from scan2albedo.io.identification_json import IdentificationRecord
+    from scan2albedo.recognition import LabelledTemplates, TemplateOptions
+
+COMBINATIONS = ("best", "mean")
+TEMPLATES = ".npz"
+
+
+def identify(
+    gallery: Annotated[
+        Path,
+        typer.Option(
+            help="CSV file with the columns person and result, a result being the folder of a processed "
+            "scan, OUT/<scan name>, or an image of an albedo on the model's chart; relative to the CSV file. "
+            "Or templates from --save-templates."
+        ),
+    ],
+    probes: Annotated[
+        Path | None,
+        typer.Option(help="The same; person may be empty where nobody knows whom the result shows."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for table, similarities and curves.")
+    ] = None,
+    combine: Annotated[
+        str, typer.Option(help="Of a person's several images in the gallery: best, or mean.")
+    ] = "best",
+    size: Annotated[
+        int | None,
+        typer.Option(help="Side that albedos are averaged down to, 128, or that of the templates.", min=8),
+    ] = None,
+    save_templates: Annotated[
+        Path | None, typer.Option(help="Write the gallery's templates (.npz), to be given as --gallery.")
+    ] = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Tell which person of a gallery each probe resembles most, by albedo.
+
+    Somebody of the gallery is always the most similar: how similar, and how much less the next person is,
+    says whether to believe it. Where probes name their person, the rate of right answers is told.
+    """
+    _check_options(probes, out, combine, save_templates)
+    stop_cleanly_on_interrupt(out)
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.io.staging import gone_if_empty
+    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.recognition import identify_results, read_labelled_templates, write_templates
+    from scan2albedo.recognition.app.files import identification_record, write_identification
+
+    with gone_if_empty(out), ProgressLines("identify") as progress:
+        if out is not None:
+            check_writable(out)
+        known = read_labelled_templates(
+            gallery,
+            options=_template_options(size),
+            on_count=lambda done, total: progress.count("gallery", done, total),
+        )
+        if save_templates is not None:
+            write_templates(save_templates, known.templates)
+            progress.say(f"identify: {len(known.templates)} templates in {save_templates}")
+        if probes is None:
+            if json_summary:
+                echo_json({"templates": str(save_templates), **_counts(known)})
+            return
+        found = identify_results(known, probes, combine=combine, on_count=progress.count)  # type: ignore[arg-type]
+        for note in found.notes:
+            progress.say(f"identify: {note}")
+        record = identification_record(found) if out is None else write_identification(found, out)
+        progress.say(f"identify: {_summary(record)}{'' if out is None else f'; files in {out}'}")
+    if json_summary:
+        echo_json(record.model_dump(mode="json"))
+    else:
+        typer.echo(_table(record))
+
+
+def _check_options(probes: Path | None, out: Path | None, combine: str, save_templates: Path | None) -> None:
+    if combine not in COMBINATIONS:
+        raise typer.BadParameter(f"--combine is {combine!r}, expected {' or '.join(COMBINATIONS)}")
+    if save_templates is not None and save_templates.suffix != TEMPLATES:
+        raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
+    if probes is None and (save_templates is None or out is not None):
+        raise typer.BadParameter("there are no probes; give --probes (or --save-templates alone)")
+
+
+def _counts(gallery: LabelledTemplates) -> dict[str, Any]:
+    return {"gallery_images": len(gallery.templates), "persons": sorted(set(gallery.templates.names))}
+
+
+def _template_options(size: int | None) -> TemplateOptions | None:
+    from scan2albedo.recognition import TemplateOptions
+
+    return None if size is None else TemplateOptions(size=size)
+
+
+def _summary(record: IdentificationRecord) -> str:
+    text = f"{len(record.results)} probes, {len(record.persons)} persons on {record.gallery_images} images"
+    rates = record.rates
+    if rates is None:
+        return text
+    low, high = rates.rank_1_interval
+    return (
+        f"{text}; right at rank 1: {rates.rank_1_rate:.1%} of {rates.probes} named probes "
+        f"({low:.1%} to {high:.1%} at {rates.confidence:.0%})"
+    )
+
+
+def _table(record: IdentificationRecord) -> str:
+    """Return the probes as aligned text."""
+    head = ("probe", "person", "predicted", "similarity", "rank", "next", "similarity")
+    rows = [
+        (
+            probe.probe,
+            probe.person or "?",
+            probe.predicted,
+            f"{probe.similarity:.3f}",
+            str(probe.rank or "?"),
+            probe.next_person or "",
+            "" if probe.next_similarity is None else f"{probe.next_similarity:.3f}",
+        )
+        for probe in record.results
+    ]
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    lines = (
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in (head, *rows)
+    )
+    return "\n".join(line.rstrip() for line in lines)

@@ -1,0 +1,105 @@
+"""Progress on stderr: a live line on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from scan2albedo.core import TraceRow
+
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
+PLAIN_INTERVAL_S = 2.0
+"""Shortest time between two plain lines of one thing."""
+
+
+class StderrLines:
+    """A bar on stderr where that is a terminal, and lines that stay; use as a context manager.
+
+    Parameters
+    ----------
+    columns : sequence of ProgressColumn
+        Of the bar.
+    """
+
+    def __init__(self, *columns: ProgressColumn) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        self._console = Console(stderr=True)
+        self._last_plain = 0.0
+        self._bar: Progress | None = None
+        if sys.stderr.isatty():
+            self._bar = Progress(*columns, console=self._console, transient=True)
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def say(self, line: str) -> None:
+        """Print a line that stays."""
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+class ProgressLines(StderrLines):
+    """Shows the trace rows of a running scan; use as a context manager.
+
+    Parameters
+    ----------
+    name : str
+        The scan's name.
+    """
+
+    def __init__(self, name: str) -> None:
+        from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        super().__init__(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[error]}"),
+        )
+        self._name, self._stage = name, ""
+        if self._bar is not None:
+            self._task = self._bar.add_task(name, total=None, error="")
+
+    def update(self, row: TraceRow) -> None:
+        """Show one trace row."""
+        if self._bar is not None:
+            error = f"{row.error:.4g} {row.unit} after {row.evaluations} evaluations"
+            self._bar.update(self._task, description=f"{self._name}: {row.stage}", error=error)
+            return
+        now = time.monotonic()
+        if row.stage != self._stage or now - self._last_plain > PLAIN_INTERVAL_S:
+            self._stage, self._last_plain = row.stage, now
+            self.say(f"{self._name}: {row.stage} ... {row.error:.4g} {row.unit}")
+
+    def count(self, stage: str, done: int, total: int) -> None:
+        """Show how many things of a stage are done."""
+        if self._bar is not None:
+            text = f"{done} of {total}"
+            self._bar.update(
+                self._task,
+                description=f"{self._name}: {stage}",
+                completed=done,
+                total=total,
+                error=text,
+            )
+            return
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._last_plain = stage, now
+        elif now - self._last_plain > PLAIN_INTERVAL_S:
+            self._last_plain = now
+            self.say(f"{self._name}: {stage} ... {done} of {total}")

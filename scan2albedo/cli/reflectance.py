@@ -1,0 +1,304 @@
+"""The commands for reflectance: thin wrappers around the library's calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+
+if TYPE_CHECKING:
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.core import Budget
+
+app = typer.Typer(
+    help="Reflectance of faces: from flash photographs, and as a morphable model.", no_args_is_help=True
+)
+
+OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
+BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
+CaptureArgument = Annotated[
+    Path, typer.Argument(help="A capture file: poses, flashes, pictures, mesh.", metavar="CAPTURE")
+]
+ModelArgument = Annotated[
+    Path, typer.Argument(help="Folder that `reflectance build` or `finetune` wrote.", metavar="MODEL")
+]
+
+
+@app.callback()
+def _common() -> None:
+    """Reflectance of faces."""
+
+
+@app.command()
+def olat(capture: CaptureArgument, out: OutOption, json_summary: JsonOption = False) -> None:
+    """Write what each flash added to the room's light, as linear EXR pictures."""
+    with _work("olat", out) as progress:
+        from scan2albedo.reflectance import read_capture
+        from scan2albedo.reflectance.app.capture_run import write_olat
+
+        figures = write_olat(read_capture(capture), out)
+        _tell_notes(progress, "olat", out)
+        progress.say(
+            f"olat: {figures['pairs']} pairs, {100 * figures['valid_share']:.2f} % of the pixels valid; "
+            f"files in {out}"
+        )
+    _summarise(figures, out, json_summary)
+
+
+@app.command()
+def fit(
+    capture: CaptureArgument,
+    out: OutOption,
+    light_gains: Annotated[
+        bool, typer.Option(help="Find the strength of each flash, too; otherwise all are equal.")
+    ] = False,
+    loss: Annotated[str, typer.Option(help="cauchy, charbonnier or squares.")] = "cauchy",
+    held_out_every: Annotated[
+        int,
+        typer.Option(help="One of so many pairs judges a fit without them; 0 for no judgement.", min=0),
+    ] = 10,
+    least_pairs: Annotated[
+        int, typer.Option(help="Vertices seen in fewer pairs are left unknown.", min=1)
+    ] = 3,
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Fit albedo and three highlight lobes to each vertex of a capture's mesh."""
+    from scan2albedo.reflectance import ReflectanceFitOptions
+
+    try:
+        options = ReflectanceFitOptions(loss=loss, light_gains=light_gains, least_pairs=least_pairs)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    if held_out_every == 1:
+        raise typer.BadParameter("--held-out-every 1 would leave nothing to fit; give 0, or 2 or more")
+    spend = _checked_budget(budget)
+    with _work("fit", out) as progress:
+        from scan2albedo.reflectance import read_capture
+        from scan2albedo.reflectance.app.capture_run import fit_capture, write_fit
+
+        done = fit_capture(
+            read_capture(capture),
+            options=options,
+            held_out_every=held_out_every,
+            budget=spend,
+            on_progress=progress.update,
+        )
+        figures = write_fit(
+            done,
+            out,
+            {
+                "light_gains": light_gains,
+                "loss": loss,
+                "held_out_every": held_out_every,
+                "least_pairs": least_pairs,
+                "budget": budget,
+            },
+        )
+        _tell_notes(progress, "fit", out)
+        known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
+        text = f"fit: {known} from {figures['pairs']} pairs"
+        if "held_out" in figures:
+            text += f"; pictures left out are foretold to {100 * figures['held_out']['relative_rmse']:.1f} %"
+        progress.say(f"{text}; files in {out}")
+    _summarise(figures, out, json_summary)
+
+
+@app.command()
+def build(
+    samples: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Folders of fits or of processed scans, or reflectances (.npz); one topology.",
+            metavar="SAMPLE...",
+        ),
+    ],
+    out: OutOption,
+    components: Annotated[
+        int | None, typer.Option(help="Directions to keep; all when omitted.", min=0)
+    ] = None,
+    least_support: Annotated[
+        float, typer.Option(help="Share of the samples that must know a vertex, above 0 and up to 1.")
+    ] = 0.5,
+    landmark_vertices: Annotated[
+        Path | None,
+        typer.Option(help="JSON list of the 68 landmarks' vertices; then shapes are learned, too."),
+    ] = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Learn a morphable model of reflectance from several faces."""
+    if not 0 < least_support <= 1:
+        raise typer.BadParameter(f"--least-support is {least_support}, expected above 0 and up to 1")
+    with _work("build", out) as progress:
+        from scan2albedo.reflectance.app.model_run import build_model, write_model_folder
+
+        built = build_model(
+            samples,
+            components=components,
+            least_support=least_support,
+            landmark_vertices=landmark_vertices,
+        )
+        figures = write_model_folder(built, out, {"components": components, "least_support": least_support})
+        progress.say(
+            f"build: {figures['components']} directions from {figures['samples']} faces, "
+            f"{figures['known_vertices']} of {figures['vertices']} vertices; files in {out}"
+        )
+    _summarise(figures, out, json_summary)
+
+
+@app.command()
+def sample(
+    model: ModelArgument,
+    out: OutOption,
+    count: Annotated[int, typer.Option(help="How many.", min=1)] = 6,
+    scale: Annotated[
+        float, typer.Option(help="Standard deviation of the coefficients; 1 is the model's own.", min=0)
+    ] = 1.0,
+    seed: SeedOption = 0,
+    json_summary: JsonOption = False,
+) -> None:
+    """Draw reflectances from a model."""
+    with _work("sample", out) as progress:
+        from scan2albedo.reflectance.app.model_run import write_samples
+
+        figures = write_samples(model, out, count=count, seed=seed, scale=scale)
+        progress.say(f"sample: {count} reflectances in {out}")
+    _summarise(figures, out, json_summary)
+
+
+@app.command("fit-image")
+def fit_image(
+    photograph: Annotated[
+        Path,
+        typer.Argument(help="A photograph file: image, camera, mesh or landmarks.", metavar="PHOTOGRAPH"),
+    ],
+    out: OutOption,
+    model: Annotated[Path, typer.Option(help="Folder that `reflectance build` or `finetune` wrote.")],
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Find the reflectance and the light of one photograph with a model."""
+    spend = _checked_budget(budget)
+    with _work("fit-image", out) as progress:
+        from scan2albedo.reflectance import read_photograph
+        from scan2albedo.reflectance.app.image_run import fit_photograph, write_fitted_photograph
+        from scan2albedo.reflectance.app.model_run import read_model_folder
+
+        models = read_model_folder(model)
+        done = fit_photograph(read_photograph(photograph), models, budget=spend, on_progress=progress.update)
+        figures = write_fitted_photograph(done, models, out, {"budget": budget})
+        _tell_notes(progress, "fit-image", out)
+        progress.say(
+            f"fit-image: relative RMSE {100 * figures['relative_rmse']:.1f} % over "
+            f"{figures['seen_vertices']} vertices; files in {out}"
+        )
+    _summarise(figures, out, json_summary)
+
+
+@app.command("finetune")
+def finetune(
+    model: ModelArgument,
+    photographs: Annotated[
+        list[Path], typer.Argument(help="Photograph files of other faces.", metavar="PHOTOGRAPH...")
+    ],
+    out: OutOption,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A photograph to judge by, may be repeated, best six or more; otherwise one of three."
+        ),
+    ] = None,
+    budget: BudgetOption = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Improve a model with photographs; it changes only when photographs held out are explained better."""
+    spend = _checked_budget(budget)
+    with _work("finetune", out) as progress:
+        from scan2albedo.reflectance.app.image_run import tune_model, write_tuned_model
+        from scan2albedo.reflectance.app.model_run import read_model_folder
+
+        done = tune_model(
+            read_model_folder(model),
+            photographs,
+            held_out or (),
+            budget=spend,
+            on_progress=progress.update,
+            say=lambda line: progress.say(f"finetune: {line}"),
+        )
+        figures = write_tuned_model(done, out, {"budget": budget})
+        _tell_notes(progress, "finetune", out)
+        before, after = figures["held_out_before"], figures["held_out_after"]
+        progress.say(
+            f"finetune: {len(figures['accepted_steps'])} changes accepted, held-out {before:.4g} -> "
+            f"{after:.4g}; files in {out}"
+        )
+    _summarise(figures, out, json_summary)
+
+
+@app.command()
+def demo(
+    out: OutOption = Path("reflectance_demo"),
+    people: Annotated[int, typer.Option(help="From whom the model is learned.", min=2)] = 8,
+    photographs: Annotated[
+        int, typer.Option(help="Of others, to fine-tune with; half are held out.", min=2)
+    ] = 12,
+    seed: SeedOption = 0,
+    json_summary: JsonOption = False,
+) -> None:
+    """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
+    with _work("demo", out) as progress:
+        from scan2albedo.reflectance.app.demo import run_reflectance_demo
+
+        report = run_reflectance_demo(
+            out,
+            people=people,
+            photographs=photographs,
+            seed=seed,
+            on_progress=progress.update,
+            say=lambda line: progress.say(f"demo: {line}"),
+        )
+    if json_summary:
+        echo_json({"out": str(out), **report.figures()})
+    else:
+        typer.echo("\n".join(report.lines()))
+
+
+@contextmanager
+def _work(name: str, out: Path) -> Iterator[ProgressLines]:
+    """Give progress lines for work that writes into `out`."""
+    stop_cleanly_on_interrupt(out)
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.io.staging import gone_if_empty
+    from scan2albedo.pipeline.result_files import check_writable
+
+    with gone_if_empty(out), ProgressLines(name) as progress:
+        check_writable(out)
+        yield progress
+
+
+def _checked_budget(budget: float | None) -> Budget:
+    from scan2albedo.core import Budget
+
+    try:
+        return Budget.of(budget)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:
+    from scan2albedo.io.reflectance_json import REFLECTANCE_FILE, ReflectanceRecord
+    from scan2albedo.io.result_json import read_record
+
+    for note in read_record(out / REFLECTANCE_FILE, ReflectanceRecord).notes:
+        progress.say(f"{name}: {note}")
+
+
+def _summarise(figures: dict[str, Any], out: Path, json_summary: bool) -> None:
+    if json_summary:
+        echo_json({"out": str(out), **figures})

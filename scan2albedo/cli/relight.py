@@ -1,0 +1,184 @@
+"""The command `relight`: a processed face under other light, as a picture, a GLB or a sweep."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+
+if TYPE_CHECKING:
+    from scan2albedo.applications import ProcessedFace, RelitFace
+    from scan2albedo.core import PointLight
+
+LAMP_INTENSITY = 3.0
+PICTURES, TEXTURED, ANIMATED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"), ".glb", ".gif"
+
+
+def relight(
+    result: Annotated[Path, typer.Argument(help="Folder of a processed scan, OUT/<scan name>.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            help="A picture (.png .jpg .tif .exr), the face (.glb), or with --sweep a .gif or a folder of "
+            "frames.",
+        ),
+    ],
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="AZ,EL[,INTENSITY[,DISTANCE_MM]] in degrees from the front toward the subject's left "
+            "and up; intensity 3 when omitted, ambient light being 1; distant when omitted; may be repeated."
+        ),
+    ] = None,
+    environment: Annotated[
+        Path | None,
+        typer.Option(help="Latitude-longitude picture that lights the face: .exr, .hdr or any other."),
+    ] = None,
+    ambient: Annotated[
+        float | None, typer.Option(help="Light without direction; 1, or 0 with an environment.", min=0)
+    ] = None,
+    view: Annotated[str, typer.Option(help="AZ,EL of the camera in degrees.")] = "0,0",
+    size: Annotated[int, typer.Option(help="Height and width of the picture.", min=8, max=8192)] = 512,
+    texture: Annotated[
+        bool, typer.Option("--texture", help="Write the relit texture on its chart, not a picture.")
+    ] = False,
+    sweep: Annotated[
+        int | None,
+        typer.Option(
+            help="So many places of a light that goes around the face (a GIF goes there and back). "
+            "A film of frames in a folder: "
+            "ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4",
+            min=1,
+            max=1000,
+        ),
+    ] = None,
+    exposure: Annotated[
+        float | None, typer.Option(help="Factor of what 8-bit pictures show; by itself when omitted.")
+    ] = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Show a processed face under other light, with its shadows."""
+    lights = [_light(text) for text in light or ()]
+    camera_at = _angles("--view", view, 2, 2)
+    extension = out.suffix.lower()
+    _check_output(extension, sweep, texture)
+    _refuse_result_files(result, out)
+    if not lights and environment is None and sweep is None:
+        raise typer.BadParameter("there is no light; give --light, --environment or --sweep")
+    if environment is not None and sweep is not None:
+        raise typer.BadParameter("--sweep moves a lamp; leave out --environment")
+    if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
+        raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
+    from scan2albedo import applications
+    from scan2albedo.io.images import read_image_linear
+
+    stop_cleanly_on_interrupt(None)
+    face = applications.load_result(result)
+    azimuth, elevation = (math.radians(angle) for angle in camera_at)
+    try:
+        camera = applications.default_camera(face, (size, size), azimuth_rad=azimuth, elevation_rad=elevation)
+    except ValueError as error:
+        raise typer.BadParameter(f"--view {view}: {error}") from None
+    if sweep is not None:
+        _write_sweep(face, lights, sweep, ambient, camera, size, exposure, out)
+    else:
+        map_linear = None if environment is None else read_image_linear(environment)
+        relit = applications.relight(face, lights, environment_linear=map_linear, ambient=ambient)
+        _write_relit(relit, camera, size, texture, exposure, out)
+    typer.echo(f"{face.name}: relit; {out}", err=True)
+    if json_summary:
+        echo_json({"face": face.name, "status": "done", "out": str(out), "lights": len(lights)})
+
+
+def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
+    if sweep is not None:
+        if extension not in (ANIMATED, ""):
+            raise typer.BadParameter(f"--sweep writes a .gif or a folder of frames, not {extension}")
+        if texture:
+            raise typer.BadParameter("--sweep writes pictures; leave out --texture")
+    elif extension not in (*PICTURES, TEXTURED):
+        wanted = ", ".join((*PICTURES, TEXTURED))
+        raise typer.BadParameter(f"-o takes {wanted}, not {extension or 'a name without extension'}")
+
+
+def _refuse_result_files(result: Path, out: Path) -> None:
+    """Refuse to write over the files of the result that is shown."""
+    from scan2albedo.applications.files import FILES
+    from scan2albedo.pipeline.result_files import FILES as SCAN_FILES
+
+    inside = out.resolve().parent == result.resolve() and out.name in FILES | SCAN_FILES
+    if inside or out.resolve() == result.resolve():
+        raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
+
+
+def _write_sweep(
+    face: ProcessedFace,
+    others: list[PointLight],
+    count: int,
+    ambient: float | None,
+    camera: Any,
+    size: int,
+    exposure: float | None,
+    out: Path,
+) -> None:
+    from scan2albedo import applications
+
+    places = applications.light_arc(count, intensity=LAMP_INTENSITY)
+    pictures = list(
+        applications.sweep(face, places, others=others, ambient=ambient, camera=camera, shape=(size, size))
+    )
+    frames = applications.frames_srgb(pictures, exposure)
+    if out.suffix.lower() == ANIMATED:
+        applications.write_gif(out, frames)
+    else:
+        applications.write_frames(out, frames)
+
+
+def _write_relit(
+    relit: RelitFace, camera: Any, size: int, texture: bool, exposure: float | None, out: Path
+) -> None:
+    import numpy as np
+
+    from scan2albedo.applications import Picture
+    from scan2albedo.io.images import write_exr, write_image
+
+    if out.suffix.lower() == TEXTURED:
+        relit.write_glb(out, exposure=exposure)
+        return
+    if texture:
+        picture = Picture(relit.texture_linear, relit.face.mask.astype(np.float32))
+    else:
+        picture = relit.picture(camera, shape=(size, size))
+    if out.suffix.lower() == ".exr":
+        write_exr(out, np.dstack([picture.linear * (1.0 if exposure is None else exposure), picture.alpha]))
+    else:
+        write_image(out, picture.srgb(exposure))
+
+
+def _light(text: str) -> PointLight:
+    from scan2albedo.core import PointLight
+
+    numbers = _angles("--light", text, 2, 4)
+    intensity = numbers[2] if len(numbers) > 2 else LAMP_INTENSITY
+    distance = numbers[3] if len(numbers) > 3 else math.inf
+    if intensity < 0 or distance <= 0:
+        raise typer.BadParameter(f"--light {text}: intensity may not be negative, a distance is above 0")
+    return PointLight(math.radians(numbers[0]), math.radians(numbers[1]), distance, intensity)
+
+
+def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:
+    """Return the numbers, separated by commas, of an option."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
+        shape = "AZ,EL" if most == 2 else "AZ,EL[,INTENSITY[,DISTANCE_MM]]"
+        raise typer.BadParameter(f"{option} {text!r}: expected {shape}, finite numbers")
+    return numbers

@@ -1,0 +1,174 @@
+"""Budgets in seconds or evaluations, and the meter that spends them and writes the trace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from numbers import Integral, Real
+
+from scan2albedo.core.trace import Trace, TraceRow
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much an iterative stage may spend; ``None`` means without limit.
+
+    Parameters
+    ----------
+    seconds : float, optional
+        Wall-clock seconds, > 0.
+    evaluations : int, optional
+        Objective evaluations (or iterations, where a stage counts those), >= 1.
+        Only a budget in evaluations makes results reproducible bit by bit.
+    """
+
+    seconds: float | None = None
+    evaluations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
+            raise ValueError(f"Budget.seconds must be a number > 0, got {self.seconds!r}")
+        if self.evaluations is not None and not (
+            isinstance(self.evaluations, Integral) and self.evaluations >= 1
+        ):
+            raise ValueError(f"Budget.evaluations must be a whole number >= 1, got {self.evaluations!r}")
+
+    @classmethod
+    def of(cls, value: Budget | float | None) -> Budget:
+        """Return `value` as a Budget: a number means seconds, None means no limit.
+
+        >>> Budget.of(2.5)
+        Budget(seconds=2.5, evaluations=None)
+        """
+        if isinstance(value, Budget):
+            return value
+        return cls(seconds=value)
+
+
+def checked_seed(seed: int) -> int:
+    """Return a random seed.
+
+    Parameters
+    ----------
+    seed : int
+        0 or more.
+
+    Raises
+    ------
+    ValueError
+        When it is none: None would give another answer every time.
+
+    Examples
+    --------
+    >>> checked_seed(7)
+    7
+    """
+    if isinstance(seed, Integral) and seed >= 0:
+        return int(seed)
+    raise ValueError(f"seed is {seed!r}, expected a whole number, 0 or more")
+
+
+ProgressCallback = Callable[[TraceRow], None]
+
+GRACE_SHARE, GRACE_S = 0.2, 0.3
+"""How far a budget in seconds may be overrun to finish what was found: this part of it, or these seconds."""
+
+
+def grace(seconds: float) -> float:
+    """Return the seconds by which a budget of so many may be overrun.
+
+    >>> grace(1.0), grace(10.0)
+    (0.3, 2.0)
+    """
+    return max(GRACE_SHARE * seconds, GRACE_S)
+
+
+@dataclass
+class Meter:
+    """Clock, evaluation count and trace of one running stage.
+
+    Parameters
+    ----------
+    stage : str
+        Name written into the trace rows.
+    unit : str
+        Unit of the errors recorded, for example "mm".
+    budget : Budget
+        Limits that `exhausted` checks.
+    on_progress : callable, optional
+        Called with every recorded `TraceRow`.
+    evaluations : int
+        Spent so far.
+    rows : list of TraceRow
+        Recorded so far.
+    """
+
+    stage: str
+    unit: str
+    budget: Budget = field(default_factory=Budget)
+    on_progress: ProgressCallback | None = None
+    evaluations: int = 0
+    rows: list[TraceRow] = field(default_factory=list)
+    _wall_start: float = field(default_factory=time.perf_counter)
+    _cpu_start: float = field(default_factory=time.process_time)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Wall-clock seconds since the stage began."""
+        return time.perf_counter() - self._wall_start
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU seconds of this process (all threads) since the stage began."""
+        return time.process_time() - self._cpu_start
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the budget has ended."""
+        evaluations = self.budget.evaluations
+        return self.out_of_time or (evaluations is not None and self.evaluations >= evaluations)
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the budget's seconds have ended: what costs time but no evaluations may be left out."""
+        return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
+
+    def late_for(self, seconds: float) -> bool:
+        """Whether work of so many seconds would end too late, by more than a budget may be overrun."""
+        budget = self.budget.seconds
+        return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
+
+    def count(self, evaluations: int = 1) -> None:
+        """Add to the evaluations spent."""
+        self.evaluations += evaluations
+
+    def record(self, error: float) -> None:
+        """Append a trace row with the error reached so far."""
+        row = TraceRow(self.stage, self.elapsed_s, self.cpu_s, self.evaluations, float(error), self.unit)
+        self.rows.append(row)
+        if self.on_progress is not None:
+            self.on_progress(row)
+
+    def child(self, stage: str, unit: str) -> Meter:
+        """Return a meter for a stage inside this one, with what is left of the budget; `adopt` it after."""
+        seconds, evaluations = self.budget.seconds, self.budget.evaluations
+        left = Budget(
+            None if seconds is None else max(seconds - self.elapsed_s, 1e-6),
+            None if evaluations is None else max(evaluations - self.evaluations, 1),
+        )
+        return Meter(stage, unit, left, self.on_progress)
+
+    def unseen_child(self) -> Meter:
+        """Return a meter for a part with another yardstick, whose rows are neither kept nor shown."""
+        return Meter(self.stage, self.unit, self.child(self.stage, self.unit).budget)
+
+    def adopt(self, child: Meter) -> None:
+        """Take over the evaluations and rows of a finished `child`."""
+        self.evaluations += child.evaluations
+        self.rows.extend(child.rows)
+
+    @property
+    def trace(self) -> Trace:
+        """The rows recorded so far."""
+        return Trace(tuple(self.rows))

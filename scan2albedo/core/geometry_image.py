@@ -1,0 +1,174 @@
+"""`GeometryImage`: a face sampled on a regular grid over its UV chart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.errors import GeometryImageError
+
+Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+_SHAPES = {
+    "position": (np.float64, 3),
+    "normal": (np.float64, 3),
+    "mask": (np.bool_, None),
+    "texture_linear": (np.float32, 3),
+    "region": (np.uint8, None),
+    "texture_valid": (np.bool_, None),
+    "specular_scale": (np.float32, None),
+    "inpaint": (np.bool_, None),
+}
+
+
+_LENGTH = 0.01
+"""Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
+
+
+def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
+    xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
+        raise GeometryImageError(
+            f"occluder has vertices {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)"
+        )
+    if not np.isfinite(xyz).all():
+        raise GeometryImageError("occluder holds NaN or infinite vertices")
+    if len(index) and (index.min() < 0 or index.max() >= len(xyz)):
+        raise GeometryImageError(
+            f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
+        )
+    return xyz, index
+
+
+@dataclass(frozen=True)
+class GeometryImage:
+    """Position, normal, texture and annotation per texel; row 0 is v = 1 (the forehead).
+
+    Parameters
+    ----------
+    position : (H, W, 3) float64
+        Millimetres in the model's frame; zeros outside `mask`.
+    normal : (H, W, 3) float64
+        Unit outward normals; zeros outside `mask`.
+    mask : (H, W) bool
+        Texels that belong to the surface.
+    texture_linear : (H, W, 3) float32, optional
+        Linear colour looked up on the raw scan.
+    region : (H, W) uint8, optional
+        Region index of the model's annotation; 255 outside `mask`.
+    occluder : (vertices (V, 3), faces (F, 3)), optional
+        Mesh that casts shadows; triangulated from `position` when None.
+    texture_valid : (H, W) bool, optional
+        Texels whose texture was really seen (not hidden, not at a grazing angle, not far from the scan);
+        all of `mask` when None.
+    specular_scale : (H, W) float32, optional
+        Expected relative strength of highlights from the annotation; 1 when None.
+    inpaint : (H, W) bool, optional
+        Texels where the annotation permits inpainting; all of `mask` when None.
+
+    Raises
+    ------
+    GeometryImageError
+        For shapes that disagree, values that are not finite inside the mask, or an occluder that is no mesh.
+    """
+
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    mask: NDArray[np.bool_]
+    texture_linear: NDArray[np.float32] | None = None
+    region: NDArray[np.uint8] | None = None
+    occluder: Occluder | None = None
+    texture_valid: NDArray[np.bool_] | None = None
+    specular_scale: NDArray[np.float32] | None = None
+    inpaint: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        grid = np.asarray(self.mask).shape
+        for field, (dtype, channels) in _SHAPES.items():
+            value = getattr(self, field)
+            if value is None:
+                continue
+            array = np.ascontiguousarray(value)
+            wanted = grid if channels is None else (*grid, channels)
+            if len(grid) != 2 or array.shape != wanted:
+                raise GeometryImageError(
+                    f"{field} has shape {array.shape}, expected {wanted} to match the mask"
+                )
+            object.__setattr__(self, field, array.astype(dtype, copy=False))
+        for field in ("position", "normal", "texture_linear", "specular_scale"):
+            value = getattr(self, field)
+            if value is not None and not np.isfinite(value[self.mask]).all():
+                raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
+        if self.occluder is not None:
+            object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.mask.shape
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(H, W) texels of the surface whose texture can be trusted."""
+        return self.mask if self.texture_valid is None else self.mask & self.texture_valid
+
+    @property
+    def border(self) -> NDArray[np.bool_]:
+        """(H, W) texels of the surface with a side neighbour that is none: the chart's rim, or its seams."""
+        padded = np.pad(self.mask, 1)
+        surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+        return self.mask & ~surrounded
+
+    def check_normals(self) -> None:
+        """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
+        length = np.linalg.norm(self.normal[self.mask], axis=-1)
+        wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
+        if wrong.any():
+            raise GeometryImageError(
+                f"{int(wrong.sum())} of {len(length)} normals have lengths from {length[wrong].min():.3g} to "
+                f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
+            )
+
+    def texel_areas_mm2(self) -> NDArray[np.float64]:
+        """Return (N,) surface per texel at all 2 x 2 blocks inside the mask: how evenly the chart samples."""
+        whole = self.mask[:-1, :-1] & self.mask[:-1, 1:] & self.mask[1:, :-1] & self.mask[1:, 1:]
+        down = (self.position[1:, 1:] - self.position[:-1, :-1])[whole]
+        up = (self.position[:-1, 1:] - self.position[1:, :-1])[whole]
+        return 0.5 * np.linalg.norm(np.cross(down, up), axis=1)
+
+    def figures(self) -> dict[str, float]:
+        """Return what part of the square is surface, what part of that was seen, and the texels' areas."""
+        areas = self.texel_areas_mm2()
+        low, median, high = np.percentile(areas, (5, 50, 95)) if len(areas) else (np.nan,) * 3
+        return {
+            "coverage": float(self.mask.mean()),
+            "seen": float(self.seen.sum() / max(int(self.mask.sum()), 1)),
+            "texel_area_mm2": float(median),
+            "texel_area_p95_to_p5": float(high / low) if low > 0 else float("nan"),
+        }
+
+    def occluder_mesh(self) -> Occluder:
+        """Return the mesh that casts shadows: `occluder`, or the texel grid triangulated."""
+        return self.occluder if self.occluder is not None else self.triangulated()
+
+    def triangulated(self) -> Occluder:
+        """Return (vertices (V, 3) of the masked texels in row-major order, faces (F, 3)) of the texel grid.
+
+        Each 2 x 2 block of masked texels gives two triangles, each wound to agree with `normal`.
+        """
+        index = np.full(self.shape, -1, np.int64)
+        index[self.mask] = np.arange(int(self.mask.sum()))
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        faces = []
+        for triangle in ((a, c, b), (b, c, d)):
+            texels = np.stack(triangle, -1).reshape(-1, 3)
+            faces.append(texels[(texels >= 0).all(1)])
+        stacked = np.concatenate(faces)
+        vertices, normals = self.position[self.mask], self.normal[self.mask]
+        corners = vertices[stacked]
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # One by one: of charts that were cut apart, some lie mirrored.
+        against = np.einsum("ij,ij->i", outward, normals[stacked].sum(1)) < 0
+        return vertices, np.where(against[:, None], stacked[:, ::-1], stacked)

@@ -1,0 +1,122 @@
+"""`RawScan`: a textured triangle mesh as a scanner delivers it, in millimetres and linear colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError
+
+LARGEST_COORDINATE = 1e30
+"""Beyond it squared areas overflow; only garbage is that large."""
+
+_LARGEST_UV = 1e12
+
+
+@dataclass(frozen=True)
+class RawScan:
+    """A raw scan; inputs are checked and converted, never mutated.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+        Millimetres, any pose.
+    faces : (F, 3) int64
+        Indices into `vertices`.
+    uv : (F, 3, 2) float64, optional
+        Texture coordinates of each face's corners; v = 0 is the bottom row of the texture.
+    texture_linear : (H, W, 3) float32, optional
+        Linear colour, 1 = display white; row 0 is the top.
+    vertex_color_linear : (V, 3) float32, optional
+        Linear colour of each vertex, for scans without a texture.
+    name : str
+        Used in messages and output folders.
+    notes : tuple of str
+        What loading decided and repaired (unit, dropped faces, missing texture), one sentence each.
+
+    Raises
+    ------
+    ScanError
+        For wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face indices out
+        of range, or a name that names no folder.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float64] | None = None
+    texture_linear: NDArray[np.float32] | None = None
+    vertex_color_linear: NDArray[np.float32] | None = None
+    name: str = "scan"
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.name in ("", ".", "..") or set(self.name) & set("/\\\0"):
+            raise ScanError(
+                f"a scan cannot be named {self.name!r}: its results get a folder of that name; "
+                "rename the file, or give another `name`"
+            )
+        vertices = self._checked("vertices", self.vertices, np.float64, (None, 3))
+        faces = self._checked("faces", self.faces, np.int64, (None, 3))
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        if len(faces) == 0:
+            raise ScanError(
+                f"{self.name}: the scan has no faces ({len(vertices)} vertices); a surface mesh is needed"
+            )
+        low, high = int(faces.min()), int(faces.max())
+        if low < 0 or high >= len(vertices):
+            raise ScanError(
+                f"{self.name}: a face refers to vertex {low if low < 0 else high}"
+                f", but there are {len(vertices)} vertices; the file is damaged or truncated"
+            )
+        if (reach := float(np.abs(vertices).max(initial=0.0))) > LARGEST_COORDINATE:
+            raise ScanError(
+                f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is "
+                "damaged: repair or re-export the scan"
+            )
+        optional = (
+            ("uv", np.float64, (len(faces), 3, 2)),
+            ("texture_linear", np.float32, (None, None, 3)),
+            ("vertex_color_linear", np.float32, (len(vertices), 3)),
+        )
+        for field, dtype, shape in optional:
+            value = getattr(self, field)
+            if value is not None:
+                object.__setattr__(self, field, self._checked(field, value, dtype, shape))
+        if self.uv is not None and (reach := float(np.abs(self.uv).max())) > _LARGEST_UV:
+            raise ScanError(
+                f"{self.name}: a texture coordinate is {reach:.3g}, beyond {_LARGEST_UV:g}, where no "
+                "fraction is left to find a pixel by; leave uv out, or export the scan again"
+            )
+        if self.texture_linear is not None and self.texture_linear.size == 0:
+            raise ScanError(
+                f"{self.name}: texture_linear has shape {self.texture_linear.shape}, which holds no pixel; "
+                "leave it out (None) for a scan without a texture"
+            )
+
+    def _checked(self, field: str, value: object, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
+        array = np.ascontiguousarray(value)
+        if array.ndim != len(shape) or any(
+            want not in (None, got) for got, want in zip(array.shape, shape, strict=False)
+        ):
+            wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
+            raise ScanError(f"{self.name}: {field} has shape {array.shape}, expected {wanted}")
+        array = array.astype(dtype, copy=False)
+        finite = np.isfinite(array)
+        if not finite.all():
+            bad = ~finite
+            first = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise ScanError(
+                f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "
+                f"first at {first}; repair or re-export the scan"
+            )
+        return array
+
+    @property
+    def has_color(self) -> bool:
+        """Whether there is a texture with coordinates, or vertex colours."""
+        return (
+            self.uv is not None and self.texture_linear is not None
+        ) or self.vertex_color_linear is not None

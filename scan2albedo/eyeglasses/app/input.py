@@ -1,0 +1,119 @@
+"""Frames of eyeglasses from files: a mesh and its key points, brought to millimetres together."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.io.load_scan import load_scan_with
+from scan2albedo.io.units import MM_PER_UNIT, glasses_millimetres_per_unit
+
+if TYPE_CHECKING:
+    from scan2albedo.core.raw_scan import RawScan
+    from scan2albedo.io.parsed_mesh import ParsedMesh
+
+FloatArray = NDArray[np.float64]
+
+KEY_POINTS_SUFFIX = ".keypoints.json"
+
+_NEAR = 0.1
+"""Median distance of key points from the mesh, as a part of their size, up to which they are of that mesh."""
+
+
+@dataclass(frozen=True)
+class GlassesFrame:
+    """A frame as read: mesh and key points (20, 3) in mm, NaN for missing ones."""
+
+    scan: RawScan
+    keypoints: FloatArray
+    mm_per_unit: float
+    """Of the mesh's file."""
+    mesh_file: Path
+    keypoints_file: Path
+
+    @property
+    def name(self) -> str:
+        """The mesh file's stem."""
+        return self.scan.name
+
+    @property
+    def keypoints_sha256(self) -> str:
+        """SHA-256 of the key-point file."""
+        return hashlib.sha256(self.keypoints_file.read_bytes()).hexdigest()
+
+
+def keypoints_beside(mesh: Path) -> Path:
+    """Return where a mesh's key points are looked for: ``<stem>.keypoints.json`` beside it."""
+    return mesh.with_name(mesh.stem + KEY_POINTS_SUFFIX)
+
+
+def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") -> GlassesFrame:
+    """Read a mesh and its key points.
+
+    Parameters
+    ----------
+    mesh : Path
+    keypoints : Path, optional
+        ``<stem>.keypoints.json`` beside the mesh when omitted.
+    unit : {"auto", "mm", "cm", "m"}
+        Of the mesh. "auto": the one in which the key points lie on the mesh, when their file says its own
+        unit; otherwise both are in one unit, which the size of glasses decides.
+
+    Raises
+    ------
+    EyeglassesError, ScanError
+        When a file cannot be read, or the size is that of no glasses; names the file.
+    ValueError
+        For an unknown unit.
+    """
+    if unit != "auto" and unit not in MM_PER_UNIT:
+        raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
+    marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
+    marks = read_keypoints_with_unit(marks_file)
+    mm_per_unit = 0.0
+
+    def decide(parsed: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
+        nonlocal mm_per_unit
+        mm_per_unit, note = _unit_of(parsed, marks, unit, mesh.name, marks_file.name)
+        return mm_per_unit, note
+
+    scan = load_scan_with(mesh, decide)
+    factor = mm_per_unit if marks.unit == "unknown" else MM_PER_UNIT[marks.unit]
+    return GlassesFrame(scan, marks.points * factor, mm_per_unit, mesh, marks_file)
+
+
+def _unit_of(
+    mesh: ParsedMesh, marks: KeyPoints, unit: str, mesh_name: str, marks_name: str
+) -> tuple[float, str]:
+    """Return the factor to millimetres of a mesh, and the note that tells its unit."""
+    if marks.unit == "unknown":
+        return glasses_millimetres_per_unit(marks.points, unit, mesh_name)
+    _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_name)
+    if unit != "auto":
+        return MM_PER_UNIT[unit], f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
+    return _unit_on_which_key_points_lie(mesh, marks, mesh_name)
+
+
+def _unit_on_which_key_points_lie(mesh: ParsedMesh, marks: KeyPoints, name: str) -> tuple[float, str]:
+    """Return the unit in which key points of a known unit lie on the mesh: decades tell it beyond doubt."""
+    known = marks.points[np.isfinite(marks.points).all(1)] * MM_PER_UNIT[marks.unit]
+    surface, size = ClosestPointQuery(mesh.vertices, mesh.faces), float(np.ptp(known, axis=0).max())
+    off = {
+        unit: mm * float(np.median(surface.query(known / mm).distance)) for unit, mm in MM_PER_UNIT.items()
+    }
+    unit = min(off, key=lambda u: off[u])
+    if not off[unit] <= _NEAR * size:
+        raise EyeglassesError(
+            f"{name}: in no unit do the key points lie on the mesh: at best, in {unit}, they are "
+            f"{off[unit]:.3g} mm off; check that they belong to this mesh and that their file says their unit"
+        )
+    evidence = f"median distance {off[unit]:.2g} mm of the key points, which are in {marks.unit}"
+    return MM_PER_UNIT[unit], f"unit: {unit}, decided from where the key points lie ({evidence})"

@@ -1,0 +1,191 @@
+"""The files of lenses in a frame, all of them or none."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core.version import VERSION
+from scan2albedo.errors import OutputError, Scan2AlbedoError
+from scan2albedo.eyeglasses import InsertedLens, Surface
+from scan2albedo.eyeglasses.app.lens_input import LensInput, file_sha256
+from scan2albedo.eyeglasses.app.lenses import LensView, RenderedLenses
+from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.lens_json import FileRecord, LensesRecord, LensRecord, LensViewRecord
+from scan2albedo.io.parts_glb import GlbPart, write_parts_glb
+from scan2albedo.io.result_json import InputRecord, installed_versions, read_record, write_record
+from scan2albedo.io.staging import staging_folder
+from scan2albedo.report.lens_overview import COLUMNS, lens_panels, preview
+from scan2albedo.report.overview import overview_figure
+
+RECORD = "result.json"
+"""It comes last: a folder that has one is whole."""
+_LENS_ROUGHNESS = 0.05
+_LEAST_OPACITY = 0.08
+"""Clear glass is shown a little, for nobody would find it."""
+
+
+def write_lens_files(rendered: RenderedLenses, source: LensInput, out: Path) -> LensesRecord:
+    """Write pictures, meshes and the record into `out`.
+
+    They are made in a hidden folder and renamed into place, so that a run that is killed while they are made
+    leaves older ones as they were.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder and the cause.
+    """
+    try:
+        with staging_folder(make_folder(out), "lenses") as staging:
+            record = _write_all(rendered, source, staging)
+            _remove_older(out, record.files)
+            for path in sorted(staging.iterdir(), key=lambda p: p.name == RECORD):
+                os.replace(path, out / path.name)
+    except (OSError, OutputError) as error:
+        cause = error if isinstance(error, OSError) else error.__cause__
+        reason = getattr(cause, "strerror", None) or str(error)
+        raise OutputError(
+            f"cannot write the results into {out}: {reason}; check that the folder can be written, or choose "
+            "another"
+        ) from error
+    return record
+
+
+def _remove_older(out: Path, files: tuple[str, ...]) -> None:
+    """Remove the record of an older run, and its files that the new one has not, such as other views."""
+    try:
+        older = read_record(out / RECORD, LensesRecord).files
+    except Scan2AlbedoError:
+        older = ()
+    for name in (RECORD, *(set(older) - set(files))):
+        if Path(name).name == name:
+            (out / name).unlink(missing_ok=True)
+
+
+def _write_all(rendered: RenderedLenses, source: LensInput, folder: Path) -> LensesRecord:
+    for view in rendered.views:
+        name, picture = view.camera.name, view.picture
+        write_exr(folder / f"{name}_lenses.exr", picture.image_linear)
+        write_png(folder / f"{name}_lenses.png", preview(picture.image_linear, rendered.exposure))
+        if rendered.from_photographs:
+            write_png(folder / f"{name}_unknown.png", picture.unknown)
+    parts = [_frame_part(rendered.frame), *(_lens_part(lens) for lens in rendered.lenses)]
+    write_parts_glb(folder / "frame_with_lenses.glb", parts)
+    panels = lens_panels([(v.camera.name, v.picture) for v in rendered.views], rendered.exposure)
+    overview_figure(f"{source.frame.name}: {_title(rendered)}", panels, COLUMNS).savefig(
+        folder / "overview.png"
+    )
+    files = sorted(path.name for path in folder.iterdir())
+    record = _record(rendered, source, (*files, RECORD))
+    write_record(folder / RECORD, record)
+    return record
+
+
+def _title(rendered: RenderedLenses) -> str:
+    powers = [f"{lens.name} {lens.material.dioptres:+g} D" for lens in rendered.lenses]
+    return ", ".join(powers)
+
+
+def _frame_part(frame: Surface) -> GlbPart:
+    texture = frame.texture_linear
+    colors = np.asarray(frame.albedo_linear if texture is None else texture).reshape(-1, 3)
+    red, green, blue = (float(c) for c in np.median(colors, axis=0))
+    return GlbPart("frame", frame.vertices, frame.faces, (red, green, blue))
+
+
+def _lens_part(lens: InsertedLens) -> GlbPart:
+    material = lens.material
+    opacity = max(1.0 - float(material.transmission.mean()), _LEAST_OPACITY)
+    red, green, blue = (float(c) for c in np.asarray(material.tint_linear))
+    name = lens.name.replace(" ", "_")
+    return GlbPart(name, lens.vertices, lens.faces, (red, green, blue), min(opacity, 1.0), _LENS_ROUGHNESS)
+
+
+def _record(rendered: RenderedLenses, source: LensInput, files: tuple[str, ...]) -> LensesRecord:
+    frame = source.frame
+    environment = source.environment_file
+    return LensesRecord(
+        scan2albedo_version=VERSION,
+        versions=installed_versions(),
+        name=frame.name,
+        options=asdict(rendered.options),
+        input=_input(frame.mesh_file, frame.scan),
+        keypoints=_file(frame.keypoints_file),
+        mm_per_unit=frame.mm_per_unit,
+        head=_input(source.head_file, source.head),
+        cameras=_file(source.cameras_file),
+        pictures=tuple(_file(path) for path in source.picture_files),
+        environment=None if environment is None else _file(environment),
+        light=rendered.environment,
+        exposure=rendered.exposure,
+        lenses=tuple(_lens(lens) for lens in rendered.lenses),
+        views=tuple(_view(view) for view in rendered.views),
+        notes=(
+            *(f"frame: {note}" for note in frame.scan.notes),
+            *(f"head: {note}" for note in source.head.notes),
+            *rendered.notes,
+        ),
+        files=files,
+    )
+
+
+def _input(path: Path, scan: RawScan) -> InputRecord:
+    texture = scan.texture_linear
+    return InputRecord(
+        file=str(path),
+        sha256=input_sha256(path),
+        vertices=len(scan.vertices),
+        faces=len(scan.faces),
+        texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
+    )
+
+
+def _file(path: Path) -> FileRecord:
+    return FileRecord(file=str(path), sha256=file_sha256(path))
+
+
+def _lens(lens: InsertedLens) -> LensRecord:
+    material, rim = lens.material, lens.rim
+    return LensRecord(
+        side="right" if lens.side == 1 else "left",
+        dioptres=material.dioptres,
+        tint_linear=_vector(material.tint_linear),
+        alpha=material.alpha,
+        beta=material.beta,
+        fresnel=material.fresnel,
+        tinting=material.tinting,
+        front_radius_mm=material.front_radius_mm if math.isfinite(material.front_radius_mm) else None,
+        center_mm=_vector(lens.optics.center),
+        normal=_vector(rim.normal),
+        mean_radius_mm=float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
+        measured=float(rim.measured.mean()),
+        gaps=rim.gaps,
+    )
+
+
+def _vector(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in np.asarray(values))
+    return x, y, z
+
+
+def _view(view: LensView) -> LensViewRecord:
+    height, width = view.camera.shape
+    left, right = (int((view.picture.lens == side).sum()) for side in (0, 1))
+    return LensViewRecord(
+        name=view.camera.name,
+        width=width,
+        height=height,
+        left_lens_pixels=left,
+        right_lens_pixels=right,
+        unknown_pixels=int(view.picture.unknown.sum()),
+        seconds=view.seconds,
+    )

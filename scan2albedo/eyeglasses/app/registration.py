@@ -1,0 +1,144 @@
+"""A frame registered on a face, from files that were read to figures that can be written."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import FaceRegistrationOptions, RegisteredEyeglasses, register_on_face
+from scan2albedo.eyeglasses.app.registration_input import RegistrationInput
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+
+_APART_MM = 25.0
+"""Distance of the nearest key point from the head beyond which nobody wears the frame."""
+
+
+@dataclass(frozen=True)
+class PlacedFrame:
+    """What became of the files of a registration."""
+
+    given: RegistrationInput
+    result: RegisteredEyeglasses
+    options: Mapping[str, Any]
+    seconds: float
+    notes: tuple[str, ...]
+    """Those of reading, and what looks wrong about the result."""
+
+    def view_figures(self) -> list[dict[str, Any]]:
+        """Return figures of each view, as in `result.json`."""
+        return [self._of_view(number) for number in range(len(self.given.cameras))]
+
+    def _of_view(self, number: int) -> dict[str, Any]:
+        result, errors = self.result, self.result.label_errors_px[number]
+        close = result.inliers[number]
+        return {
+            "camera": self.given.cameras[number].name,
+            "labels": int((~np.isnan(errors)).sum()),
+            "outliers": int((~np.isnan(errors) & ~close).sum()),
+            "label_rms_px": float(np.sqrt(np.mean(errors[close] ** 2))) if close.any() else None,
+            "mask": self.given.masks[number] is not None,
+            "outline_rms_px": float(result.outline_rms_px[number]),
+            "iou": float(result.iou[number]),
+            "visible_share": float(result.visible[number].mean()),
+        }
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of the whole, as in `result.json`."""
+        result, errors = self.result, self.result.label_errors_px
+        close, sure = errors[result.inliers], result.deviation[result.observed]
+        return {
+            "label_rms_px": float(np.sqrt(np.mean(close**2))) if len(close) else None,
+            "labels": int((~np.isnan(errors)).sum()),
+            "label_outliers": int((~np.isnan(errors) & ~result.inliers).sum()),
+            "depth_deviation_mm": result.depth_deviation,
+            "observed_share": float(result.observed.mean()),
+            "observed_deviation_rms_mm": float(np.sqrt(np.mean(sure**2))) if len(sure) else None,
+            "bend_max_mm": float(np.linalg.norm(result.bend, axis=1).max()),
+            "evaluations": result.iterations,
+            "seconds": self.seconds,
+        }
+
+    def summary(self) -> str:
+        """Return one line a person can judge the result by."""
+        figures = self.figures()
+        known = figures["observed_deviation_rms_mm"]
+        sure = "nothing is observed" if known is None else f"known to {known:.2f} mm rms"
+        text = (
+            f"{self.given.name}: placed in {self.seconds:.1f} s; "
+            f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
+        )
+        lost = ", ".join(self.result.unobserved)
+        return text + (f"; not observed: {lost}" if lost else "")
+
+
+def register_frame(
+    given: RegistrationInput,
+    *,
+    bend: bool = True,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> PlacedFrame:
+    """Register a frame on a face as `register_on_face` does.
+
+    Parameters
+    ----------
+    given : RegistrationInput
+    bend : bool
+        Whether the frame may bend.
+    budget, on_progress
+        As in `register_on_face`.
+
+    Raises
+    ------
+    EyeglassesError
+        When the files fix no pose, or do not belong together; names mesh and labels.
+    """
+    begun, spend = time.perf_counter(), Budget.of(budget)
+    try:
+        result = register_on_face(
+            given.frame,
+            given.labels,
+            given.masks,
+            np.stack([camera.matrix for camera in given.cameras]),
+            spend,
+            head=given.head,
+            start=given.start,
+            shapes=[camera.shape for camera in given.cameras],
+            options=FaceRegistrationOptions(bend=bend),
+            on_progress=on_progress,
+        )
+    except EyeglassesError as error:
+        names = " with ".join(str(given.hashes[part][0]) for part in ("mesh", "labels"))
+        raise EyeglassesError(f"{names}: {error}") from error
+    return PlacedFrame(
+        given=given,
+        result=result,
+        options={
+            "bend": bend,
+            "budget_s": spend.seconds,
+            "budget_evaluations": spend.evaluations,
+        },
+        seconds=time.perf_counter() - begun,
+        notes=(*given.notes, *_doubts(given, result)),
+    )
+
+
+def _doubts(given: RegistrationInput, result: RegisteredEyeglasses) -> list[str]:
+    """Return what says that the inputs may not belong together."""
+    notes = []
+    if given.head is not None:
+        marks = result.keypoints[np.isfinite(result.keypoints).all(1)]
+        apart = float(ClosestPointQuery(given.head.vertices, given.head.faces).query(marks).distance.min())
+        if apart > _APART_MM:
+            notes.append(
+                f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?"
+            )
+    if not result.converged:
+        notes.append("not converged: the plan says which step, and a longer budget may end it")
+    return notes

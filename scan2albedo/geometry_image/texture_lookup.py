@@ -1,0 +1,162 @@
+"""Colour of a raw scan at given surface points, with what was badly seen known as such."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.closest_points import ClosestHits
+from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
+from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry_image.footprints import mean_over_footprints
+from scan2albedo.io.texture_atlas import in_first_period
+
+FloatArray = NDArray[np.float64]
+
+CROP_MARGIN = 0.1
+"""Part of the queried points' size by which faces may lie outside their box and still be looked at."""
+FEWEST_TAPS, MOST_TAPS = 3, 64
+TAPS_PERCENTILE = 95
+"""This part of the texels gets a sample for every pixel of its footprint."""
+SIDEWAYS_MM = 0.5
+"""A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
+
+
+@dataclass(frozen=True)
+class LookupOptions:
+    """When a texel's texture counts as seen, and how it is filtered."""
+
+    max_distance_mm: float = 4.0
+    """Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
+    min_normal_cosine: float = 0.5
+    """The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
+    min_density: float = 0.1
+    """Photograph pixels per mm^2 relative to the scan's median: below, the surface was seen at grazing."""
+    taps: int | None = None
+    """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
+
+
+class TextureLookup:
+    """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
+
+    def __init__(self, scan: RawScan, options: LookupOptions = LookupOptions()) -> None:
+        self._scan, self._options = scan, options
+
+    def _near(self, points: FloatArray) -> NDArray[np.int64]:
+        """Return the faces near `points`, all when none is: an index of the whole scan would cost most."""
+        vertices, faces = self._scan.vertices, self._scan.faces
+        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + self._options.max_distance_mm
+        inside = np.all((vertices >= points.min(0) - margin) & (vertices <= points.max(0) + margin), axis=1)
+        near = np.flatnonzero(inside[faces].any(1))
+        return near if len(near) else np.arange(len(faces))
+
+    def sample(
+        self, points: FloatArray, normals: FloatArray, steps: FloatArray
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return linear colour (N, 3) and whether it was well seen (N,).
+
+        Parameters
+        ----------
+        points, normals : (N, 3) float64
+            Where to look, scan frame, mm; unit normals.
+        steps : (N, 3, 2) float64
+            Displacement (mm) on the surface of one texel to the right and one down: the footprint that
+            the photograph is averaged over.
+        """
+        scan, near = self._scan, self._near(points)
+        hits = surface_query(scan.vertices, scan.faces[near]).query(points)
+        face = near[hits.face]
+        valid = hits.distance <= self._options.max_distance_mm
+        facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
+        valid &= np.einsum("ij,ij->i", normals, facing) >= self._options.min_normal_cosine
+        on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
+        valid &= ~_past_boundary(on_edge, hits.barycentric, points - hits.points, normals)
+        if scan.uv is not None and scan.texture_linear is not None:
+            color, inside = self._photograph(near, hits, steps)
+            valid &= self._dense_enough()[face] & inside
+        else:
+            assert scan.vertex_color_linear is not None
+            corners = scan.vertex_color_linear[scan.faces[face]]
+            color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
+        return color, valid
+
+    def _dense_enough(self) -> NDArray[np.bool_]:
+        """(F,) whether a face has enough photograph pixels for its area."""
+        assert self._scan.uv is not None
+        uv = self._scan.uv
+        e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        area = face_areas(self._scan.vertices, self._scan.faces)
+        density = texture_area / np.maximum(area, 1e-12)
+        used = density[texture_area > 0]
+        return density > (self._options.min_density * np.median(used) if len(used) else np.inf)
+
+    def _photograph(
+        self, near: NDArray[np.int64], hits: ClosestHits, steps: FloatArray
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
+
+        Also return whether its centre lies in the photograph: coordinates repeat it by whole periods of a
+        face, but not within one.
+        """
+        scan = self._scan
+        assert scan.uv is not None
+        assert scan.texture_linear is not None
+        height, width = scan.texture_linear.shape[:2]
+        to_pixels = np.array([width, -height])
+        uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
+        center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
+        inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
+        footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
+        taps = self._options.taps or _needed_taps(footprint)
+        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
+
+    def _uv_gradients(self, near: NDArray[np.int64]) -> FloatArray:
+        """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
+        scan = self._scan
+        assert scan.uv is not None
+        faces, uv = scan.faces[near], scan.uv[near]
+        corners = scan.vertices[faces]
+        cross = face_cross_products(scan.vertices, faces)
+        squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
+        gradient = np.zeros((len(faces), 2, 3))
+        for k in range(3):
+            opposite = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
+            hat = np.cross(cross, opposite) / squared[:, None]
+            gradient += uv[:, k, :, None] * hat[:, None, :]
+        return gradient
+
+
+def _past_boundary(
+    on_edge: NDArray[np.bool_], barycentric: FloatArray, offset: FloatArray, normals: FloatArray
+) -> NDArray[np.bool_]:
+    """Points whose closest point lies on the scan's edge while they lie sideways of it: in a hole."""
+    at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
+    sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
+    return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)
+
+
+def _needed_taps(footprint: FloatArray) -> int:
+    """Return the samples a side that leave no pixel between them out, for footprints (N, 2, 2) in pixels."""
+    if len(footprint) == 0:
+        return FEWEST_TAPS
+    longest = float(np.percentile(np.linalg.norm(footprint, axis=1).max(1), TAPS_PERCENTILE))
+    return int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
+
+
+def texel_steps(
+    vertices: FloatArray, uv: FloatArray, faces: NDArray[np.int64], shape: tuple[int, int]
+) -> FloatArray:
+    """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
+    corners, chart = vertices[faces], uv[faces]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], 2)
+    chart_edges = np.stack([chart[:, 1] - chart[:, 0], chart[:, 2] - chart[:, 0]], 2)
+    determinant = np.linalg.det(chart_edges)
+    usable = np.abs(determinant) > 1e-15
+    inverse = np.zeros_like(chart_edges)
+    inverse[usable] = np.linalg.inv(chart_edges[usable])
+    height, width = shape
+    return edges @ inverse @ np.array([[1 / width, 0.0], [0.0, -1 / height]])

@@ -1,0 +1,1 @@
+"""`process`: a raw scan through every stage it needs, and the files of the result."""

@@ -1,0 +1,172 @@
+"""The demo: a synthetic raw scan through the whole pipeline, compared with its ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo import AlbedoError, AlbedoEstimate, albedo_error
+from scan2albedo.core import PointLight, ProgressCallback
+from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.pipeline.process import process
+from scan2albedo.pipeline.quality import Quality, quality_of
+from scan2albedo.pipeline.result import ProcessResult
+from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
+
+INNER_LANDMARKS = slice(17, 68)
+"""iBUG-68 without the jaw line, which no point of a smooth jaw defines."""
+
+
+@dataclass(frozen=True)
+class DemoReport:
+    """What the pipeline found, against the truth.
+
+    Parameters
+    ----------
+    result : ProcessResult
+    pose_rotation_deg, pose_translation_mm : float
+        Difference of the pose to the true one (translation at the face's centroid).
+    surface_mm : float
+        Mean distance of the true face to the fitted surface.
+    correspondence_mm : float
+        Mean distance of the true and the fitted surface point of each texel.
+    landmarks_mm : float
+        Mean error of the 51 inner landmarks.
+    light_deg : float
+        Greatest angle between a true light and the found light nearest to it.
+    lights_found, lights_true : int
+    texture, albedo : AlbedoError
+        Of the raw texture and of the estimated albedo against the true albedo of the same surface point.
+    """
+
+    result: ProcessResult
+    pose_rotation_deg: float
+    pose_translation_mm: float
+    surface_mm: float
+    correspondence_mm: float
+    landmarks_mm: float
+    light_deg: float
+    lights_found: int
+    lights_true: int
+    texture: AlbedoError
+    albedo: AlbedoError
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures as plain numbers for JSON."""
+        plain = {k: v for k, v in vars(self).items() if isinstance(v, int | float)}
+        seconds = sum(self.result.timings_s.values())
+        return {**plain, "texture": asdict(self.texture), "albedo": asdict(self.albedo), "seconds": seconds}
+
+    def table(self) -> str:
+        """Return the figures as text for a terminal."""
+        rows = (
+            ("pose", f"{self.pose_rotation_deg:.2f} deg, {self.pose_translation_mm:.2f} mm off"),
+            ("surface", f"{self.surface_mm:.3f} mm mean distance of the true face"),
+            ("correspondence", f"{self.correspondence_mm:.2f} mm mean over all texels"),
+            ("51 inner landmarks", f"{self.landmarks_mm:.2f} mm mean"),
+            (
+                "lights",
+                f"{self.lights_found} found, {self.lights_true} true, {self.light_deg:.1f} deg off at most",
+            ),
+            ("texture as scanned", _albedo_text(self.texture)),
+            ("estimated albedo", _albedo_text(self.albedo)),
+        )
+        lines = [f"  {name:20}{text}" for name, text in rows]
+        return "\n".join(["error against the ground truth:", *lines])
+
+
+def run_demo(
+    out: str | Path | None,
+    *,
+    seed: int = 0,
+    size: int | None = None,
+    quality: Quality | str = "standard",
+    on_progress: ProgressCallback | None = None,
+) -> DemoReport:
+    """Scan a synthetic person, process the scan, compare with the truth.
+
+    Parameters
+    ----------
+    out : path or None
+        Folder for the files, as in `process`.
+    seed : int
+        Of the person, its pose and its lights; and of the pipeline.
+    size : int, optional
+        Height and width of the geometry image; that of `quality` when omitted.
+    quality : str or Quality
+        As in `process`.
+    on_progress : callable, optional
+        Called with every `TraceRow`.
+    """
+    preset = quality_of(quality)
+    scan, truth = raw_scan(seed, options=RawScanOptions(size=size or preset.size))
+    result = process(scan, out, size=size, quality=preset, seed=seed, on_progress=on_progress)
+    return compare_with_truth(result, truth)
+
+
+def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoReport:
+    """Return the errors of a processed synthetic scan; its geometry image has the truth's size."""
+    fitted, estimate = result.fitted, result.albedo
+    if fitted is None or estimate is None or fitted.landmarks is None:
+        raise ValueError("the comparison needs a fit with landmarks and an albedo; do not skip these stages")
+    # Everything is compared in the frame of the true pose.
+    truth_from_fit = truth.model_from_scan @ invert_rigid(fitted.model_from_scan)
+    center = fitted.vertices.mean(0)
+    image = result.geometry_image
+    both = image.mask & truth.image.mask
+    position = transform_points(truth_from_fit, image.position[both])
+    landmarks = transform_points(truth_from_fit, fitted.landmarks)
+    true_albedo, usable = _true_albedo_at(truth, position, image.seen[both])
+    assert image.texture_linear is not None
+    return DemoReport(
+        result=result,
+        pose_rotation_deg=float(np.degrees(rotation_angle_rad(truth_from_fit[:3, :3]))),
+        pose_translation_mm=float(np.linalg.norm(transform_points(truth_from_fit, center[None])[0] - center)),
+        surface_mm=_surface_mm(fitted, truth, truth_from_fit),
+        correspondence_mm=float(np.linalg.norm(position - truth.image.position[both], axis=1).mean()),
+        landmarks_mm=float(np.linalg.norm(landmarks - truth.landmarks, axis=1)[INNER_LANDMARKS].mean()),
+        light_deg=_light_deg(estimate, truth.lights, truth_from_fit),
+        lights_found=len(estimate.lights),
+        lights_true=len(truth.lights),
+        texture=albedo_error(image.texture_linear[both], true_albedo, usable),
+        albedo=albedo_error(estimate.albedo_linear[both], true_albedo, usable),
+    )
+
+
+def _surface_mm(fitted: FittedFace, truth: SyntheticTruth, truth_from_fit: NDArray[np.float64]) -> float:
+    surface = ClosestPointQuery(transform_points(truth_from_fit, fitted.vertices), fitted.faces)
+    return float(surface.query(truth.image.position[truth.image.mask]).distance.mean())
+
+
+def _true_albedo_at(
+    truth: SyntheticTruth, points: NDArray[np.float64], seen: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """True albedo (N, 3) at the surface points nearest to `points`, and where to compare (N,).
+
+    Texels at the chart's border have no neighbour on the true face and are left out.
+    """
+    vertices, faces = truth.image.triangulated()
+    hits = ClosestPointQuery(vertices, faces).query(points)
+    corners = truth.albedo_linear[truth.image.mask][faces[hits.face]]
+    color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
+    return color, seen & (hits.distance < 2.0)
+
+
+def _light_deg(
+    estimate: AlbedoEstimate, true_lights: tuple[PointLight, ...], truth_from_fit: NDArray[np.float64]
+) -> float:
+    if not estimate.lights:
+        return float("nan")
+    found = np.array([light.direction for light in estimate.lights]) @ truth_from_fit[:3, :3].T
+    true = np.array([light.direction for light in true_lights])
+    return float(np.degrees(np.arccos(np.clip(true @ found.T, -1, 1))).min(axis=1).max())
+
+
+def _albedo_text(error: AlbedoError) -> str:
+    return f"MSE {error.mse_percent:.3f} % of the albedo, relative RMSE {100 * error.relative_rmse:.1f} %"

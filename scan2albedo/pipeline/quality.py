@@ -1,0 +1,87 @@
+"""Named presets of quality: what each stage of `process` spends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from scan2albedo.albedo import EstimateOptions
+from scan2albedo.fitting.options import FitOptions
+from scan2albedo.geometry_image.size import check_size
+from scan2albedo.registration import RegistrationOptions
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Options of every stage of `process`.
+
+    Parameters
+    ----------
+    name : str
+        What results call it.
+    size : int
+        Height and width of the geometry image in texels, where the caller asks for none.
+    registration : RegistrationOptions
+    fit : FitOptions
+    albedo : EstimateOptions
+
+    Examples
+    --------
+    A preset with one option changed, for ``process(..., quality=softer)``:
+
+    >>> from dataclasses import replace
+    >>> standard = PRESETS["standard"]
+    >>> softer = replace(standard, name="softer", fit=replace(standard.fit, tangential=0.05))
+    >>> softer.size
+    512
+    """
+
+    name: str
+    size: int = 512
+    registration: RegistrationOptions = field(default_factory=RegistrationOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+    albedo: EstimateOptions = field(default_factory=EstimateOptions)
+
+    def __post_init__(self) -> None:
+        check_size(self.size)
+
+
+PRESETS: Mapping[str, Quality] = MappingProxyType(
+    {
+        "draft": Quality(
+            "draft",
+            size=256,
+            registration=RegistrationOptions(
+                anchor_spacing_mm=50.0, kept_starts=60, candidates=4, settling_iterations=10
+            ),
+            fit=FitOptions(levels=(0, 0, 1), finest_level=0),
+            albedo=EstimateOptions(
+                sizes=(32, 64), start_directions=30, descent_iterations=8, maximal_lights=2
+            ),
+        ),
+        "standard": Quality("standard"),
+        "best": Quality(
+            "best",
+            size=1024,
+            registration=RegistrationOptions(scan_spacing_mm=3.0, model_spacing_mm=4.0),
+            albedo=EstimateOptions(sizes=(64, 256), starts=6, descent_iterations=20),
+        ),
+    }
+)
+"""The presets by name; `tools/bench_quality.py` measures each one's error and time."""
+
+
+def quality_of(choice: Quality | str) -> Quality:
+    """Return a preset by its name, or the qualities given.
+
+    Raises
+    ------
+    ValueError
+        When no preset has that name.
+    """
+    if isinstance(choice, Quality):
+        return choice
+    if choice not in PRESETS:
+        raise ValueError(f"quality is {choice!r}, expected one of {', '.join(PRESETS)}")
+    return PRESETS[choice]

@@ -1,0 +1,150 @@
+"""The files of an identification: a table, all similarities, curves and a record, all of them or none."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from scan2albedo.core.version import VERSION
+from scan2albedo.io.atomic import make_folder, write_text
+from scan2albedo.io.identification_json import (
+    IDENTIFICATION_FILE,
+    IdentificationRecord,
+    ProbeRecord,
+    RatesRecord,
+)
+from scan2albedo.io.result_json import write_record
+from scan2albedo.io.staging import publish, staging_folder, telling_where
+from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
+
+FILES = frozenset({"identification.csv", "similarities.npz", "cmc.png", "roc.png", IDENTIFICATION_FILE})
+"""Every file an identification may have."""
+
+
+def identification_record(found: ResultIdentification, files: tuple[str, ...] = ()) -> IdentificationRecord:
+    """Return what was found as a record."""
+    chart = found.gallery.templates.chart
+    return IdentificationRecord(
+        scan2albedo_version=VERSION,
+        gallery=str(found.gallery.source),
+        probes=str(found.probes.source),
+        gallery_images=len(found.gallery.templates),
+        persons=found.matches.persons,
+        combine=found.combine,
+        template_options=asdict(found.gallery.templates.options),
+        model=None if chart is None else chart.model,
+        rates=_rates(*curves(found)),
+        results=_probes(found),
+        notes=found.notes,
+        files=files,
+    )
+
+
+def curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | None]:
+    """Return the curves of the probes whose person is known, None where there are none.
+
+    A gallery of one person has no ROC curve, for nobody is an impostor.
+    """
+    named = found.matches.named
+    if named is None:
+        return None, None
+    return cmc_curve(named), roc_curve(named) if len(named.persons) > 1 else None
+
+
+def write_identification(found: ResultIdentification, folder: str | Path) -> IdentificationRecord:
+    """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
+
+    The curves are those of the probes whose person is known; where there are none, files of an older run are
+    removed. Returns the record.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    target = Path(folder)
+    with telling_where(target), staging_folder(make_folder(target), "identification") as staging:
+        write_text(staging / "identification.csv", _table(found))
+        np.savez(
+            staging / "similarities.npz",
+            similarities=found.matches.similarities,
+            persons=np.array(found.matches.persons),
+            probes=np.array(found.probes.labels),
+            probe_persons=np.array([person or "" for person in found.probes.persons]),
+        )
+        _write_figures(*curves(found), staging)
+        written = sorted(path.name for path in staging.iterdir())
+        record = identification_record(found, (*written, IDENTIFICATION_FILE))
+        write_record(staging / IDENTIFICATION_FILE, record)
+        for name in FILES - {*written, IDENTIFICATION_FILE}:
+            (target / name).unlink(missing_ok=True)
+        publish(staging, target, IDENTIFICATION_FILE)
+    return record
+
+
+def _rates(cmc: CmcCurve | None, roc: RocCurve | None) -> RatesRecord | None:
+    if cmc is None:
+        return None
+    return RatesRecord(
+        probes=cmc.probes,
+        confidence=cmc.confidence,
+        rank_1_rate=float(cmc.rate[0]),
+        rank_1_interval=(float(cmc.low[0]), float(cmc.high[0])),
+        equal_error_rate=None if roc is None else roc.equal_error_rate,
+        equal_error_interval=None if roc is None else roc.equal_error_interval,
+    )
+
+
+def _probes(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
+    matches = found.matches
+    several = len(matches.persons) > 1
+    nobody = (None,) * len(matches.ranks)
+    columns = zip(
+        found.probes.labels,
+        matches.probe_persons,
+        matches.predicted(),
+        matches.similarity().tolist(),
+        matches.ranks.tolist(),
+        matches.predicted(2) if several else nobody,
+        matches.similarity(2).tolist() if several else nobody,
+        strict=True,
+    )
+    return tuple(
+        ProbeRecord(
+            probe=probe,
+            person=person,
+            predicted=predicted,
+            similarity=_rounded(similarity),
+            rank=rank or None,
+            next_person=next_person,
+            next_similarity=None if next_similarity is None else _rounded(next_similarity),
+        )
+        for probe, person, predicted, similarity, rank, next_person, next_similarity in columns
+    )
+
+
+def _rounded(similarity: float) -> float:
+    """Return what sums in float32 hold of a similarity, 0 to 1."""
+    return round(min(similarity, 1.0), 6)
+
+
+def _table(found: ResultIdentification) -> str:
+    stream = StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(ProbeRecord.model_fields)
+    for record in _probes(found):
+        writer.writerow("" if value is None else value for value in record.model_dump().values())
+    return stream.getvalue()
+
+
+def _write_figures(cmc: CmcCurve | None, roc: RocCurve | None, folder: Path) -> None:
+    from scan2albedo.report.recognition_curves import cmc_figure, roc_figure
+
+    if cmc is not None:
+        cmc_figure({"albedo": cmc}).savefig(folder / "cmc.png")
+    if roc is not None:
+        roc_figure({"albedo": roc}).savefig(folder / "roc.png")

@@ -1,0 +1,288 @@
+"""From a capture file to light of single flashes and to reflectance, and their files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.images import write_exr
+from scan2albedo.reflectance import (
+    CaptureFiles,
+    MeshReflectance,
+    OlatImages,
+    ReflectanceFit,
+    ReflectanceFitOptions,
+    RelightingError,
+    SamplingOptions,
+    VertexSamples,
+    fit_reflectance,
+    point_light_radiance,
+    relighting_error,
+    sample_vertices,
+    write_reflectance,
+)
+from scan2albedo.reflectance.app.output import folder_of_results
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility
+from scan2albedo.report.overview import Panel, overview_figure
+from scan2albedo.report.reflectance_views import (
+    albedo_colors,
+    draw_in_camera,
+    reflectance_panels,
+    relit_panels,
+)
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+HELD_OUT_EVERY = 10
+"""One of so many pairs is left out of the fit that is judged by it."""
+_LEAST_FOR_HELD_OUT = 5
+_SHOWN_PAIRS = 4
+_COLUMNS_OF_SHEET = 11
+
+
+@dataclass(frozen=True)
+class FittedCapture:
+    """A fit to all pictures, and the error of one that left some out; None where there were too few."""
+
+    capture: CaptureFiles
+    olat: OlatImages
+    samples: VertexSamples
+    fit: ReflectanceFit
+    held_out: BoolArray
+    error: RelightingError | None
+    notes: tuple[str, ...] = ()
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures for `reflectance.json`."""
+        fit = self.fit
+        known = fit.reflectance.known
+        identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
+        figures: dict[str, Any] = {
+            "pairs": len(self.samples.light),
+            "vertices": len(known),
+            "known_vertices": int(known.sum()),
+            "pictures_per_vertex_median": float(np.median(fit.pair_count)),
+            "identified_share": dict(
+                zip(("red", "green", "blue", "weight_1", "weight_8", "weight_64"), identified, strict=True)
+            ),
+            "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
+            "level": fit.level,
+            "converged": fit.converged,
+            "iterations": fit.iterations,
+            "light_gain": fit.light_gain,
+        }
+        if self.error is not None:
+            figures["held_out"] = {
+                "pairs": int(self.held_out.sum()),
+                "relative_rmse": self.error.relative_rmse,
+                "noise_part": self.error.noise_part,
+                "psnr_db": self.error.psnr_db,
+            }
+        return figures
+
+
+def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
+    """Write what each flash added as linear EXR pictures, one a pair, and a sheet of them.
+
+    Returns
+    -------
+    dict
+        Figures as in `reflectance.json`.
+    """
+    with _naming(capture):
+        olat = capture.extract_olat()
+    names = capture.pair_names()
+    figures = {
+        "pairs": len(olat),
+        "saturated_share": float(olat.saturated.any(-1).mean()),
+        "valid_share": float(olat.valid.all(-1).mean()),
+        "pairs_left_out": [d.pair for d in olat.diagnostics if d.left_out],
+    }
+    with folder_of_results(out, "olat", (capture.path,)) as results:
+        for number, linear in enumerate(olat.linear):
+            write_exr(results.folder / f"olat_{number:03d}.exr", linear)
+        results.picture("olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
+        results.finish(figures, options={"gamma": capture.content.gamma}, notes=_notes(olat, names))
+    return figures
+
+
+def fit_capture(
+    capture: CaptureFiles,
+    *,
+    options: ReflectanceFitOptions = ReflectanceFitOptions(),
+    held_out_every: int = HELD_OUT_EVERY,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> FittedCapture:
+    """Read the pictures of a capture, fit its vertices, and judge the fit by pairs left out.
+
+    Parameters
+    ----------
+    capture : CaptureFiles
+    options : ReflectanceFitOptions
+    held_out_every : int
+        One of so many pairs is left out of the fit that is judged; 0 judges none. The result is of all.
+    budget : Budget or float, optional
+        Of the fit to all pictures.
+    on_progress : callable, optional
+        Called with every `TraceRow`.
+
+    Raises
+    ------
+    ReflectanceError, ScanError
+        As `CaptureFiles.extract_olat`, `sample_vertices` and `fit_reflectance`.
+    """
+    with _naming(capture):
+        return _fitted(capture, options, held_out_every, budget, on_progress)
+
+
+@contextmanager
+def _naming(capture: CaptureFiles) -> Iterator[None]:
+    """Name the capture in errors that do not."""
+    try:
+        yield
+    except ReflectanceError as error:
+        if str(capture.path) in str(error):
+            raise
+        raise ReflectanceError(f"capture {capture.path}: {error}") from error
+
+
+def _fitted(
+    capture: CaptureFiles,
+    options: ReflectanceFitOptions,
+    held_out_every: int,
+    budget: Budget | float | None,
+    on_progress: ProgressCallback | None,
+) -> FittedCapture:
+    olat = capture.extract_olat()
+    sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
+    samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
+    samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
+    fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
+    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
+    held_out = _held_out(np.asarray(samples.valid.any((1, 2))), held_out_every)
+    error = None
+    if held_out.any():
+        try:
+            error = relighting_error(samples, held_out, options=options)
+        except ReflectanceError as cause:
+            notes += (f"the fit was not judged by pictures left out: {cause}",)
+    return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
+
+
+def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Write reflectance, trace, overview and relit pictures; returns figures as in `reflectance.json`."""
+    capture, fit = done.capture, done.fit
+    mesh = MeshReflectance(capture.vertices, capture.faces, fit.reflectance)
+    figures = done.metrics()
+    with folder_of_results(out, "fit", (capture.path,)) as results:
+        write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
+        fit.trace.to_csv(results.folder / "trace.csv")
+        results.figure("error_vs_time.png", fit.trace.plot())
+        results.figure("overview.png", overview_figure(_title(figures), reflectance_panels(mesh, fit), 5))
+        if done.error is not None:
+            results.figure("relit.png", overview_figure(_relit_title(done.error), relit_held_out(done), 6))
+        write_colored_mesh(results.folder / "face.ply", mesh)
+        notes = (*done.notes, *_notes(done.olat, capture.pair_names()))
+        results.finish(figures, options=options, notes=notes)
+    return figures
+
+
+def write_colored_mesh(path: Path, mesh: MeshReflectance) -> None:
+    """Write the mesh with its albedo as colours of the vertices, sRGB, as PLY."""
+    import trimesh
+
+    colors = np.round(255 * albedo_colors(mesh.reflectance.diffuse_linear)).astype(np.uint8)
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False)
+    shape.export(path)
+
+
+def relit_held_out(done: FittedCapture) -> list[Panel]:
+    """Return photographs that the judged fit did not see beside its relit faces, four at most."""
+    chosen = np.flatnonzero(done.held_out)
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(_SHOWN_PAIRS, len(chosen))).astype(int)]
+    names, panels = done.capture.pair_names(), []
+    for j in chosen:
+        photograph, made, shown = relit_pair(done, j)
+        panels += relit_panels(names[j], photograph, made, shown, done.olat.valid[j])
+    return panels
+
+
+def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the light that a flash added (H, W, 3), that of the judged fit, and where the face is (H, W).
+
+    Shadows are those that the mesh casts.
+    """
+    assert done.error is not None
+    capture = done.capture
+    normals = vertex_normals(capture.vertices, capture.faces)
+    visibility = VertexVisibility(capture.vertices, capture.faces, normals, SamplingOptions().offset_mm)
+    radiance = point_light_radiance(done.error.fit.reflectance, done.samples.lobes[pair : pair + 1])[0]
+    lit = visibility.reached(capture.rig.light_positions[pair])
+    linear = done.olat.linear[pair].astype(np.float64)
+    made, shown = draw_in_camera(
+        capture.rig.cameras[pair],
+        linear.shape[:2],
+        capture.vertices,
+        capture.faces,
+        radiance * lit[:, None],
+    )
+    return linear, made, shown
+
+
+def _held_out(usable: BoolArray, every: int) -> BoolArray:
+    """Return (J,) pairs to leave out of those that can be used: none where too few would remain."""
+    pairs, chosen = np.flatnonzero(usable), np.zeros(len(usable), bool)
+    if every > 0 and len(pairs) >= _LEAST_FOR_HELD_OUT:
+        step = min(every, len(pairs))
+        chosen[pairs[step // 2 :: step]] = True
+    return chosen
+
+
+def _notes(olat: OlatImages, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what was wrong with pairs; clipped highlights, which every capture has, where they are many."""
+    return tuple(
+        f"{names[one.pair]}: {one.message}"
+        for one in olat.diagnostics
+        if one.name != "saturated" or one.part > 0.05
+    )
+
+
+def _sheet(olat: OlatImages, *, lights: int) -> NDArray[np.uint8]:
+    """Return all pictures in rows, small, as bright as their brightest percentile allows."""
+    step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
+    small = np.clip(olat.linear[:, ::step, ::step], 0, None)
+    level = max(float(np.percentile(small, 99.7)), 1e-12)
+    small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
+    columns = lights if len(small) % lights == 0 else min(_COLUMNS_OF_SHEET, len(small))
+    rows = -(-len(small) // columns)
+    padded = np.zeros((rows * columns, *small.shape[1:]), np.float32)
+    padded[: len(small)] = np.minimum(small / level, 1)
+    grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
+    return encode_srgb_bytes(grid.reshape(rows * small.shape[1], columns * small.shape[2], 3))
+
+
+def _title(figures: dict[str, Any]) -> str:
+    text = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
+    held_out = figures.get("held_out")
+    if held_out is None:
+        return text
+    return f"{text}; pictures left out: relative RMSE {100 * held_out['relative_rmse']:.1f} %"
+
+
+def _relit_title(error: RelightingError) -> str:
+    return (
+        f"photographs left out of the fit: relative RMSE {100 * error.relative_rmse:.1f} % at vertices, "
+        f"{error.psnr_db:.1f} dB"
+    )

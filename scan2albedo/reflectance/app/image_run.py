@@ -1,0 +1,366 @@
+"""From photographs in plain light to reflectance and light, to finer models, and their files."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core import Budget, ProgressCallback, Trace
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import (
+    FineTuning,
+    GeometryFit,
+    ImageFit,
+    ImageObservation,
+    LightingModel,
+    MeshReflectance,
+    MorphableShapeModel,
+    PhotographFiles,
+    PhotographOptions,
+    finetune,
+    fit_image,
+    observe_photograph,
+    read_photograph,
+    refine_geometry,
+    write_reflectance,
+)
+from scan2albedo.reflectance.app.capture_run import write_colored_mesh
+from scan2albedo.reflectance.app.model_run import MEAN_FILE, MODEL_FILE, SHAPE_FILE, ModelFolder
+from scan2albedo.reflectance.app.output import folder_of_results
+from scan2albedo.reflectance.picture_values import linear_values, picture_values
+from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
+
+FloatArray = NDArray[np.float64]
+
+_ONE_HELD_OUT_OF = 3
+"""Photographs, when none is given to be held out."""
+
+
+@dataclass(frozen=True)
+class FittedPhotograph:
+    """A photograph, what was seen in it, and what explains it.
+
+    Parameters
+    ----------
+    photograph : PhotographFiles
+    vertices : (V, 3) float64
+        In the camera's frame, mm.
+    faces : (F, 3) int64
+    observation : ImageObservation
+    fit : ImageFit
+    geometry : GeometryFit or None
+        Where landmarks told the shape.
+    trace : Trace
+        Of all fits, one after the other; each begins at 0 seconds.
+    """
+
+    photograph: PhotographFiles
+    vertices: FloatArray
+    faces: NDArray[np.int64]
+    observation: ImageObservation
+    fit: ImageFit
+    geometry: GeometryFit | None
+    trace: Trace
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what a reader of the figures has to know."""
+        parts = {"shape": self.geometry, "reflectance and light": self.fit}
+        return tuple(
+            f"the fit of {name} stopped before it had converged"
+            for name, part in parts.items()
+            if part is not None and not part.converged
+        )
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures for `reflectance.json`."""
+        fit, geometry = self.fit, self.geometry
+        figures: dict[str, Any] = {
+            "vertices": len(self.vertices),
+            "seen_vertices": int(np.asarray(self.observation.seen).sum()),
+            "relative_rmse": fit.relative_rmse,
+            "objective": fit.objective,
+            "converged": fit.converged,
+            "iterations": fit.iterations,
+            "coefficients": fit.face.coefficients,
+            "light_coefficients": fit.light_coefficients,
+            "scale_rgb": fit.scale_rgb,
+            "light_harmonics": fit.light,
+        }
+        if geometry is not None:
+            figures["geometry"] = {
+                "scene_from_model": geometry.scene_from_model,
+                "identity": geometry.identity,
+                "expression": geometry.expression,
+                "landmark_rmse_px": geometry.landmark_rmse_px,
+                "photometric_rmse_before": geometry.photometric_rmse_before,
+                "photometric_rmse_after": geometry.photometric_rmse_after,
+                "converged": geometry.converged,
+            }
+        return figures
+
+
+def fit_photograph(
+    photograph: PhotographFiles,
+    models: ModelFolder,
+    *,
+    lighting: LightingModel | None = None,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> FittedPhotograph:
+    """Fit reflectance and light to a photograph; where it has no mesh, its shape by landmarks and colours.
+
+    Then the shape is found from the landmarks, reflectance and light with that shape, the shape again from
+    landmarks and colours, and reflectance and light once more.
+
+    Parameters
+    ----------
+    photograph : PhotographFiles
+    models : ModelFolder
+    lighting : LightingModel, optional
+        The default one when omitted.
+    budget : Budget or float, optional
+        Of each fit.
+    on_progress : callable, optional
+        Called with every `TraceRow`.
+
+    Raises
+    ------
+    ReflectanceError
+        When mesh and model have other vertices, there is no shape model for landmarks, or nothing is seen;
+        names the photograph.
+    """
+    lighting = LightingModel.default() if lighting is None else lighting
+
+    def fitted(vertices: FloatArray) -> tuple[ImageObservation, ImageFit]:
+        observation = observe(photograph, vertices, models.mean.faces)
+        with warnings.catch_warnings():
+            # `FittedPhotograph.notes` says so.
+            warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+            fit = fit_image(observation, models.model, lighting, budget=budget, on_progress=on_progress)
+        return observation, fit
+
+    try:
+        if photograph.vertices is not None:
+            vertices = _checked_vertices(photograph, models)
+            observation, fit = fitted(vertices)
+            return FittedPhotograph(
+                photograph, vertices, models.mean.faces, observation, fit, None, fit.trace
+            )
+        shape = _shape_model(photograph, models)
+        first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
+        _, skin = fitted(first.vertices)
+        refined = _geometry(
+            photograph,
+            shape,
+            budget=budget,
+            on_progress=on_progress,
+            reflectance=skin.face.reflectance,
+            light=skin.light,
+            initial_scene_from_model=first.scene_from_model,
+            initial_identity=first.identity,
+            initial_expression=first.expression,
+        )
+        last = fitted(refined.vertices)
+        trace = first.trace + skin.trace + refined.trace + last[1].trace
+        return FittedPhotograph(photograph, refined.vertices, models.mean.faces, *last, refined, trace)
+    except ReflectanceError as error:
+        raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
+
+
+def observe(photograph: PhotographFiles, vertices: FloatArray, faces: NDArray[np.int64]) -> ImageObservation:
+    """Look up vertices (V, 3) in a photograph."""
+    content = photograph.content
+    options = PhotographOptions(gamma=content.gamma, saturation=content.saturation)
+    return observe_photograph(
+        photograph.image, photograph.camera, vertices, faces, mask=photograph.mask, options=options
+    )
+
+
+def write_fitted_photograph(
+    done: FittedPhotograph, models: ModelFolder, out: Path, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
+    figures = done.metrics()
+    mesh = MeshReflectance(done.vertices, done.faces, done.fit.face.reflectance)
+    upright = MeshReflectance(models.mean.vertices, done.faces, done.fit.face.reflectance)
+    with folder_of_results(out, "fit-image", (done.photograph.path, models.folder)) as results:
+        write_reflectance(results.folder / "reflectance.npz", mesh)
+        write_colored_mesh(results.folder / "face.ply", mesh)
+        done.trace.to_csv(results.folder / "trace.csv")
+        results.figure("error_vs_time.png", done.trace.plot())
+        linear = _linear(done.photograph)
+        made, shown = draw_in_camera(
+            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, done.fit.radiance_linear
+        )
+        valid = np.isfinite(linear)
+        panels = relit_panels("face", np.nan_to_num(linear), made, shown, valid)
+        title = f"relative RMSE {100 * done.fit.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
+        results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
+        results.finish(figures, options=options, notes=done.notes())
+    return figures
+
+
+@dataclass(frozen=True)
+class TunedModel:
+    """A model after fine-tuning with photographs."""
+
+    models: ModelFolder
+    tuning: FineTuning
+    photographs: tuple[Path, ...]
+    held_out: tuple[Path, ...]
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures for `reflectance.json`."""
+        tuning = self.tuning
+        return {
+            "photographs": [str(path) for path in self.photographs],
+            "held_out": [str(path) for path in self.held_out],
+            "accepted_steps": tuning.accepted_steps,
+            "held_out_before": tuning.held_out_before,
+            "held_out_after": tuning.held_out_after,
+            "converged": tuning.converged,
+        }
+
+
+def tune_model(
+    models: ModelFolder,
+    photographs: Sequence[Path],
+    held_out: Sequence[Path] = (),
+    *,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> TunedModel:
+    """Fine-tune a model with photographs, and judge it by others.
+
+    Parameters
+    ----------
+    models : ModelFolder
+    photographs : sequence of Path
+        Photograph files.
+    held_out : sequence of Path
+        Others, to judge by; one of three of the photographs when empty.
+    budget : Budget or float, optional
+        Of the tuning.
+    on_progress, say : callable, optional
+        Called with every `TraceRow`, and with lines on single photographs.
+
+    Raises
+    ------
+    ReflectanceError
+        When there are too few photographs, or one cannot be used; names it.
+    """
+    tuned_with, judged_by = _parted(list(photographs), list(held_out))
+    lighting = LightingModel.default()
+
+    def observed(path: Path) -> ImageObservation:
+        say(f"reading {path}")
+        photograph = read_photograph(path)
+        if photograph.vertices is None:
+            return fit_photograph(photograph, models, lighting=lighting).observation
+        try:
+            return observe(photograph, _checked_vertices(photograph, models), models.mean.faces)
+        except ReflectanceError as error:
+            raise ReflectanceError(f"photograph {path}: {error}") from error
+
+    tuning = finetune(
+        models.model,
+        [observed(path) for path in tuned_with],
+        [observed(path) for path in judged_by],
+        models.mean.faces,
+        vertices=models.mean.vertices,
+        lighting=lighting,
+        budget=budget,
+        on_progress=on_progress,
+    )
+    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
+    better = replace(
+        models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
+    )
+    return TunedModel(better, tuning, tuple(tuned_with), tuple(judged_by))
+
+
+def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Write the model's folder anew; return figures as in `reflectance.json`."""
+    figures = done.metrics()
+    models = done.models
+    with folder_of_results(out, "finetune", (models.folder, *done.photographs, *done.held_out)) as results:
+        models.model.save(results.folder / MODEL_FILE)
+        write_reflectance(results.folder / MEAN_FILE, models.mean)
+        if models.shape is not None:
+            shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
+        done.tuning.trace.to_csv(results.folder / "trace.csv")
+        results.figure("error_vs_time.png", done.tuning.trace.plot())
+        ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
+        results.finish(figures, options=options, notes=ended)
+    return figures
+
+
+def _parted(photographs: list[Path], held_out: list[Path]) -> tuple[list[Path], list[Path]]:
+    """Return photographs to tune with and to judge by."""
+    tuned_with, judged_by = ({path.resolve() for path in paths} for paths in (photographs, held_out))
+    if both := tuned_with & judged_by:
+        raise ReflectanceError(f"{min(both)} is held out and tuned with; give it once")
+    if not held_out:
+        held_out = photographs[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]
+        photographs = [path for path in photographs if path not in held_out]
+    if not photographs or not held_out:
+        raise ReflectanceError(
+            f"{len(photographs)} photographs to tune with and {len(held_out)} held out; give one or more of "
+            f"each, or {_ONE_HELD_OUT_OF} or more in all"
+        )
+    return photographs, held_out
+
+
+def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> FloatArray:
+    assert photograph.vertices is not None
+    if len(photograph.vertices) != len(models.mean.vertices):
+        raise ReflectanceError(
+            f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and the model in "
+            f"{models.folder} {len(models.mean.vertices)}; give a mesh in the model's topology"
+        )
+    faces = photograph.faces
+    if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
+        raise ReflectanceError(
+            f"its mesh {photograph.content.mesh} has other triangles than the model in {models.folder}, so "
+            "that vertices do not correspond; give a mesh in the model's topology"
+        )
+    return photograph.vertices
+
+
+def _shape_model(photograph: PhotographFiles, models: ModelFolder) -> MorphableShapeModel:
+    if models.shape is None:
+        raise ReflectanceError(
+            f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
+            "the model with --landmark-vertices"
+        )
+    return models.shape
+
+
+def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
+    assert photograph.landmarks_px is not None
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+        return refine_geometry(
+            _linear(photograph),
+            photograph.camera,
+            photograph.landmarks_px,
+            shape,
+            mask=photograph.mask,
+            **options,
+        )
+
+
+def _linear(photograph: PhotographFiles) -> FloatArray:
+    """Return light (H, W, 3), NaN where it is clipped."""
+    content = photograph.content
+    values = picture_values(photograph.image, str(photograph.path.parent / content.image), content.saturation)
+    return np.where(values < content.saturation, linear_values(values, content.gamma), np.nan)

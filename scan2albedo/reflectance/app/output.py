@@ -1,0 +1,86 @@
+"""Folders that the `reflectance` commands write: made aside, renamed into place, the record last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.version import VERSION
+from scan2albedo.errors import ReflectanceError, Scan2AlbedoError
+from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.images import write_png
+from scan2albedo.io.reflectance_json import REFLECTANCE_FILE, ReflectanceRecord
+from scan2albedo.io.result_json import read_record, write_record
+from scan2albedo.io.staging import publish, staging_folder, telling_where
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI = 110
+
+
+class Results:
+    """The files of one command as they are made, in a hidden folder."""
+
+    def __init__(self, folder: Path, command: str, inputs: Sequence[str | Path]) -> None:
+        self.folder, self._command, self._inputs = folder, command, inputs
+
+    def picture(self, name: str, pixels: NDArray[np.uint8]) -> None:
+        """Write a picture (H, W, 3)."""
+        write_png(self.folder / name, pixels)
+
+    def figure(self, name: str, figure: Figure) -> None:
+        """Write a matplotlib figure."""
+        figure.savefig(self.folder / name, dpi=_DPI)
+
+    def finish(
+        self, metrics: Mapping[str, Any], *, options: Mapping[str, Any], notes: Sequence[str] = ()
+    ) -> None:
+        """Write the record; call it last."""
+        files = sorted(path.name for path in self.folder.iterdir())
+        record = ReflectanceRecord.model_validate(
+            {
+                "scan2albedo_version": VERSION,
+                "command": self._command,
+                "inputs": tuple(str(path) for path in self._inputs),
+                "options": dict(options),
+                "metrics": dict(metrics),
+                "notes": tuple(notes),
+                "files": (*files, REFLECTANCE_FILE),
+            }
+        )
+        write_record(self.folder / REFLECTANCE_FILE, record)
+
+
+@contextmanager
+def folder_of_results(out: Path, command: str, inputs: Sequence[str | Path]) -> Iterator[Results]:
+    """Give a hidden folder whose files go to `out` when the block ends without an error.
+
+    Files of an earlier result that this one has no more are removed.
+
+    Raises
+    ------
+    ReflectanceError
+        When `out` is one of the inputs, whose record it would replace.
+    OutputError
+        Naming the folder and the cause.
+    """
+    if any(Path(path).resolve() == out.resolve() for path in inputs):
+        raise ReflectanceError(f"{out} is where {command} reads from; write to another folder")
+    with telling_where(out), staging_folder(make_folder(out), "reflectance") as staging:
+        yield Results(staging, command, inputs)
+        _remove_older(out, staging)
+        publish(staging, out, REFLECTANCE_FILE)
+
+
+def _remove_older(out: Path, staging: Path) -> None:
+    """Remove what the record in `out` lists and the new result does not bring."""
+    with suppress(Scan2AlbedoError):  # there is none, or somebody else's
+        for name in read_record(out / REFLECTANCE_FILE, ReflectanceRecord).files:
+            if Path(name).name == name and not (staging / name).exists():
+                (out / name).unlink(missing_ok=True)

@@ -1,0 +1,220 @@
+"""The commands for processed faces: what they write, one clear line an error, exit statuses."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+import scan2albedo as s2a
+from scan2albedo.applications import load_result, relight, write_face
+from scan2albedo.cli import app
+from scan2albedo.errors import OutputError
+from scan2albedo.io.images import read_exr_channels, write_exr
+from scan2albedo.synthetic import face, light_at
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Two people at rest, and the first one smiling, as an application writes faces."""
+    root = tmp_path_factory.mktemp("faces")
+    for name, seed, expression in (("a", 0, "neutral"), ("a_smiling", 0, "smile"), ("b", 1, "neutral")):
+        scene = face(seed, expression=expression, size=48, lights=[light_at(30)])
+        made = s2a.applications.ProcessedFace.of(name, scene.image, scene.albedo_linear, model_name="default")
+        write_face(made, root / name, application="blend", inputs=())
+    return root
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_what_is_written_is_read_back(folders):
+    made = load_result(folders / "a")
+    scene = face(0, size=48, lights=[light_at(30)])
+    np.testing.assert_array_equal(made.albedo_linear, scene.albedo_linear)
+    np.testing.assert_array_equal(made.image.position, scene.image.position)
+    assert made.model_name == "default"
+    files = {path.name for path in (folders / "a").iterdir()}
+    assert files == set(json.loads((folders / "a" / "application.json").read_text())["files"])
+
+
+def test_relight_writes_a_picture_with_json_on_stdout(folders, tmp_path):
+    out = tmp_path / "relit.png"
+    done = run(
+        "relight",
+        folders / "a",
+        "--light",
+        "-40,20",
+        "--light",
+        "50,0,2,400",
+        "-o",
+        out,
+        "--size",
+        64,
+        "--json",
+    )
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["lights"] == 2
+    assert np.asarray(Image.open(out)).shape == (64, 64, 3)
+
+
+def test_relight_in_linear_colour_is_what_the_library_does(folders, tmp_path):
+    out = tmp_path / "relit.exr"
+    assert run("relight", folders / "b", "--light", "30,20,2", "--texture", "-o", out).exit_code == 0
+    channels = read_exr_channels(out)
+    made = load_result(folders / "b")
+    light = s2a.PointLight(np.radians(30), np.radians(20), intensity=2.0)
+    expected = relight(made, [light]).texture_linear
+    np.testing.assert_allclose(channels["G"], expected[..., 1], atol=1e-6)
+    np.testing.assert_array_equal(channels["A"], made.mask)
+
+
+def test_an_environment_lights_from_its_side(folders, tmp_path):
+    sky = np.zeros((8, 16, 3), np.float32)
+    sky[:, 10:13] = 1.0
+    write_exr(tmp_path / "sky.exr", sky)
+    out = tmp_path / "lit.exr"
+    done = run("relight", folders / "a", "--environment", tmp_path / "sky.exr", "--size", 32, "-o", out)
+    assert done.exit_code == 0, done.output
+    green = read_exr_channels(out)["G"]
+    assert green[:, 16:].sum() > 2 * green[:, :16].sum()
+
+
+def test_relight_writes_glb_and_sweeps(folders, tmp_path):
+    assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "relit.glb").exit_code == 0
+    assert (tmp_path / "relit.glb").read_bytes()[:4] == b"glTF"
+    sweep = ("relight", folders / "a", "--sweep", 3, "--size", 32, "-o")
+    assert run(*sweep, tmp_path / "sweep.gif").exit_code == 0
+    with Image.open(tmp_path / "sweep.gif") as gif:
+        assert gif.n_frames == 4
+    assert run(*sweep, tmp_path / "frames").exit_code == 0
+    assert len(list((tmp_path / "frames").iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    ("command", "inputs", "options"),
+    [
+        ("swap", ("a", "b"), ()),
+        ("blend", ("a", "b"), ("--weight", "0.3")),
+        ("transfer-expression", ("a", "a_smiling", "b"), ("--method", "local-frames", "--strength", "0.8")),
+    ],
+)
+def test_new_faces_go_on_to_other_commands(folders, tmp_path, command, inputs, options):
+    done = run(command, *(folders / name for name in inputs), *options, "-o", tmp_path / "new", "--json")
+    assert done.exit_code == 0, done.output
+    summary = json.loads(done.stdout)
+    assert summary["inputs"] == list(inputs)
+    names = {path.name for path in (tmp_path / "new").iterdir()}
+    assert {"application.json", "geometry_image.npz", "albedo.exr", "fitted.glb", "picture.png"} <= names
+    again = run("relight", tmp_path / "new", "--light", "20,20", "--size", 32, "-o", tmp_path / "new.png")
+    assert again.exit_code == 0, again.output
+
+
+def test_the_correspondence_used_is_told(folders, tmp_path):
+    faces = [folders / name for name in ("a", "a_smiling", "b")]
+    done = run("transfer-expression", *faces, "-o", tmp_path / "new", "--json")
+    assert json.loads(done.stdout)["options"]["correspondence"] == "as-fitted"
+    refused = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "refined")
+    assert refused.exit_code != 0
+    wrong = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "guessed")
+    assert wrong.exit_code == 2
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--light", "ten,20"), "AZ,EL"),
+        (("--light", "10"), "AZ,EL"),
+        (("--light", "10,20,nan"), "finite"),
+        (("--light", "10,20,-1"), "negative"),
+        (("--light", "0,0", "--view", "0,90"), "elevation"),
+        ((), "no light"),
+        (("--sweep", "2"), "folder of frames"),
+        (("--light", "0,0", "--exposure", "0"), "above 0"),
+    ],
+)
+def test_wrong_options_are_usage_errors(folders, tmp_path, arguments, words):
+    done = run("relight", folders / "a", *arguments, "-o", tmp_path / "out.png")
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.replace("│", " ").split())
+    assert not (tmp_path / "out.png").exists()
+
+
+@pytest.mark.parametrize("weight", ["-0.1", "1.5", "nan"])
+def test_weights_are_parts(folders, tmp_path, weight):
+    done = run("blend", folders / "a", folders / "b", "--weight", weight, "-o", tmp_path / "new")
+    assert done.exit_code == 2
+    assert "--weight is" in done.output
+
+
+@pytest.mark.parametrize(
+    ("command", "inputs"),
+    [("swap", ("a", "b")), ("blend", ("a", "b")), ("transfer-expression", ("a", "a_smiling", "b"))],
+)
+def test_an_input_is_not_written_over(folders, command, inputs):
+    before = (folders / "b" / "albedo.exr").read_bytes()
+    done = run(command, *(folders / name for name in inputs), "-o", folders / "a" / ".." / "b")
+    assert done.exit_code == 2
+    assert "one of the inputs" in " ".join(done.output.replace("│", " ").split())
+    assert (folders / "b" / "albedo.exr").read_bytes() == before
+
+
+def test_relight_leaves_the_result_as_it_is(folders):
+    before = (folders / "a" / "albedo.exr").read_bytes()
+    shown = run("relight", folders / "a", "--light", "0,0", "-o", folders / "a" / "albedo.exr")
+    swept = run("relight", folders / "a", "--sweep", 2, "-o", folders / "a")
+    assert (shown.exit_code, swept.exit_code) == (2, 2)
+    assert "processed scan itself" in " ".join(shown.output.replace("│", " ").split())
+    assert (folders / "a" / "albedo.exr").read_bytes() == before
+    assert not list((folders / "a").glob("frame_*"))
+
+
+def test_wrong_extensions_are_usage_errors(folders, tmp_path):
+    assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out.bmp").exit_code == 2
+    assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out").exit_code == 2
+
+
+def test_bad_input_is_one_line_and_exit_2(folders, tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "scan2albedo",
+        "blend",
+        folders / "a",
+        tmp_path,
+        "-o",
+        tmp_path / "new",
+    ]
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, timeout=100)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "result.json: is missing" in done.stderr
+    assert not (tmp_path / "new").exists()
+
+
+def test_personal_models_are_refused_where_they_cannot_be_made(folders, tmp_path):
+    for arguments, words in (
+        (("-o", tmp_path / "model.npz"), "ends in .json"),
+        (("-o", tmp_path / "model.json", "--model", tmp_path / "model.json"), "the model itself"),
+        (("-o", tmp_path / "model.json", "--model", "none"), "no shape"),
+    ):
+        done = run("personal-model", folders / "a", *arguments)
+        assert done.exit_code == 2
+        assert words in " ".join(done.output.replace("│", " ").split())
+    done = run("personal-model", folders / "a", "-o", tmp_path / "model.json")
+    assert "processed with the model 'default', not" in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_processed_scan_is_not_written_over(folders, tmp_path):
+    (tmp_path / "result.json").write_text("{}")
+    made = load_result(folders / "a")
+    with pytest.raises(OutputError, match="choose another"):
+        write_face(made, tmp_path, application="blend", inputs=(made,))

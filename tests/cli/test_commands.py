@@ -1,0 +1,200 @@
+"""The command line: exit statuses, one clear line an error, JSON on stdout."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from scan2albedo.cli import commands as cli
+from scan2albedo.cli.commands import app
+from scan2albedo.cli.common import echo_json
+from scan2albedo.pipeline import validation
+
+COMMAND = [sys.executable, "-m", "scan2albedo"]
+
+
+def run(*arguments, **options):
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False, **options
+    )
+
+
+def invoke(*arguments):
+    """Run the command in this process: starting Python takes longer than most errors."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """A coloured sphere: an object, no face."""
+    sphere = trimesh.creation.icosphere(3, 90.0)
+    sphere.visual.vertex_colors = np.clip(128 + sphere.vertices, 0, 255).astype(np.uint8)
+    path = tmp_path_factory.mktemp("scans") / "ball.ply"
+    sphere.export(path)
+    return path
+
+
+def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
+    done = run("process", ball, "-o", tmp_path, "--model", "none", "--size", 64, "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["status"] == "done"
+    assert (tmp_path / "ball" / "result.json").is_file()
+    assert "ball: done" in done.stderr
+    assert "ball: unit: mm" in done.stderr
+
+
+@pytest.mark.slow
+def test_some_failed_is_1_and_all_failed_is_2(ball, tmp_path):
+    some = run(
+        "process", ball, tmp_path / "none.obj", "-o", tmp_path, "--model", "none", "--size", 32, "--json"
+    )
+    assert some.returncode == 1
+    assert [entry["status"] for entry in json.loads(some.stdout)] == ["done", "failed"]
+    every = run("process", tmp_path / "none.obj", tmp_path / "no.ply", "-o", tmp_path)
+    assert every.returncode == 2
+
+
+def bad_files(folder):
+    """Name -> (content, words of the message)."""
+    return {
+        "empty.obj": (b"", "empty"),
+        "cloud.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "point cloud"),
+        "nan.obj": (b"v 0 0 nan\nv 100 0 0\nv 0 100 0\nf 1 2 3\n", "NaN"),
+        "index.obj": (b"v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 9\n", "damaged or truncated"),
+        "five.obj": (
+            b"v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 100\nv 90 90 90\nf 1 2 3\nf 2 3 4\nf 3 4 5\n",
+            "5 vertices",
+        ),
+        "garbage.ply": (bytes(range(256)) * 4, "garbage.ply"),
+        "notes.txt": (b"hello", "not supported"),
+    }
+
+
+@pytest.mark.parametrize("name", sorted(bad_files(None)))
+def test_a_bad_file_ends_in_one_line_and_exit_2(name, tmp_path):
+    content, words = bad_files(tmp_path)[name]
+    (tmp_path / name).write_bytes(content)
+    failed = invoke("process", tmp_path / name, "-o", tmp_path / "out")
+    assert failed.exit_code == 2
+    assert isinstance(failed.exception, SystemExit)
+    lines = [line for line in failed.stderr.splitlines() if "error:" in line]
+    assert len(lines) == 1
+    assert words in lines[0]
+    assert name.split(".")[0] in lines[0]
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch):
+    row = validation.ValidationRow(30.0, "wood", "lambert", 5.0, 0.02, 0.03, 0.01, 0.5, 1)
+    monkeypatch.setattr(validation, "validation_row", lambda scene, angle, brdf: row)
+    monkeypatch.setattr(
+        validation, "_lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
+    )
+    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
+    done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
+    assert done.exit_code == 0, done.output
+    tables = json.loads(done.stdout)
+    assert [len(tables[name]["rows"]) for name in ("hemisphere", "face", "lighting")] == [12, 12, 2]
+    assert tables["hemisphere"]["worst_mse_percent"] == 0.03
+    assert tables["lighting"]["albedo_std_percent"] == 2.0
+    assert done.stderr.count("wood") == 24
+    assert "the paper" in CliRunner().invoke(app, ["validate", "lighting", "--size", "16"]).stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("process", "x.obj"),
+        ("process", "x.obj", "-o", "out", "--lights", "many"),
+        ("process", "x.obj", "-o", "out", "--skip", "nonsense"),
+        ("process", "x.obj", "-o", "out", "--force", "fit"),
+        ("process", "x.obj", "-o", "out", "--lights", "0"),
+        ("process", "x.obj", "-o", "out", "--brdf", "phong"),
+        ("process", "x.obj", "-o", "out", "--unit", "yard"),
+        ("process", "x.obj", "-o", "out", "--budget", "0"),
+        ("process", "x.obj", "-o", "out", "--size", "7"),
+        ("validate", "everything"),
+        ("frobnicate",),
+    ],
+)
+def test_usage_errors_are_2(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    failed = invoke(*arguments)
+    assert failed.exit_code == 2
+    assert isinstance(failed.exception, SystemExit)
+    assert failed.stderr.count("Error") == 1
+    assert failed.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_usage_error_shows_no_traceback(tmp_path):
+    failed = run("process", "x.obj", "-o", "out", "--size", "7", cwd=tmp_path)
+    assert failed.returncode == 2
+    assert "Traceback" not in failed.stderr
+    assert failed.stdout == ""
+
+
+def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_path):
+    answer = CliRunner().invoke(app, ["process", "a/face.obj", "b/face.ply", "-o", str(tmp_path)])
+    assert answer.exit_code == 2
+    assert "would both be written" in answer.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_infinite_is_null_in_the_summary(capsys):
+    echo_json({"light_distance_mm": float("inf"), "mean_mm": np.float64("nan"), "lights": np.int64(2)})
+    assert json.loads(capsys.readouterr().out) == {"light_distance_mm": None, "mean_mm": None, "lights": 2}
+
+
+def test_interrupting_leaves_nothing_behind(ball, tmp_path):
+    process = subprocess.Popen(
+        [*COMMAND, "process", str(ball), "-o", str(tmp_path), "--model", "none", "--size", "2048"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert "reading" in process.stderr.readline()
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "interrupted" in complaint
+    assert "Traceback" not in complaint
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_doctor_finds_a_healthy_machine():
+    examined = run("doctor", "--json")
+    assert examined.returncode == 0, examined.stdout
+    findings = json.loads(examined.stdout)
+    assert {"open3d", "numpy", "default face model"} <= {finding["subject"] for finding in findings}
+
+
+def test_doctor_tells_the_command_for_a_missing_library(monkeypatch):
+    from scan2albedo.cli import doctor
+
+    finding = doctor._library("no-such-package", "no_such_package")
+    assert not finding.good
+    assert "pip install 'no-such-package'" in finding.remedy
+
+
+def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
+    from scan2albedo.cli import doctor
+
+    def broken(*arguments, **options):
+        return subprocess.CompletedProcess(
+            arguments, 1, "", "ImportError: libGL.so.1: cannot open shared object file"
+        )
+
+    monkeypatch.setattr(doctor.subprocess, "run", broken)
+    finding = doctor._library("open3d", "open3d")
+    assert "libgl1" in finding.remedy
+    assert "libGL.so.1" in finding.detail

@@ -1,0 +1,162 @@
+"""The command `identify`: its files, its table, one clear line an error."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+from PIL import Image
+from typer.testing import CliRunner
+
+from scan2albedo.cli import app
+from scan2albedo.errors import OutputError
+from scan2albedo.io.identification_json import IdentificationRecord
+from scan2albedo.io.images import write_exr
+from scan2albedo.recognition import TemplateOptions, identify_results
+from scan2albedo.recognition.app.files import FILES, write_identification
+from scan2albedo.synthetic import face
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Albedos of three persons, as images, and lists of them."""
+    root = tmp_path_factory.mktemp("people")
+    for seed, name in enumerate(("ann", "bob", "cy")):
+        albedo = face(seed, size=64).albedo_linear
+        write_exr(root / f"{name}.exr", albedo)
+        grain = np.random.default_rng(seed).standard_normal(albedo.shape[:2])[..., None]
+        write_exr(root / f"{name}-2.exr", albedo * (1 + 0.05 * grain))
+    lists = {
+        "gallery": ["ann,ann.exr", "bob,bob.exr", "cy,cy.exr"],
+        "probes": ["bob,bob-2.exr", "cy,cy-2.exr", ",ann-2.exr"],
+        "unnamed": [",ann-2.exr"],
+        "one": ["ann,ann.exr"],
+    }
+    for name, lines in lists.items():
+        (root / f"{name}.csv").write_text("\n".join(["person,result", *lines]))
+    return root
+
+
+def run(folder, *arguments, gallery="gallery.csv", size=("--size", 64)):
+    given = ["identify", "--gallery", folder / gallery, *size, *arguments]
+    return CliRunner().invoke(app, [str(argument) for argument in given])
+
+
+def test_a_table_on_stdout_and_the_rate_on_stderr(folder):
+    done = run(folder, "--probes", folder / "probes.csv")
+    assert done.exit_code == 0, done.output
+    head, *rows = [line.split() for line in done.stdout.splitlines()]
+    assert head[:5] == ["probe", "person", "predicted", "similarity", "rank"]
+    assert [row[:3] for row in rows] == [
+        ["bob-2.exr", "bob", "bob"],
+        ["cy-2.exr", "cy", "cy"],
+        ["ann-2.exr", "?", "ann"],
+    ]
+    assert "right at rank 1: 100.0% of 2 named probes (15.8% to 100.0% at 95%)" in done.stderr
+
+
+def test_files_and_json_tell_the_same(folder, tmp_path):
+    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    out = tmp_path / "out"
+    assert {path.name for path in out.iterdir()} == FILES
+    record = json.loads((out / "identification.json").read_text())
+    assert json.loads(done.stdout) == record
+    Draft202012Validator(IdentificationRecord.model_json_schema(mode="serialization")).validate(record)
+    assert record["rates"]["rank_1_rate"] == 1
+    rows = list(csv.DictReader((out / "identification.csv").read_text(encoding="utf-8").splitlines()))
+    assert list(rows[0])[:5] == ["probe", "person", "predicted", "similarity", "rank"]
+    assert [row["rank"] for row in rows] == ["1", "1", ""]
+    with np.load(out / "similarities.npz") as arrays:
+        assert arrays["persons"].tolist() == ["ann", "bob", "cy"]
+        assert arrays["probe_persons"].tolist() == ["bob", "cy", ""]
+        best = arrays["similarities"].max(1)
+    np.testing.assert_allclose([float(row["similarity"]) for row in rows], best, atol=1e-6)
+    for name in ("cmc.png", "roc.png"):
+        with Image.open(out / name) as picture:
+            assert min(picture.size) > 300
+
+
+def test_without_named_probes_there_is_no_rate_and_no_curve_of_an_older_run(folder, tmp_path):
+    assert run(folder, "--probes", folder / "probes.csv", "-o", tmp_path).exit_code == 0
+    done = run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert "rank 1" not in done.stderr
+    assert {path.name for path in tmp_path.iterdir()} == FILES - {"cmc.png", "roc.png"}
+    assert json.loads((tmp_path / "identification.json").read_text())["rates"] is None
+
+
+def test_a_gallery_of_one_person_has_no_impostor(folder, tmp_path):
+    done = run(folder, "--probes", folder / "one.csv", "-o", tmp_path, gallery="one.csv")
+    assert done.exit_code == 0, done.output
+    assert "1 of 1 probes are in the gallery themselves" in done.stderr
+    record = json.loads((tmp_path / "identification.json").read_text())
+    assert record["rates"]["equal_error_rate"] is None
+    assert record["results"][0]["next_person"] is None
+    assert not (tmp_path / "roc.png").exists()
+
+
+def test_a_gallery_is_kept_and_used_again(folder, tmp_path):
+    kept = run(folder, "--save-templates", tmp_path / "gallery.npz", "--json")
+    assert kept.exit_code == 0, kept.output
+    assert json.loads(kept.stdout)["persons"] == ["ann", "bob", "cy"]
+    plain = run(folder, "--probes", folder / "probes.csv")
+    again = run(folder, "--probes", folder / "probes.csv", gallery=tmp_path / "gallery.npz", size=())
+    assert again.exit_code == 0, again.output
+    assert again.stdout == plain.stdout
+
+
+def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):
+    found = identify_results(folder / "gallery.csv", folder / "probes.csv", options=TemplateOptions(size=64))
+    write_identification(found, tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def fail(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        write_identification(found, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "no probes"),
+        (("-o", "out"), "no probes"),
+        (("--probes", "probes.csv", "--combine", "worst"), "--combine is 'worst'"),
+        (("--save-templates", "gallery.bin"), "ends in .npz"),
+    ],
+)
+def test_wrong_options_are_usage_errors(folder, arguments, words):
+    done = run(folder, *arguments)
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.replace("│", " ").split())
+
+
+def test_bad_input_is_one_line_and_exit_2(folder, tmp_path):
+    (tmp_path / "gallery.csv").write_text("name,result\nann,ann.exr\n")
+    command = [
+        sys.executable,
+        "-m",
+        "scan2albedo",
+        "identify",
+        "--gallery",
+        tmp_path / "gallery.csv",
+    ]
+    command += ["--probes", folder / "probes.csv", "-o", tmp_path / "out"]
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, timeout=100)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "lacks the column person" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_read(folder, tmp_path):
+    (tmp_path / "file").touch()
+    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "file", gallery="none.csv")
+    assert isinstance(done.exception, OutputError)

@@ -1,0 +1,46 @@
+"""The command `report`."""
+
+import json
+from importlib.resources import files
+
+from typer.testing import CliRunner
+
+from scan2albedo.cli.commands import app
+
+
+def test_report_writes_the_page_and_tells_of_it(tmp_path):
+    scan = tmp_path / "out" / "cut"
+    scan.mkdir(parents=True)
+    (scan / "result.json").write_text("{")
+    told = CliRunner().invoke(
+        app, ["report", str(tmp_path / "out"), "-o", str(tmp_path / "p.html"), "--json"]
+    )
+    assert told.exit_code == 0, told.output
+    summary = json.loads(told.stdout)
+    assert summary == {
+        "status": "done",
+        "out": str(tmp_path / "p.html"),
+        "scans": 1,
+        "done": 0,
+        "failed": 1,
+        "sections": 0,
+        "size_bytes": (tmp_path / "p.html").stat().st_size,
+    }
+
+
+def test_report_refuses_other_names_and_folders_without_results(tmp_path):
+    wrong = CliRunner().invoke(app, ["report", str(tmp_path), "-o", "page.pdf"])
+    assert wrong.exit_code == 2
+    nothing = CliRunner().invoke(app, ["report", str(tmp_path)])
+    assert "holds no result.json" in str(nothing.exception)
+
+
+def test_the_package_data_lists_the_files_of_the_page():
+    import tomllib
+    from pathlib import Path
+
+    root = Path(__file__).resolve().parents[2]
+    listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    for folder in ("static", "templates"):
+        assert f"report/html/{folder}/*" in listed["scan2albedo"]
+        assert [f for f in (files("scan2albedo.report.html") / folder).iterdir() if f.is_file()]

@@ -1,0 +1,90 @@
+"""Budgets, meters and traces."""
+
+import csv
+import io
+
+import pytest
+
+from scan2albedo.core import Budget, Meter, Trace, TraceRow
+
+
+def test_a_number_means_seconds_and_none_means_no_limit():
+    assert Budget.of(3) == Budget(seconds=3.0)
+    assert Budget.of(None) == Budget()
+    budget = Budget(evaluations=7)
+    assert Budget.of(budget) is budget
+
+
+@pytest.mark.parametrize("arguments", [{"seconds": 0}, {"seconds": -1}, {"evaluations": 0}])
+def test_empty_budgets_are_refused(arguments):
+    with pytest.raises(ValueError, match="must be"):
+        Budget(**arguments)
+
+
+def test_meter_counts_and_is_exhausted_by_evaluations():
+    meter = Meter("fit", "mm", Budget(evaluations=5))
+    meter.count(4)
+    assert not meter.exhausted
+    meter.count()
+    assert meter.exhausted
+    assert not Meter("fit", "mm").exhausted
+
+
+def test_only_seconds_run_out_of_time():
+    counted = Meter("fit", "mm", Budget(evaluations=1))
+    counted.count()
+    assert counted.exhausted
+    assert not counted.out_of_time
+    assert Meter("fit", "mm", Budget(seconds=1e-9)).out_of_time
+    assert not Meter("fit", "mm", Budget(seconds=1e9, evaluations=1)).out_of_time
+
+
+def test_finishing_may_take_a_fifth_of_the_budget_or_three_tenths_of_a_second():
+    assert not Meter("fit", "mm").late_for(1e9)
+    assert not Meter("fit", "mm", Budget(evaluations=1)).late_for(1e9)
+    short, long = Meter("fit", "mm", Budget(seconds=0.1)), Meter("fit", "mm", Budget(seconds=1000))
+    assert (short.late_for(0.05), short.late_for(0.41)) == (False, True)
+    assert (long.late_for(1100), long.late_for(1201)) == (False, True)
+
+
+def test_meter_records_rows_and_tells_the_caller():
+    heard = []
+    meter = Meter("fit", "mm", Budget(), heard.append)
+    for evaluations, error in ((1, 2.0), (2, 1.0)):
+        meter.count(evaluations)
+        meter.record(error)
+    assert [row.evaluations for row in meter.trace] == [1, 3]
+    assert [row.error for row in heard] == [2.0, 1.0]
+    assert meter.trace.rows[1].elapsed_s >= meter.trace.rows[0].elapsed_s
+
+
+def test_trace_joins_selects_writes_and_draws(tmp_path):
+    first = Trace((TraceRow("register", 0.1, 0.1, 3, 5.0, "mm"),))
+    trace = first + Trace((TraceRow("fit", 0.2, 0.3, 9, 0.5, "mm"),))
+    assert trace.stages == ("register", "fit")
+    assert trace.of_stage("fit").rows[0].error == 0.5
+    text = trace.to_csv(tmp_path / "trace.csv")
+    assert (tmp_path / "trace.csv").read_text() == text
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert [row["stage"] for row in rows] == ["register", "fit"]
+    assert float(rows[1]["error"]) == 0.5
+    assert len(trace.plot().axes) == 2
+
+
+def test_a_child_has_what_is_left_and_its_work_is_adopted():
+    meter = Meter("albedo", "cost", Budget(evaluations=10))
+    meter.count(4)
+    child = meter.child("annealing", "cost")
+    assert child.budget.evaluations == 6
+    child.count(6)
+    child.record(0.5)
+    assert child.exhausted
+    meter.adopt(child)
+    assert meter.exhausted
+    assert meter.trace.stages == ("annealing",)
+
+
+def test_many_stages_are_drawn_in_rows():
+    figure = Trace(tuple(TraceRow(f"stage {i}", 1.0, 1.0, 1, 0.1, "mm") for i in range(8))).plot()
+    assert sum(bool(axis.lines) for axis in figure.axes) == 8
+    assert figure.get_figwidth() < 30

@@ -1,0 +1,33 @@
+"""Plan rows: order, selection, addition."""
+
+import dataclasses
+
+import pytest
+
+from scan2albedo.core import Plan, PlanStep
+
+SHADOWS = PlanStep("albedo.shadows", False, "the surface casts none", "0.0 %")
+LIGHTS = PlanStep("albedo.lights", True, "one light")
+FIT = PlanStep("fit", True, "deformed", "0.4 mm")
+
+
+def test_iterates_in_order_and_adds():
+    plan = Plan((SHADOWS,)) + Plan((LIGHTS, FIT))
+    assert list(plan) == [SHADOWS, LIGHTS, FIT]
+    assert len(plan) == 3
+    assert plan[2] is FIT
+
+
+def test_stage_selects_itself_and_what_lies_below_but_no_namesake():
+    other = PlanStep("albedoes", True, "")
+    plan = Plan((SHADOWS, LIGHTS, FIT, other))
+    assert plan.of_stage("albedo").steps == (SHADOWS, LIGHTS)
+    assert plan.of_stage("albedo.shadows").steps == (SHADOWS,)
+    assert not plan.ran("albedo.shadows")
+    assert plan.ran("albedo")
+    assert not plan.ran("register")
+
+
+def test_rows_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        LIGHTS.ran = False

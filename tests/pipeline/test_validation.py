@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scan2albedo.pipeline import validation
+from scan2albedo.pipeline.validation import (
+    LightingRow,
+    LightingTable,
+    ValidationRow,
+    ValidationTable,
+    angle_between_deg,
+    format_table,
+    mean_deviation_percent,
+    validate_face,
+    validate_hemisphere,
+    validate_lighting,
+    validation_row,
+)
+from scan2albedo.synthetic import Material, hemisphere, light_at
+
+
+def row(**changes) -> ValidationRow:
+    values = {
+        "light_angle_deg": 30.0,
+        "texture": "wood",
+        "brdf": "lambert",
+        "input_mse_percent": 5.0,
+        "mse_percent": 0.02,
+        "value_mse_percent": 0.03,
+        "relative_rmse": 0.01,
+        "light_error_deg": 0.5,
+        "light_count": 1,
+    }
+    return ValidationRow(**(values | changes))
+
+
+def test_a_hemisphere_is_measured_against_its_truth():
+    scene = hemisphere(lights=[light_at(30)], size=96, material=Material(sigma_rad=0.0))
+    measured = validation_row(scene, 30.0, "lambert")
+    assert measured.texture == "wood"
+    assert measured.input_mse_percent > 1
+    assert measured.mse_percent < 0.05
+    assert measured.value_mse_percent < 0.1
+    assert measured.light_error_deg < 5
+    assert measured.light_count >= 1
+
+
+def test_scenes_cover_every_light_texture_and_reflectance(monkeypatch):
+    asked = []
+
+    def recorded(scene, angle, brdf):
+        asked.append((brdf, scene.parameters.texture, angle, scene.lights[0]))
+        return row(light_angle_deg=angle, brdf=brdf)
+
+    monkeypatch.setattr(validation, "validation_row", recorded)
+    progress = []
+    table = validate_hemisphere(size=16, on_row=progress.append)
+    assert len(table.rows) == len(set(asked)) == 12
+    assert tuple(progress) == table.rows
+    assert {a[2] for a in asked} == {0.0, 30.0, 60.0}
+    assert all(np.rad2deg(a[3].azimuth_rad) == pytest.approx(a[2]) for a in asked)
+    assert table.paper_mse_percent == 1.07
+    assert validate_face(size=16).paper_mse_percent == 2.01
+
+
+def test_the_worst_row_and_channel_count():
+    table = ValidationTable("face", (row(), row(mse_percent=0.5), row(value_mse_percent=0.7)), 2.01)
+    assert table.worst_mse_percent == 0.7
+
+
+def test_angles_between_lights():
+    weak, strong = light_at(80, 0, intensity=0.1), light_at(10, 0, intensity=2.0)
+    assert angle_between_deg([weak, strong], light_at(-20)) == pytest.approx(30)
+    assert angle_between_deg([], light_at(0)) == 180
+
+
+def test_deviation_over_lights_by_hand():
+    images = [np.array([0.2, 0.4]), np.array([0.4, 0.2])]
+    assert mean_deviation_percent(images, 0.3) == pytest.approx(10.0)
+    assert mean_deviation_percent([5 * images[0], images[1]], 0.3) == pytest.approx(10.0)
+    assert mean_deviation_percent([images[0], 7 * images[0]], 0.3) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_tables_show_our_figures_beside_the_papers():
+    text = format_table(ValidationTable("face", (row(), row(light_angle_deg=60.0)), 2.01))
+    assert "worst: 0.0300 %   the paper: 2.01 %" in text
+    assert "60°" in text
+    assert len({len(line) for line in text.splitlines()[1:-1]}) == 1
+    lighting = LightingTable((LightingRow(1, 12.0, 2.0), LightingRow(2, 10.0, 3.0)), 11.0, 4.0)
+    assert lighting.texture_std_percent == 11.0
+    assert lighting.albedo_std_percent == 2.5
+    text = format_table(lighting)
+    assert "11.00 %" in text
+    assert "4.00 %" in text
+    assert "2.50 %" in text
+
+
+@pytest.mark.slow
+def test_hemispheres_stay_below_a_tenth_of_a_percent():
+    assert validate_hemisphere().worst_mse_percent <= 0.1
+
+
+@pytest.mark.slow
+def test_faces_stay_below_a_fifth_of_a_percent():
+    assert validate_face().worst_mse_percent <= 0.2
+
+
+@pytest.mark.slow
+def test_albedo_depends_on_light_less_than_the_papers():
+    table = validate_lighting()
+    assert table.texture_std_percent > 8
+    assert table.albedo_std_percent < 4
