@@ -1,5 +1,23 @@
-"""Simulated annealing."""
+"""Search for the least cost: simulated annealing and damped least squares."""
 
 from scan2albedo.optimization.annealing import AnnealingOptions, AnnealingResult, simulated_annealing
+from scan2albedo.optimization.least_squares import (
+    Damping,
+    Descent,
+    LeastSquaresPoint,
+    NormalEquations,
+    damped_step,
+    minimize,
+)
 
-__all__ = ["AnnealingOptions", "AnnealingResult", "simulated_annealing"]
+__all__ = [
+    "AnnealingOptions",
+    "AnnealingResult",
+    "Damping",
+    "Descent",
+    "LeastSquaresPoint",
+    "NormalEquations",
+    "damped_step",
+    "minimize",
+    "simulated_annealing",
+]

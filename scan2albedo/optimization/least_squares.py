@@ -1,0 +1,175 @@
+"""Damped least squares (Levenberg-Marquardt) over any state that a step can move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core import Meter
+
+FloatArray = NDArray[np.float64]
+
+_SMALLEST_DIAGONAL = 1e-9
+"""As a part of the largest: damps parameters that the cost does not depend on, so that they stay."""
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """The quadratic model cost(d) = cost + gradient . d + d . matrix d / 2 of a step d (P,), within bounds.
+
+    A common factor of `matrix` and `gradient` does not matter.
+    """
+
+    matrix: FloatArray
+    """(P, P) Gauss-Newton matrix J^T W J."""
+    gradient: FloatArray
+    """(P,) J^T W r of the residuals r."""
+    lower: FloatArray | None = None
+    """(P,) <= 0: what a step may take off each parameter at most; None without limit."""
+    upper: FloatArray | None = None
+    """(P,) >= 0: what a step may add to each parameter at most; None without limit."""
+
+
+class LeastSquaresPoint(Protocol):
+    """A state with its cost: what `minimize` walks over.
+
+    The point counts its own evaluation in the meter. Where the weights of a robust loss are held fixed
+    during a step, `cost` of a point and of what `moved` makes of it must be under the same weights;
+    `minimize` reads `cost` only after `normal_equations`, which may settle new ones.
+    """
+
+    @property
+    def cost(self) -> float:
+        """What is minimised; NaN or infinite where the state is not possible."""
+
+    def normal_equations(self) -> NormalEquations:
+        """Return the quadratic model around the state; asked for once, and only of the best state so far."""
+
+    def moved(self, step: FloatArray) -> Self:
+        """Return the state that a step (P,) leads to, evaluated."""
+
+
+Point = TypeVar("Point", bound=LeastSquaresPoint)
+
+
+@dataclass(frozen=True)
+class Damping:
+    """How the damping, a factor of the matrix's diagonal, follows the success of the steps."""
+
+    first: float = 1e-3
+    decrease: float = 0.2
+    """Factor after a step that lowered the cost."""
+    increase: float = 8.0
+    """Factor after one that did not."""
+    least: float = 1e-9
+    after_failure: float = 0.0
+    """Least damping after a step that did not lower the cost: skips trials that would hardly differ."""
+    largest: float = 1e10
+    """Beyond it no step along the descent direction helps: the state is a minimum."""
+
+
+@dataclass(frozen=True)
+class Descent(Generic[Point]):
+    """Where `minimize` ended."""
+
+    best: Point
+    converged: bool
+    """True at a minimum, as far as the tolerances tell; False when trials, steps or the budget ended first."""
+    steps: int
+    """Steps that lowered the cost."""
+    damping: float
+    """At the end, with which another run may go on."""
+
+
+def minimize(
+    start: Point,
+    *,
+    trials: int | None = None,
+    steps: int | None = None,
+    tolerance: float = 0.0,
+    flat_steps: int = 1,
+    step_tolerance: float = 0.0,
+    damping: Damping = Damping(),
+    meter: Meter | None = None,
+    on_better: Callable[[Point], None] | None = None,
+) -> Descent[Point]:
+    """Go down by damped Gauss-Newton steps, each solving (matrix + damping diag(matrix)) d = -gradient.
+
+    A step is taken when it lowers the cost; else it is tried again with more damping.
+
+    Parameters
+    ----------
+    start : LeastSquaresPoint
+        Returned as it is when its cost is not finite.
+    trials, steps : int, optional
+        Most steps tried, and most of them that lower the cost.
+    tolerance, flat_steps : float, int
+        Converged after so many steps one after the other that each lower the cost by less than this part.
+    step_tolerance : float
+        Converged after a step that is not longer than this.
+    damping : Damping
+    meter : Meter, optional
+        Its budget ends the descent with the best so far.
+    on_better : callable, optional
+        Gets the start and every better point.
+
+    Returns
+    -------
+    Descent
+
+    References
+    ----------
+    .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
+       1963.
+    """
+    best, strength, taken, flat = start, damping.first, 0, 0
+    if not math.isfinite(start.cost):
+        return Descent(start, False, 0, strength)
+    if on_better is not None:
+        on_better(start)
+    tried, model = 0, None
+    while (trials is None or tried < trials) and (steps is None or taken < steps):
+        if meter is not None and meter.exhausted:
+            break
+        model = best.normal_equations() if model is None else model
+        step = damped_step(model, strength)
+        trial, before = best.moved(step), best.cost
+        tried += 1
+        small = float(np.linalg.norm(step)) <= step_tolerance
+        if trial.cost < before:
+            fall = before - trial.cost
+            best, model, taken = trial, None, taken + 1
+            strength = max(strength * damping.decrease, damping.least)
+            if on_better is not None:
+                on_better(best)
+            flat = flat + 1 if fall < tolerance * abs(before) else 0
+            small = small or flat == flat_steps
+        else:
+            strength = max(strength * damping.increase, damping.after_failure)
+        if small or strength > damping.largest:
+            return Descent(best, True, taken, strength)
+    return Descent(best, False, taken, strength)
+
+
+def damped_step(model: NormalEquations, damping: float) -> FloatArray:
+    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay."""
+    free = np.ones(len(model.gradient), bool)
+    if model.lower is not None:
+        free &= (model.lower < 0) | (model.gradient <= 0)
+    if model.upper is not None:
+        free &= (model.upper > 0) | (model.gradient >= 0)
+    step = np.zeros(len(free))
+    if not free.any():
+        return step
+    matrix = model.matrix[np.ix_(free, free)]
+    diagonal = np.diag(matrix)
+    diagonal = np.maximum(diagonal, _SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
+    step[free] = -np.linalg.solve(matrix + damping * np.diag(diagonal), model.gradient[free])
+    if model.lower is not None or model.upper is not None:
+        step = np.clip(step, model.lower, model.upper)
+    return step
