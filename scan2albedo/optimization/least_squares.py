@@ -79,7 +79,7 @@ class Descent(Generic[Point]):
 
     best: Point
     converged: bool
-    """True at a minimum, as far as the tolerances tell; False when trials, steps or the budget ended first."""
+    """True at a minimum as far as the tolerances tell, False when trials, steps or budget ended first."""
     steps: int
     """Steps that lowered the cost."""
     damping: float
