@@ -16,13 +16,12 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError
 from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
-from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import LightRecord, plain_json, write_record
-from scan2albedo.io.staging import publish, staging_folder, telling_where
 from scan2albedo.lighting.asrm import Reflectance
 
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
@@ -84,12 +83,11 @@ def write_face(
     """
     target = Path(folder)
     check_face_folder(target)
-    with telling_where(target), staging_folder(make_folder(target), "face") as staging:
+    with result_folder(target, APPLICATION_FILE) as staging:
         _write_images(face, staging)
         written = sorted(path.name for path in staging.iterdir())
         record = _record(face, application, inputs, options or {}, (*written, APPLICATION_FILE))
         write_record(staging / APPLICATION_FILE, record)
-        publish(staging, target, APPLICATION_FILE)
     return target
 
 

@@ -14,9 +14,9 @@ from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.io.atomic import make_folder, write_bytes
+from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
-from scan2albedo.io.staging import publish, staging_folder, telling_where
+from scan2albedo.io.result_folder import result_folder
 
 
 def light_arc(
@@ -132,12 +132,10 @@ def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> lis
         When the folder cannot be written.
     """
     target, names = Path(folder), [f"frame_{k:03d}.png" for k in range(len(frames))]
-    with telling_where(target), staging_folder(make_folder(target), "frames") as staging:
+    older = [path.name for path in target.glob("frame_[0-9]*.png")]
+    with result_folder(target, obsolete=older) as staging:
         for name, frame in zip(names, frames, strict=True):
             write_png(staging / name, frame)
-        for old in target.glob("frame_[0-9]*.png"):
-            old.unlink()
-        publish(staging, target)
     return [target / name for name in names]
 
 

@@ -48,10 +48,10 @@ def batch(
     signal.signal(signal.SIGINT, signal.default_int_handler)
     from scan2albedo.batch import run_batch
     from scan2albedo.cli.batch_progress import BatchLines
-    from scan2albedo.io.staging import gone_if_empty
+    from scan2albedo.io.result_folder import removed_if_empty
 
     try:
-        with gone_if_empty(out), BatchLines() as lines:
+        with removed_if_empty(out), BatchLines() as lines:
             report = run_batch(
                 manifest,
                 out,

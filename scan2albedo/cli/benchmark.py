@@ -33,14 +33,13 @@ def benchmark(
     """
     from scan2albedo.benchmarks.run import STAGES, run_benchmarks, write_benchmarks
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.staging import gone_if_empty
-    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.io.result_folder import check_writable, removed_if_empty
 
     chosen = tuple(dict.fromkeys(stages or STAGES))
     if unknown := [name for name in chosen if name not in STAGES]:
         raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(STAGES)}")
     stop_cleanly_on_interrupt(None)
-    with gone_if_empty(out), ProgressLines("benchmark") as progress:
+    with removed_if_empty(out), ProgressLines("benchmark") as progress:
         check_writable(out)
         report = run_benchmarks(
             stages or (),

@@ -51,8 +51,7 @@ def recognition(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.experiments.recognition import RecognitionExperimentOptions, run_recognition_experiment
     from scan2albedo.experiments.recognition.files import write_report
-    from scan2albedo.io.staging import gone_if_empty
-    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.io.result_folder import check_writable, removed_if_empty
 
     try:
         options = RecognitionExperimentOptions(persons=persons, probes=probes, size=size, seed=seed)
@@ -66,7 +65,7 @@ def recognition(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     stop_cleanly_on_interrupt(None)
-    with gone_if_empty(out), ProgressLines("recognition") as progress:
+    with removed_if_empty(out), ProgressLines("recognition") as progress:
         check_writable(out)
         report = run_recognition_experiment(
             out / SCANS,

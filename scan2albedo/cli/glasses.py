@@ -63,7 +63,7 @@ def canonicalize(
     from scan2albedo.errors import EyeglassesError
     from scan2albedo.eyeglasses.app.canonical_files import write_canonical_files
     from scan2albedo.eyeglasses.app.canonicalization import FailedFrame, canonicalize_frames, read_frames
-    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.io.result_folder import check_writable
 
     carrier, spend = _carrier(handles), _checked_budget(unit, budget)
     stop_cleanly_on_interrupt(out)
@@ -158,7 +158,7 @@ def register(
     from scan2albedo.eyeglasses.app.registration import register_frame
     from scan2albedo.eyeglasses.app.registration_files import write_registration_files
     from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
-    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.io.result_folder import check_writable
 
     spend = _checked_budget(unit, budget)
     if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
@@ -259,7 +259,7 @@ def lenses(
     from scan2albedo.eyeglasses import LensPictureOptions
     from scan2albedo.eyeglasses.app.lens_input import check_unit, material_pair, read_lens_input
     from scan2albedo.eyeglasses.app.lens_run import run_lenses
-    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.io.result_folder import check_writable
 
     try:
         check_unit(unit)

@@ -53,12 +53,11 @@ def identify(
     _check_options(probes, out, combine, save_templates)
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.staging import gone_if_empty
-    from scan2albedo.pipeline.result_files import check_writable
+    from scan2albedo.io.result_folder import check_writable, removed_if_empty
     from scan2albedo.recognition import identify_results, read_labelled_templates, write_templates
     from scan2albedo.recognition.app.files import identification_record, write_identification
 
-    with gone_if_empty(out), ProgressLines("identify") as progress:
+    with removed_if_empty(out), ProgressLines("identify") as progress:
         if out is not None:
             check_writable(out)
         known = read_labelled_templates(

@@ -164,6 +164,14 @@ def write_record(path: str | Path, record: Record) -> None:
     write_text(path, record.model_dump_json(indent=2) + "\n")
 
 
+def listed_files(path: Path, kind: type[Record]) -> tuple[str, ...]:
+    """Return the `files` of an older record, none when there is no such record of that kind."""
+    try:
+        return tuple(getattr(read_record(path, kind), "files", ()))
+    except Scan2AlbedoError:
+        return ()
+
+
 def read_record(path: str | Path, kind: type[RecordType]) -> RecordType:
     """Read and check a record, for example ``read_record("out/james/result.json", ResultRecord)``.
 

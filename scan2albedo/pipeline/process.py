@@ -92,7 +92,7 @@ def process(
     )
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
-        from scan2albedo.pipeline.result_files import check_writable
+        from scan2albedo.io.result_folder import check_writable
 
         check_writable(Path(out))
     result = run.result(source, model, name, lights=lights, brdf=brdf, unit=unit)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +10,11 @@ import numpy as np
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError
-from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import (
     InputRecord,
     LightRecord,
@@ -27,7 +25,6 @@ from scan2albedo.io.result_json import (
     plain_json,
     write_record,
 )
-from scan2albedo.io.staging import staging_folder
 from scan2albedo.report.figures import save_figure
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
 
@@ -56,22 +53,6 @@ FILES = frozenset(
 """Every file a result may have."""
 
 
-def check_writable(out: Path) -> None:
-    """Create `out` and prove that a file can be written there.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
-    """
-    make_folder(out)
-    try:
-        with tempfile.NamedTemporaryFile(dir=out, prefix=".probe-"):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
-
-
 def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
@@ -86,22 +67,9 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
         Naming the folder and the cause.
     """
     folder = out / result.scan.name
-    try:
-        with staging_folder(make_folder(out), folder.name) as staging:
-            _write_all(result, staging, pictures)
-            make_folder(folder)
-            (folder / "result.json").unlink(missing_ok=True)
-            for name in FILES - {path.name for path in staging.iterdir()}:
-                (folder / name).unlink(missing_ok=True)  # of an older run with more stages
-            for path in sorted(staging.iterdir(), key=lambda p: p.name == "result.json"):
-                os.replace(path, folder / path.name)
-    except (OSError, OutputError) as error:
-        cause = error if isinstance(error, OSError) else error.__cause__
-        reason = getattr(cause, "strerror", None) or str(error)
-        raise OutputError(
-            f"cannot write the results into {folder}: {reason}; "
-            "check that the folder can be written and has about 50 MB left, or choose another"
-        ) from error
+    # An older run may have had more stages.
+    with result_folder(folder, "result.json", obsolete=FILES, staged_in=out) as staging:
+        _write_all(result, staging, pictures)
     return folder
 
 

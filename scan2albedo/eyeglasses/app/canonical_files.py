@@ -24,6 +24,7 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, FailedFrameRecord
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import (
     InputRecord,
     PlanRecord,
@@ -32,7 +33,6 @@ from scan2albedo.io.result_json import (
     write_record,
 )
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
-from scan2albedo.io.staging import publish, staging_folder, telling_where
 from scan2albedo.report.glasses_overview import COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
 
@@ -56,16 +56,12 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
     OutputError
         Naming the folder and the cause.
     """
-    with telling_where(out), staging_folder(make_folder(out), "glasses") as staging:
+    with result_folder(out, SET_RECORD, FRAME_RECORD) as staging:
         figures = {
             frame.name: _write_frame(frame, canonical, make_folder(staging / frame.name))
             for frame, canonical in zip(done.frames, done.result.frames, strict=True)
         }
         _write_set(done, staging)
-        (out / SET_RECORD).unlink(missing_ok=True)
-        for frame in done.frames:
-            publish(staging / frame.name, make_folder(out / frame.name), FRAME_RECORD)
-        publish(staging, out, SET_RECORD)
     return figures
 
 

@@ -30,10 +30,8 @@ from scan2albedo.eyeglasses.app.registration_input import RegistrationFiles, rea
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.staging import publish, staging_folder, telling_where
-from scan2albedo.pipeline.result_files import check_writable
+from scan2albedo.io.result_folder import check_writable, result_folder
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
 
@@ -136,7 +134,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
         Camera(f"camera_{number}", matrix, (height, width))
         for number, matrix in enumerate(person.cameras, start=1)
     ]
-    with telling_where(folder), staging_folder(make_folder(out), INPUT) as staging:
+    with result_folder(folder, staged_in=out) as staging:
         _write_obj(staging / "frame.obj", (glasses.rest_vertices, glasses.faces))
         write_keypoints(keypoints_beside(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
         write_cameras(staging / "cameras.json", cameras)
@@ -144,8 +142,6 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
         write_masks(staging / "masks", list(person.masks), cameras)
         if head is not None:
             write_glb(staging / "head.glb", *head)
-        publish(staging, make_folder(folder))
-        publish(staging / "masks", make_folder(folder / "masks"))
     return RegistrationFiles(
         mesh=folder / "frame.obj",
         cameras=folder / "cameras.json",

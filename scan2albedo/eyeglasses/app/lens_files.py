@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,15 @@ import numpy as np
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.eyeglasses import InsertedLens, Surface
 from scan2albedo.eyeglasses.app.lens_input import LensInput, file_sha256
 from scan2albedo.eyeglasses.app.lenses import LensView, RenderedLenses
-from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.lens_json import FileRecord, LensesRecord, LensRecord, LensViewRecord
 from scan2albedo.io.parts_glb import GlbPart, write_parts_glb
-from scan2albedo.io.result_json import InputRecord, installed_versions, read_record, write_record
-from scan2albedo.io.staging import staging_folder
+from scan2albedo.io.result_folder import result_folder
+from scan2albedo.io.result_json import InputRecord, installed_versions, listed_files, write_record
 from scan2albedo.report.lens_overview import COLUMNS, lens_panels, preview
 from scan2albedo.report.overview import overview_figure
 
@@ -44,31 +41,9 @@ def write_lens_files(rendered: RenderedLenses, source: LensInput, out: Path) -> 
     OutputError
         Naming the folder and the cause.
     """
-    try:
-        with staging_folder(make_folder(out), "lenses") as staging:
-            record = _write_all(rendered, source, staging)
-            _remove_older(out, record.files)
-            for path in sorted(staging.iterdir(), key=lambda p: p.name == RECORD):
-                os.replace(path, out / path.name)
-    except (OSError, OutputError) as error:
-        cause = error if isinstance(error, OSError) else error.__cause__
-        reason = getattr(cause, "strerror", None) or str(error)
-        raise OutputError(
-            f"cannot write the results into {out}: {reason}; check that the folder can be written, or choose "
-            "another"
-        ) from error
-    return record
-
-
-def _remove_older(out: Path, files: tuple[str, ...]) -> None:
-    """Remove the record of an older run, and its files that the new one has not, such as other views."""
-    try:
-        older = read_record(out / RECORD, LensesRecord).files
-    except Scan2AlbedoError:
-        older = ()
-    for name in (RECORD, *(set(older) - set(files))):
-        if Path(name).name == name:
-            (out / name).unlink(missing_ok=True)
+    # An older run may have shown other views.
+    with result_folder(out, RECORD, obsolete=listed_files(out / RECORD, LensesRecord)) as staging:
+        return _write_all(rendered, source, staging)
 
 
 def _write_all(rendered: RenderedLenses, source: LensInput, folder: Path) -> LensesRecord:

@@ -10,11 +10,10 @@ from scan2albedo.core.version import VERSION
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, write_keypoints, write_registered
 from scan2albedo.eyeglasses.app.registration import PlacedFrame
 from scan2albedo.eyeglasses.keypoints import PARENTS
-from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.eyeglasses_json import FileRecord, RegisteredFrameRecord, RegisteredViewRecord
+from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import PlanRecord, installed_versions, plain_json, write_record
 from scan2albedo.io.skinned_glb import write_skinned_glb
-from scan2albedo.io.staging import publish, staging_folder, telling_where
 from scan2albedo.report.glasses_views import MOST_VIEWS, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure
 
@@ -39,10 +38,8 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
     OutputError
         Naming the folder and the cause.
     """
-    with telling_where(out), staging_folder(make_folder(out), "glasses") as staging:
-        figures = _write_all(done, staging)
-        publish(staging, out, RECORD)
-    return figures
+    with result_folder(out, RECORD) as staging:
+        return _write_all(done, staging)
 
 
 def _write_all(done: PlacedFrame, folder: Path) -> dict[str, Any]:

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo.core.version import VERSION
-from scan2albedo.io.atomic import make_folder, write_text
+from scan2albedo.io.atomic import write_text
 from scan2albedo.io.identification_json import (
     IDENTIFICATION_FILE,
     IdentificationRecord,
     ProbeRecord,
     RatesRecord,
 )
+from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import write_record
-from scan2albedo.io.staging import publish, staging_folder, telling_where
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
 
 FILES = frozenset({"identification.csv", "similarities.npz", "cmc.png", "roc.png", IDENTIFICATION_FILE})
@@ -67,7 +67,7 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
         When the folder cannot be written.
     """
     target = Path(folder)
-    with telling_where(target), staging_folder(make_folder(target), "identification") as staging:
+    with result_folder(target, IDENTIFICATION_FILE, obsolete=FILES) as staging:
         write_text(staging / "identification.csv", _table(found))
         np.savez(
             staging / "similarities.npz",
@@ -80,9 +80,6 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
         written = sorted(path.name for path in staging.iterdir())
         record = identification_record(found, (*written, IDENTIFICATION_FILE))
         write_record(staging / IDENTIFICATION_FILE, record)
-        for name in FILES - {*written, IDENTIFICATION_FILE}:
-            (target / name).unlink(missing_ok=True)
-        publish(staging, target, IDENTIFICATION_FILE)
     return record
 
 

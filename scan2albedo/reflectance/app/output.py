@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import ReflectanceError, Scan2AlbedoError
-from scan2albedo.io.atomic import make_folder
+from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.images import write_png
 from scan2albedo.io.reflectance_json import REFLECTANCE_FILE, ReflectanceRecord
-from scan2albedo.io.result_json import read_record, write_record
-from scan2albedo.io.staging import publish, staging_folder, telling_where
+from scan2albedo.io.result_folder import result_folder
+from scan2albedo.io.result_json import listed_files, write_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,15 +71,6 @@ def folder_of_results(out: Path, command: str, inputs: Sequence[str | Path]) -> 
     """
     if any(Path(path).resolve() == out.resolve() for path in inputs):
         raise ReflectanceError(f"{out} is where {command} reads from; write to another folder")
-    with telling_where(out), staging_folder(make_folder(out), "reflectance") as staging:
+    older = listed_files(out / REFLECTANCE_FILE, ReflectanceRecord)
+    with result_folder(out, REFLECTANCE_FILE, obsolete=older) as staging:
         yield Results(staging, command, inputs)
-        _remove_older(out, staging)
-        publish(staging, out, REFLECTANCE_FILE)
-
-
-def _remove_older(out: Path, staging: Path) -> None:
-    """Remove what the record in `out` lists and the new result does not bring."""
-    with suppress(Scan2AlbedoError):  # there is none, or somebody else's
-        for name in read_record(out / REFLECTANCE_FILE, ReflectanceRecord).files:
-            if Path(name).name == name and not (staging / name).exists():
-                (out / name).unlink(missing_ok=True)

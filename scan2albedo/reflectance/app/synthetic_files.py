@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import write_png
-from scan2albedo.io.staging import publish, staging_folder, telling_where
+from scan2albedo.io.result_folder import result_folder
 from scan2albedo.reflectance import write_capture, write_photograph
 from scan2albedo.reflectance.capture_files import FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.reflectance.photograph_files import FacePhotographFile
@@ -31,7 +30,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
         Naming the folder and the cause.
     """
     _refuse_floats(capture.options.bits)
-    with telling_where(folder), staging_folder(make_folder(folder), "capture") as staging:
+    with result_folder(folder, CAPTURE_FILE) as staging:
         _write_mesh(staging / _MESH, capture.vertices, capture.faces)
         pairs = []
         for j, (view, light) in enumerate(zip(capture.view, capture.light, strict=True)):
@@ -44,7 +43,6 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
                 PairEntry(camera=_name(view), flash=_name(light), flash_image=flash, room_image=room)
             )
         write_capture(staging / CAPTURE_FILE, _content(capture, tuple(pairs)))
-        publish(staging, folder, CAPTURE_FILE)
     return folder / CAPTURE_FILE
 
 
@@ -60,7 +58,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
     """
     _refuse_floats(taken.options.bits)
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
-    with telling_where(folder), staging_folder(make_folder(folder), "photograph") as staging:
+    with result_folder(folder, PHOTOGRAPH_FILE) as staging:
         write_png(staging / _IMAGE, taken.image)
         write_png(staging / _SKIN, _white_where(taken.skin))
         if mesh:
@@ -77,7 +75,6 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
             }
         )
         write_photograph(staging / PHOTOGRAPH_FILE, content)
-        publish(staging, folder, PHOTOGRAPH_FILE)
     return folder / PHOTOGRAPH_FILE
 
 
