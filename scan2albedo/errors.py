@@ -1,5 +1,8 @@
 """The errors scan2albedo raises on purpose; every message names the thing, what is wrong and what to do."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class Scan2AlbedoError(Exception):
     """Base of every error that scan2albedo raises about its input or its work."""
@@ -55,3 +58,33 @@ class OutputError(Scan2AlbedoError):
 
 class MissingDependencyError(Scan2AlbedoError):
     """A library or a system library is missing; the message holds the command that mends it."""
+
+
+@contextmanager
+def needs_extra(extra: str) -> Iterator[None]:
+    """Turn a library that cannot be imported in the block into an error that names the extra to install.
+
+    Parameters
+    ----------
+    extra : str
+        Of `project.optional-dependencies` in pyproject.toml: "batch", "cluster", "recognition" or "report".
+
+    Raises
+    ------
+    MissingDependencyError
+        When an import in the block fails.
+
+    Examples
+    --------
+    >>> with needs_extra("report"):
+    ...     import a_missing_library
+    Traceback (most recent call last):
+        ...
+    scan2albedo.errors.MissingDependencyError: No module named 'a_missing_library'; install ...
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{error}; install what this needs with: pip install 'scan2albedo[{extra}]'"
+        ) from error
