@@ -12,10 +12,12 @@ Examples
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
 from scan2albedo.core.version import VERSION
 
 if TYPE_CHECKING:
@@ -33,6 +35,15 @@ if TYPE_CHECKING:
     from scan2albedo.registration import Registration, register
 
 __version__ = VERSION
+
+
+def _template_annotator() -> Callable[..., Any]:
+    from scan2albedo.applications.template_annotation import annotated_model
+
+    return annotated_model
+
+
+TEMPLATE_ANNOTATOR.provide(_template_annotator)
 
 _HOMES = {
     "AlbedoEstimate": "albedo",

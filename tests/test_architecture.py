@@ -13,10 +13,6 @@ ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("open3d", "igl", "embreex", "matplotlib", "cv2", "trimesh", "numba", "xatlas", "scipy", "pyrtools")
 KNOWN_CIRCLES = (
     # Packages whose circles are still to go: this list only shrinks.
-    "scan2albedo.face_model",
-    "scan2albedo.fitting",
-    "scan2albedo.registration",
-    "scan2albedo.applications.template_annotation",
     "scan2albedo.reflectance",
     "scan2albedo.benchmarks",
 )

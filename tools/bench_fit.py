@@ -170,9 +170,8 @@ def score_mesh(method: str, case: Case, vertices: FloatArray, cpu_s: float) -> S
 
 
 def _template_at_rest(model: s2a.AnnotatedFaceModel) -> FloatArray:
-    from scan2albedo.face_model.from_mesh import carried_template
 
-    template = carried_template(model, model.control_vertices)
+    template = model.template_of(model.control_vertices)
     assert template is not None
     return template
 

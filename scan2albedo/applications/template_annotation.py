@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scan2albedo.core import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model import AnnotatedFaceModel, Region
-from scan2albedo.face_model.annotation import MOUTH_REGION
+from scan2albedo.face_model.annotation import LANDMARK_LEVELS, MOUTH_REGION, AnnotatedSurface
 from scan2albedo.face_model.from_mesh import FILLED_REGION, DenseTemplate, model_from_surface
 from scan2albedo.face_model.limit_fit import project
-from scan2albedo.face_model.model import LANDMARK_LEVELS
 from scan2albedo.face_model.template_surface import TemplateSurface
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -38,7 +37,7 @@ INNER = slice(17, 68)
 LIPS = ("upper_lip", "lower_lip")
 
 
-def annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedFaceModel:
+def annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
     """Make a model in the convention's axes, with the default model's annotation where none is given.
 
     Parameters
@@ -60,7 +59,7 @@ def annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size
         return replace(model, notes=(*model.notes, f"axes taken as they are, nothing annotated: {found}"))
     rotation, note = _turn(found.model_from_scan[:3, :3])
     model = model_from_surface(surface.turned(rotation), given, control_size)
-    source = _AnnotatedSurface.of(found, compose(rotation, np.zeros(3)) @ invert_rigid(found.model_from_scan))
+    source = _FittedDefault.of(found, compose(rotation, np.zeros(3)) @ invert_rigid(found.model_from_scan))
     notes = [*model.notes, note]
     if given.regions is None:
         region, table = _carried_regions(source, model)
@@ -97,7 +96,7 @@ def _turn(rotation: FloatArray) -> tuple[FloatArray, str]:
 
 
 @dataclass(frozen=True)
-class _AnnotatedSurface:
+class _FittedDefault:
     """The skin of the fitted default model in the new model's frame: (V, 3) mm, (F, 3), its annotation."""
 
     vertices: FloatArray
@@ -107,7 +106,7 @@ class _AnnotatedSurface:
     default: AnnotatedFaceModel
 
     @classmethod
-    def of(cls, fitted: FittedFace, model_from_default: FloatArray) -> _AnnotatedSurface:
+    def of(cls, fitted: FittedFace, model_from_default: FloatArray) -> _FittedDefault:
         assert fitted.landmarks is not None  # the default model has them
         skin = fitted.region != fitted.model.regions[MOUTH_REGION].index
         return cls(
@@ -120,7 +119,7 @@ class _AnnotatedSurface:
 
 
 def _carried_regions(
-    source: _AnnotatedSurface, model: AnnotatedFaceModel
+    source: _FittedDefault, model: AnnotatedSurface
 ) -> tuple[NDArray[np.uint8], dict[str, Region]]:
     """Give each control face the region that lies on it; what closes the mouth's own hole is film."""
     first = 1 + max(region.index for region in model.regions.values())
@@ -139,9 +138,7 @@ def _carried_regions(
     return region.astype(np.uint8), {**model.regions, **added}
 
 
-def _carried_landmarks(
-    source: _AnnotatedSurface, model: AnnotatedFaceModel
-) -> tuple[SurfacePoints | None, str]:
+def _carried_landmarks(source: _FittedDefault, model: AnnotatedSurface) -> tuple[SurfacePoints | None, str]:
     """Place the landmarks where they lie on the template; none when an inner one lies beside it."""
     surface = ClosestPointQuery(source.vertices, source.faces).query(source.landmarks)
     normals = face_normals(source.vertices, source.faces)[surface.face]

@@ -175,7 +175,7 @@ def _remove_older_result(folder: Path) -> None:
 @lru_cache(_MODELS_KEPT)
 def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
     """Return the model, read once a worker as long as its files' hash is the same."""
-    from scan2albedo.face_model.chosen_model import chosen_model
+    from scan2albedo.face_model import chosen_model
 
     return chosen_model(model) or "none"
 

@@ -87,7 +87,7 @@ def transfer_expression(
     """Give B's face the expression of A's."""
     from scan2albedo import applications
     from scan2albedo.applications.expression_transfer import level_to_refine
-    from scan2albedo.face_model.chosen_model import chosen_model
+    from scan2albedo.face_model import chosen_model
 
     chosen: dict[str, Any] = {"method": method, "strength": strength, "correspondence": correspondence}
     try:
@@ -118,7 +118,7 @@ def personal_model(
     stays, so results go with those of the model itself.
     """
     from scan2albedo import applications
-    from scan2albedo.face_model.chosen_model import chosen_model
+    from scan2albedo.face_model import chosen_model
 
     if out.suffix.lower() != ".json":
         raise typer.BadParameter(f"-o takes a name that ends in .json, not {out}")

@@ -73,7 +73,7 @@ def process(
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.face_model.chosen_model import chosen_model
+    from scan2albedo.face_model import chosen_model
     from scan2albedo.pipeline.process import process as run
 
     stop_cleanly_on_interrupt(out)

@@ -10,8 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model.annotation import Region
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import AnnotatedSurface, Region
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.checked_json import checked_content
@@ -55,7 +54,7 @@ class FaceModelFile(BaseModel):
     regions: dict[str, RegionEntry] = Field(description="by name, for example left_cheek")
 
 
-def save_model(model: AnnotatedFaceModel, path: str | Path) -> None:
+def save_model(model: AnnotatedSurface, path: str | Path) -> None:
     """Write `path` (.json) and, beside it, the arrays in `<stem>.npz`; same model, same bytes.
 
     Raises
@@ -90,7 +89,7 @@ def _entry_of(region: Region) -> RegionEntry:
     )
 
 
-def _arrays_of(model: AnnotatedFaceModel) -> Arrays:
+def _arrays_of(model: AnnotatedSurface) -> Arrays:
     arrays: Arrays = {
         "control_vertices": model.control_vertices.astype(np.float64),
         "control_faces": model.control_faces.astype(np.int32),
@@ -110,7 +109,7 @@ def _arrays_of(model: AnnotatedFaceModel) -> Arrays:
     return arrays
 
 
-def load_model(path: str | Path) -> AnnotatedFaceModel:
+def load_model(path: str | Path) -> AnnotatedSurface:
     """Read a model that `save_model` wrote.
 
     Raises
@@ -123,7 +122,7 @@ def load_model(path: str | Path) -> AnnotatedFaceModel:
     arrays = _read_arrays(arrays_path)
     _check_shapes(entry, arrays, arrays_path)
     template_faces = arrays.get("template_faces")
-    return AnnotatedFaceModel(
+    return AnnotatedSurface(
         arrays["control_vertices"].astype(np.float64),
         arrays["control_faces"].astype(np.int64),
         arrays["uv"].astype(np.float64),

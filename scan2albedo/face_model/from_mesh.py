@@ -1,4 +1,4 @@
-"""`AnnotatedFaceModel.from_mesh`: a model out of anyone's dense template."""
+"""An annotated surface out of anyone's dense template (`AnnotatedFaceModel.from_mesh`)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.annotation import LANDMARK_LEVELS, AnnotatedSurface, Region, surface_frames
 from scan2albedo.face_model.limit_fit import ControlMesh, decimated, fit_limit_surface, project
-from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
 from scan2albedo.face_model.template_cleaning import CleanTemplate, clean_template
 from scan2albedo.face_model.template_surface import TemplateSurface
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
@@ -46,10 +45,8 @@ class DenseTemplate:
     name: str
 
 
-def model_from_surface(
-    surface: TemplateSurface, given: DenseTemplate, control_size: int
-) -> AnnotatedFaceModel:
-    """Make a model of about `control_size` control vertices; `AnnotatedFaceModel.from_mesh` tells how.
+def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
+    """Make a surface of about `control_size` control vertices; see `AnnotatedFaceModel.from_mesh`.
 
     Parameters
     ----------
@@ -86,7 +83,7 @@ def model_from_surface(
         region[_over_holes(template, subdivision, control)] = index
         table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
     chart, chart_note = _chart(given.uv, template, control, matrix, name)
-    return AnnotatedFaceModel(
+    return AnnotatedSurface(
         control_vertices=control.vertices,
         control_faces=control.faces,
         uv=chart,
@@ -118,33 +115,6 @@ def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: F
         ),
     )
     return tuple(text for applies, text in told if applies)
-
-
-def surface_frames(corners: FloatArray) -> FloatArray:
-    """Return (N, 3, 3) orthonormal frames of triangles (N, 3, 3); columns: first edge, in-plane, normal.
-
-    A zero-area triangle gives zeros in the columns that are undefined, never NaN.
-    """
-    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(edge, other)
-    edge = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    return np.stack([edge, np.cross(normal, edge), normal], axis=2)
-
-
-def carried_template(model: AnnotatedFaceModel, control_points: FloatArray) -> FloatArray | None:
-    """Return the (T, 3) template vertices for deformed control points; None for models without a template.
-
-    Each vertex is its point on the limit surface plus its rest offset, turned with its control face.
-    """
-    if model.template_points is None:
-        return None
-    points = model.template_points
-    moved = model.subdivision(LANDMARK_LEVELS).points_matrix(points) @ control_points
-    if model.template_offset is None:
-        return moved
-    frames = surface_frames(control_points[model.control_faces[points.face]])
-    return moved + np.einsum("nij,nj->ni", frames, model.template_offset)
 
 
 def _all_placed(

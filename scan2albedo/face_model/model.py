@@ -1,57 +1,32 @@
-"""The Annotated Face Model: a Loop control mesh with regions, landmarks and one UV chart."""
+"""The Annotated Face Model: the default one, anyone's template, and files of both."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.errors import ModelError
-from scan2albedo.face_model.annotation import Region
-from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
-from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
+from scan2albedo.errors import ModelError, ScanError
+from scan2albedo.face_model.annotation import AnnotatedSurface
+from scan2albedo.face_model.files import load_model, save_model
+from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_surface
+from scan2albedo.face_model.template_surface import template_surface
+from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LANDMARK_LEVELS = 3
-"""Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
-
 
 @dataclass(frozen=True)
-class AnnotatedFaceModel:
-    """A face template whose surface is the Loop limit surface of a control mesh.
-
-    Parameters
-    ----------
-    control_vertices : (C, 3) float64
-        Millimetres; +x the subject's left, +y up, +z out of the face, origin at the centroid.
-    control_faces : (F, 3) int64
-        Disc topology, counter-clockwise seen from outside.
-    uv : (C, 2) float64
-        One continuous flip-free chart in the unit square, u grows with +x, v with +y.
-    region : (F,) uint8
-        Region index of each control face.
-    regions : mapping of str to Region
-        By name.
-    landmark_points : SurfacePoints, optional
-        68 points in iBUG-68 order on the control faces; None for templates without landmarks.
-    template_points : SurfacePoints, optional
-        Where each vertex of the dense template lies (`from_mesh`).
-    template_offset : (T, 3) float64, optional
-        Template vertex minus its surface point at rest, in the surface point's local frame or zeros.
-    template_faces : (T_F, 3) int64, optional
-        The template's own triangles.
-    template_from_model : (4, 4) float64, optional
-        Similarity from the model's frame in mm to the axes, origin and unit that the template came in.
-    notes : tuple of str
-        What `from_mesh` decided and mended, one sentence each.
-    name : str
-        Used in messages and results.
+class AnnotatedFaceModel(AnnotatedSurface):
+    """A face template whose surface is the Loop limit surface of a control mesh; see `AnnotatedSurface`.
 
     References
     ----------
@@ -59,93 +34,19 @@ class AnnotatedFaceModel:
        Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
     """
 
-    control_vertices: FloatArray
-    control_faces: IntArray
-    uv: FloatArray
-    region: NDArray[np.uint8]
-    regions: Mapping[str, Region]
-    landmark_points: SurfacePoints | None = None
-    template_points: SurfacePoints | None = None
-    template_offset: FloatArray | None = None
-    template_faces: IntArray | None = None
-    template_from_model: FloatArray | None = None
-    notes: tuple[str, ...] = ()
-    name: str = "annotated face model"
-    _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
-    _refined_uv: dict[int, FloatArray] = field(default_factory=dict, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        count, faces = len(self.control_vertices), len(self.control_faces)
-        if self.uv.shape != (count, 2):
-            raise ModelError(f"{self.name}: uv has shape {self.uv.shape}, expected ({count}, 2)")
-        if self.region.shape != (faces,):
-            raise ModelError(f"{self.name}: region has shape {self.region.shape}, expected ({faces},)")
-        known = {r.index for r in self.regions.values()}
-        unknown = sorted(set(np.unique(self.region).tolist()) - known)
-        if unknown:
-            raise ModelError(
-                f"{self.name}: faces carry region indices {unknown} that `regions` does not name"
-            )
-
-    def subdivision(self, levels: int) -> LoopSubdivision:
-        """Return the (cached) limit-surface matrices after `levels` refinements."""
-        if levels not in self._subdivisions:
-            self._subdivisions[levels] = LoopSubdivision.of(
-                len(self.control_vertices), self.control_faces, levels
-            )
-        return self._subdivisions[levels]
-
-    def refined_uv(self, levels: int) -> FloatArray:
-        """Return the (cached) chart (V, 2) at the vertices of `subdivision(levels)`, linear in each face."""
-        if levels not in self._refined_uv:
-            matrix = linear_refinement(len(self.control_vertices), self.control_faces, levels)
-            self._refined_uv[levels] = matrix @ self.uv
-        return self._refined_uv[levels].copy()
-
-    def surface(self, levels: int = 2) -> tuple[FloatArray, IntArray]:
-        """Return (vertices (V, 3), faces (F 4^levels, 3)) of the limit surface at rest."""
-        subdivision = self.subdivision(levels)
-        return subdivision.matrix @ self.control_vertices, subdivision.faces
-
-    @cached_property
-    def landmarks(self) -> FloatArray | None:
-        """(68, 3) landmarks in mm on the limit surface at rest, iBUG-68 order; None when not annotated."""
-        return self.landmarks_of(self.control_vertices)
-
-    def landmarks_of(self, control_points: FloatArray) -> FloatArray | None:
-        """Return the (68, 3) landmarks for deformed control points (C, 3)."""
-        if self.landmark_points is None:
-            return None
-        return self.subdivision(LANDMARK_LEVELS).points_matrix(self.landmark_points) @ control_points
-
-    def region_values(self, attribute: str) -> FloatArray:
-        """Return (256,) table from region index to a Region attribute (0 where unused).
-
-        >>> AnnotatedFaceModel.default().region_values("stiffness").shape
-        (256,)
-        """
-        table = np.zeros(256)
-        for region in self.regions.values():
-            table[region.index] = float(getattr(region, attribute))
-        return table
-
-    def in_region(self, name: str) -> NDArray[np.bool_]:
-        """Return (F_C,) which control faces lie in the region `name`; none where there is no such region."""
-        if name not in self.regions:
-            return np.zeros(len(self.control_faces), bool)
-        return np.asarray(self.region == self.regions[name].index)
-
     @classmethod
     def default(cls) -> AnnotatedFaceModel:
         """Return the model that ships with the package (cached)."""
         return _default_model()
 
     @classmethod
-    def load(cls, path: str | Path) -> AnnotatedFaceModel:
+    def load(cls, path: str | Path) -> Self:
         """Read a model from its JSON file."""
-        from scan2albedo.face_model.files import load_model
+        return cls._with_fields_of(load_model(path))
 
-        return load_model(path)
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON beside a small binary of its arrays."""
+        save_model(self, path)
 
     @classmethod
     def from_mesh(
@@ -159,7 +60,7 @@ class AnnotatedFaceModel:
         control_size: int = 1000,
         annotate: bool = True,
         name: str = "template",
-    ) -> AnnotatedFaceModel:
+    ) -> Self:
         """Make an `AnnotatedFaceModel` from a dense face template of 100 to 100,000 vertices.
 
         The template is mended (unit, seams, loose parts, a few faces that spoil the surface, holes for eyes
@@ -205,24 +106,71 @@ class AnnotatedFaceModel:
         ModelError
             When the template, the regions or the landmarks cannot be used; the message says why.
         """
-        from scan2albedo.applications.template_annotation import annotated_model
-        from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_surface
-        from scan2albedo.face_model.template_surface import template_surface
-
         given = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
         surface = template_surface(vertices, faces, name)
-        make = annotated_model if annotate else model_from_surface
-        return make(surface, given, control_size)
+        # Annotating registers and fits the default model: the stages, floors above this one, provide it.
+        make = TEMPLATE_ANNOTATOR.provided() if annotate else model_from_surface
+        return cls._with_fields_of(make(surface, given, control_size))
 
-    def save(self, path: str | Path) -> None:
-        """Write the model as JSON beside a small binary of its arrays."""
-        from scan2albedo.face_model.files import save_model
+    @classmethod
+    def from_file(cls, path: str | Path) -> Self:
+        """Make a model out of a template in an OBJ, PLY, GLB, glTF, STL or OFF file.
 
-        save_model(self, path)
+        The vertices keep the file's order. The chart is the file's where every vertex has one texture
+        coordinate, else a new one.
+
+        Raises
+        ------
+        ModelError
+            When the file cannot be read, or `from_mesh` cannot use the template.
+        """
+        file = Path(path)
+        try:
+            parsed = read_mesh_file(file)
+        except ScanError as error:
+            raise ModelError(f"template {error}") from error
+        uv = None if parsed.uv is None else vertex_uv(len(parsed.vertices), parsed.faces, parsed.uv)
+        return cls.from_mesh(parsed.vertices, parsed.faces, uv, name=file.stem)
+
+    @classmethod
+    def _with_fields_of(cls, surface: AnnotatedSurface) -> Self:
+        return cls(**{field.name: getattr(surface, field.name) for field in fields(surface)})
 
 
 @lru_cache(maxsize=1)
 def _default_model() -> AnnotatedFaceModel:
-    from importlib.resources import files
-
     return AnnotatedFaceModel.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
+
+
+def vertex_uv(count: int, faces: IntArray, corner_uv: FloatArray) -> FloatArray | None:
+    """Return (V, 2) coordinates where all corners of a vertex agree; None at seams and gaps.
+
+    Vertices without a face get (0, 0).
+    """
+    uv = np.zeros((count, 2))
+    uv[faces.ravel()] = corner_uv.reshape(-1, 2)
+    agree = np.abs(uv[faces] - corner_uv) < 1e-6
+    return uv if agree.all() else None
+
+
+def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
+    """Return the model that a user means: a model, a file of one or of a template, "default" or "none".
+
+    Raises
+    ------
+    ModelError
+        When there is no such file, or it holds neither.
+    """
+    if isinstance(model, AnnotatedFaceModel):
+        return model
+    if model is None or str(model) == "default":
+        return AnnotatedFaceModel.default()
+    if str(model) == "none":
+        return None
+    if not Path(model).is_file():
+        raise ModelError(
+            f"{model}: no such file; give a model's JSON file, a template's mesh, 'default' or 'none'"
+        )
+    if Path(model).suffix.lower() in SUPPORTED_SCANS:
+        return AnnotatedFaceModel.from_file(model)
+    return AnnotatedFaceModel.load(model)

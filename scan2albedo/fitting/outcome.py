@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import FitError
-from scan2albedo.face_model.from_mesh import carried_template
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesOutcome, imbalance_mm
@@ -75,7 +74,7 @@ def fitted_face(
         landmarks=model.landmarks_of(control),
         residual_mm=residual,
         model_from_scan=model_from_scan,
-        template_vertices=carried_template(model, control),
+        template_vertices=model.template_of(control),
         levels=options.result_levels,
         converged=outcome.converged and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
         iterations=deformation.meter.evaluations,

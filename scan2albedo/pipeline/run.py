@@ -13,8 +13,7 @@ import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.chosen_model import chosen_model
+from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan

@@ -18,7 +18,7 @@ from scan2albedo.applications.expression_transfer import expression_displacement
 from scan2albedo.applications.local_frames import local_similarities
 from scan2albedo.cli.commands import app
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model.chosen_model import chosen_model
+from scan2albedo.face_model import chosen_model
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 
 SMILE = "mouthSmile_L_mouthSmile_R"

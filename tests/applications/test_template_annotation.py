@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo.face_model.from_mesh import carried_template
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import procrustes, rotation_from_vector, transform_points
 
@@ -29,7 +28,7 @@ def turned(own):
 
 def test_a_turned_template_gets_the_conventions_axes(own, turned):
     vertices, _, _ = own
-    aligned = procrustes(carried_template(turned, turned.control_vertices), vertices)
+    aligned = procrustes(turned.template_of(turned.control_vertices), vertices)
     angle = np.degrees(np.arccos((np.trace(aligned[:3, :3]) - 1) / 2))
     assert angle < 1
     assert any("unit um" in note for note in turned.notes)
@@ -38,14 +37,14 @@ def test_a_turned_template_gets_the_conventions_axes(own, turned):
 
 def test_the_template_finds_its_way_back_to_its_own_axes_and_unit(own, turned):
     vertices, _, _ = own
-    carried = carried_template(turned, turned.control_vertices)
+    carried = turned.template_of(turned.control_vertices)
     back = transform_points(turned.template_from_model, carried)
     np.testing.assert_allclose(back, 1000 * vertices @ TURN.T + 5000, atol=1e-3)
 
 
 def test_landmarks_and_regions_are_carried_over(own, turned):
     vertices, _, landmarks = own
-    model_from_own = procrustes(vertices, carried_template(turned, turned.control_vertices))
+    model_from_own = procrustes(vertices, turned.template_of(turned.control_vertices))
     error = np.linalg.norm(turned.landmarks - transform_points(model_from_own, landmarks), axis=1)
     assert error.mean() < 0.5
     default = s2a.AnnotatedFaceModel.default()
@@ -111,7 +110,7 @@ def test_the_generic_face_in_metres_and_turned(shared_data, part):
     error = np.linalg.norm(found - given[data["landmarks68"]] * 1000, axis=1)
     assert error[INNER].mean() < 3
     np.testing.assert_allclose(
-        transform_points(model.template_from_model, carried_template(model, model.control_vertices)),
+        transform_points(model.template_from_model, model.template_of(model.control_vertices)),
         given,
         atol=1e-9,
     )

@@ -6,9 +6,9 @@ import pytest
 
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.from_mesh import carried_template, surface_frames
+from scan2albedo.face_model.annotation import surface_frames
+from scan2albedo.face_model.template_cleaning import boundary_loops
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.hole_filling import boundary_loops
 from scan2albedo.geometry.mesh import face_areas, face_cross_products
 
 plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
@@ -57,11 +57,11 @@ def test_a_dense_template_gets_a_small_control_mesh_whose_limit_surface_follows_
 
 def test_the_template_comes_back_exactly_at_rest_and_turns_with_the_surface(dense):
     vertices, faces, model = dense
-    carried = carried_template(model, model.control_vertices)
+    carried = model.template_of(model.control_vertices)
     np.testing.assert_allclose(carried, vertices - vertices.mean(0), atol=1e-9)
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     np.testing.assert_allclose(
-        carried_template(model, model.control_vertices @ turn.T + 5), carried @ turn.T + 5, atol=1e-9
+        model.template_of(model.control_vertices @ turn.T + 5), carried @ turn.T + 5, atol=1e-9
     )
     np.testing.assert_array_equal(model.template_faces, faces)
 
@@ -96,7 +96,7 @@ def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
     assert np.ptp(np.sign(centre[:, 0])) == 2
     area = face_areas(model.control_vertices, model.control_faces)[filled].sum()
     assert 300 < area < 3 * 2 * np.pi * 100
-    carried = carried_template(model, model.control_vertices)
+    carried = model.template_of(model.control_vertices)
     assert carried.shape == (count + 3, 3)
     gap = np.linalg.norm(carried[count:] - carried[0] - (eyeball - vertices[0]), axis=1)
     np.testing.assert_allclose(gap, 0, atol=1e-6)
@@ -110,7 +110,7 @@ def test_seams_with_doubled_vertices_are_welded():
         np.concatenate([vertices, vertices]), np.where(left[:, None], faces, faces + count), control_size=200
     )
     assert_sound(model)
-    carried = carried_template(model, model.control_vertices)
+    carried = model.template_of(model.control_vertices)
     both = np.intersect1d(faces[left], faces[~left])
     np.testing.assert_allclose(carried[both], carried[both + count], atol=1e-6)
 
@@ -245,7 +245,7 @@ def test_the_468_vertex_mask(shared_data):
     model = AnnotatedFaceModel.from_mesh(vertices, faces, name="mask of 468")
     assert len(model.control_vertices) == 468
     assert_sound(model)
-    carried = carried_template(model, model.control_vertices)
+    carried = model.template_of(model.control_vertices)
     np.testing.assert_allclose(carried, 10 * (vertices - vertices.mean(0)), atol=1e-6)
     assert 140 < np.ptp(model.control_vertices[:, 1]) < 200
 

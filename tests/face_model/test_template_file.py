@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.template_file import model_from_file, vertex_uv
+from scan2albedo.face_model.model import vertex_uv
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def obj(tmp_path_factory):
 
 @pytest.mark.slow
 def test_order_and_chart_are_the_files(obj):
-    made, default = model_from_file(obj), AnnotatedFaceModel.default()
+    made, default = AnnotatedFaceModel.from_file(obj), AnnotatedFaceModel.default()
     assert made.name == "mine"
     assert len(made.template_points.face) == len(default.control_vertices) + 1
     np.testing.assert_array_equal(made.template_faces, default.control_faces)
@@ -45,9 +45,9 @@ def test_a_file_without_a_template_is_refused_by_name(tmp_path, text):
     path = tmp_path / "mine.obj"
     path.write_text(text)
     with pytest.raises(ModelError, match="mine"):
-        model_from_file(path)
+        AnnotatedFaceModel.from_file(path)
 
 
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ModelError, match=r"gone\.ply"):
-        model_from_file(tmp_path / "gone.ply")
+        AnnotatedFaceModel.from_file(tmp_path / "gone.ply")

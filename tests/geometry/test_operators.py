@@ -2,9 +2,8 @@ import igl
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.hole_filling import boundary_loops, fill_hole
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
-from scan2albedo.geometry.mesh import boundary_edges, face_areas, face_cross_products
+from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.operators import (
     bending,
     laplacian,
@@ -86,25 +85,3 @@ def test_points_on_refined_faces_come_back_to_the_same_place_on_control_faces():
     on_control = subdivision.control_points(refined)
     np.testing.assert_allclose(on_control.barycentric.sum(1), 1)
     np.testing.assert_allclose(subdivision.points_matrix(on_control) @ vertices, direct, atol=1e-12)
-
-
-def test_a_hole_is_closed_with_least_area_and_the_right_orientation():
-    vertices, faces = grid(9)
-    centre = vertices[faces].mean(1)
-    open_mesh = faces[np.linalg.norm(centre - [0.5, 0.5, 0], axis=1) > 0.25]
-    rim, hole = boundary_loops(open_mesh)
-    assert len(rim) == 32
-    closed = np.concatenate([open_mesh, fill_hole(vertices, open_mesh, hole)])
-    assert len(boundary_edges(closed)) == len(rim)
-    assert face_areas(vertices, closed).sum() == pytest.approx(1)
-    assert (face_cross_products(vertices, closed)[:, 2] >= -1e-15).all()
-
-
-def test_a_chord_that_is_an_edge_of_the_mesh_already_is_not_used_again():
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 5.0]])
-    behind = np.array([[0, 4, 2]])  # holds the edge 0-2, the diagonal that least area might take
-    for loop in (np.array([0, 1, 2, 3]), np.array([1, 2, 3, 0])):
-        patch = fill_hole(square, behind, loop)
-        used = {frozenset(e) for f in patch.tolist() for e in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
-        assert frozenset((1, 3)) in used
-        assert frozenset((0, 2)) not in used

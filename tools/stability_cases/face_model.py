@@ -10,7 +10,6 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo import AnnotatedFaceModel
-from scan2albedo.face_model.from_mesh import carried_template
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import transform_points
@@ -36,7 +35,7 @@ def modelled(
     assert_finite(made.control_vertices, made.uv)
     assert made.uv.min() >= 0
     assert made.uv.max() <= 1
-    carried = carried_template(made, made.control_vertices)
+    carried = made.template_of(made.control_vertices)
     assert carried is not None
     assert made.template_from_model is not None
     used = np.unique(index)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from scan2albedo.face_model.annotation import MOUTH_REGION
+from scan2albedo.face_model.annotation import LANDMARK_LEVELS, MOUTH_REGION
 from scan2albedo.face_model.generator.anthropometry import Measurements
 from scan2albedo.face_model.generator.key_points import half_face
 from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE, half_landmarks
@@ -20,7 +20,7 @@ from scan2albedo.face_model.generator.regions import (
     in_one_piece,
     without_spikes,
 )
-from scan2albedo.face_model.model import LANDMARK_LEVELS, AnnotatedFaceModel
+from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix
 from scan2albedo.geometry.mesh import face_areas
