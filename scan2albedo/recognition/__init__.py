@@ -1,21 +1,26 @@
 """Recognition of persons by their albedo: templates, similarity, identification and its curves."""
 
-from scan2albedo.recognition.all_pairs import similarity_matrix
-from scan2albedo.recognition.chart import Chart
-from scan2albedo.recognition.cumulative_match import CmcCurve, cmc_curve
-from scan2albedo.recognition.identification import Identification, identify, identify_by_similarity
-from scan2albedo.recognition.labelled_templates import LabelledTemplates, read_labelled_templates
+from scan2albedo.recognition.curves import CmcCurve, RocCurve, cmc_curve, roc_curve
+from scan2albedo.recognition.identification import (
+    Identification,
+    ProbeMatches,
+    identify,
+    identify_by_similarity,
+    match_probes,
+)
 from scan2albedo.recognition.manifest import Manifest, ManifestEntry, read_manifest
 from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.probe_matches import ProbeMatches, match_probes
 from scan2albedo.recognition.pyramid import SteerablePyramid, steerable_pyramid
-from scan2albedo.recognition.receiver_operating import RocCurve, roc_curve
-from scan2albedo.recognition.result_identification import ResultIdentification, identify_results
-from scan2albedo.recognition.result_templates import result_templates
-from scan2albedo.recognition.similarity import cw_ssim
-from scan2albedo.recognition.stored_albedo import StoredAlbedo, read_albedo
+from scan2albedo.recognition.result_identification import (
+    LabelledTemplates,
+    ResultIdentification,
+    identify_results,
+    read_labelled_templates,
+)
+from scan2albedo.recognition.similarity import cw_ssim, similarity_matrix
+from scan2albedo.recognition.stored_albedo import StoredAlbedo, read_albedo, result_templates
 from scan2albedo.recognition.template_files import read_templates, write_templates
-from scan2albedo.recognition.templates import Templates, albedo_templates
+from scan2albedo.recognition.templates import Chart, Templates, albedo_templates
 from scan2albedo.recognition.transformers import DistanceTransformer, TemplateTransformer
 
 __all__ = [

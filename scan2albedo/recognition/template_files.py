@@ -9,9 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
-from scan2albedo.recognition.chart import Chart
 from scan2albedo.recognition.options import Channel, TemplateOptions
-from scan2albedo.recognition.templates import Templates
+from scan2albedo.recognition.templates import Chart, Templates
 
 _ARRAYS = {"coefficients": "c", "mask": "b"}
 """Names of the arrays in a file and their kinds."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.all_pairs import similarity_matrix
 from scan2albedo.recognition.options import Channel, SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.similarity import similarity_matrix
 from scan2albedo.recognition.templates import Templates, albedo_templates
 
 

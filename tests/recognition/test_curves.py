@@ -6,7 +6,7 @@ from scipy.stats import binomtest, mannwhitneyu
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
-from scan2albedo.recognition.receiver_operating import _Claims
+from scan2albedo.recognition.curves import _Claims
 from scan2albedo.report.recognition_curves import cmc_figure, roc_figure
 
 
