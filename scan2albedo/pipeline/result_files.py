@@ -25,8 +25,7 @@ from scan2albedo.io.result_json import (
     plain_json,
     write_record,
 )
-from scan2albedo.report.figures import save_figure
-from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb
+from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb, save_figure
 
 if TYPE_CHECKING:
     from scan2albedo.fitting import FittedFace

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -156,3 +157,17 @@ def _gray(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
 
 def _bytes(picture: NDArray[np.floating]) -> Picture:
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+
+
+_PNG_LEVEL = 3
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
+    """Write a figure as PNG, its panels laid out once, where matplotlib would do so twice."""
+    if dpi is not None:
+        figure.set_dpi(dpi)
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+    figure.savefig(path, format="png", dpi="figure", pil_kwargs={"compress_level": _PNG_LEVEL})

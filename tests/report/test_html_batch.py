@@ -8,9 +8,16 @@ import pytest
 from scan2albedo import report
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.report.html.batch_section import batch_section
-from scan2albedo.report.html.catalogue import rows_of_catalogue
-from scan2albedo.report.html.rows import DONE, FAILED, ScanRow, flattened, rows_of_folders
-from scan2albedo.report.html.selection import RESIDUAL, selected_rows
+from scan2albedo.report.html.rows import (
+    DONE,
+    FAILED,
+    RESIDUAL,
+    ScanRow,
+    flattened,
+    rows_of_catalogue,
+    rows_of_folders,
+    selected_rows,
+)
 from tests.report.pages import check
 
 EVIL = "<img src=x onerror=alert(1)>"

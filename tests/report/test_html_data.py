@@ -16,11 +16,18 @@ from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.result_json import InputRecord, RegistrationRecord, write_record
-from scan2albedo.report.html.axes import Axis
-from scan2albedo.report.html.mesh_data import Topologies, ViewMesh, mesh_entry, octahedral, thinned_chart
-from scan2albedo.report.html.residual import residual_of_result
-from scan2albedo.report.html.textures import TextureStyle, gray_entry, texture_entry
-from scan2albedo.report.html.trace_chart import MOST_POINTS, read_trace, stage_charts
+from scan2albedo.report.html.charts import MOST_POINTS, Axis, read_trace, stage_charts
+from scan2albedo.report.html.encoding import (
+    TextureStyle,
+    Topologies,
+    ViewMesh,
+    gray_entry,
+    mesh_entry,
+    octahedral,
+    texture_entry,
+    thinned_chart,
+)
+from scan2albedo.report.html.viewer_data import residual_of_result
 
 
 def numbers(text, dtype, columns):

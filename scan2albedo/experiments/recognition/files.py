@@ -12,8 +12,7 @@ from scan2albedo.experiments.recognition.report import RecognitionReport
 from scan2albedo.experiments.recognition.sessions import TEXTURE, cached_session
 from scan2albedo.io.atomic import atomic_path, make_folder, write_text
 from scan2albedo.io.result_json import plain_json
-from scan2albedo.report.recognition_curves import cmc_figure, roc_figure
-from scan2albedo.report.recognition_people import people_figure
+from scan2albedo.report.recognition_figures import cmc_figure, people_figure, roc_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -33,7 +33,7 @@ from scan2albedo.io.result_json import (
     write_record,
 )
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
-from scan2albedo.report.glasses_overview import COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
+from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
 
 FRAME_RECORD, SET_RECORD = "result.json", "set.json"
@@ -134,7 +134,7 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
     ]
     panels = glasses_panels(drawn, result.mean_keypoints)
     title = f"{len(drawn)} frames" if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {len(drawn)} frames"
-    overview_figure(title, panels, COLUMNS).savefig(folder / "overview.png")
+    overview_figure(title, panels, CANONICAL_COLUMNS).savefig(folder / "overview.png")
     files = sorted(path.name for path in folder.iterdir() if path.is_file())
     record = CanonicalSetRecord(
         scan2albedo_version=VERSION,

@@ -20,7 +20,7 @@ from scan2albedo.io.lens_json import FileRecord, LensesRecord, LensRecord, LensV
 from scan2albedo.io.parts_glb import GlbPart, write_parts_glb
 from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import InputRecord, installed_versions, listed_files, write_record
-from scan2albedo.report.lens_overview import COLUMNS, lens_panels, preview
+from scan2albedo.report.eyeglasses_views import LENS_COLUMNS, lens_panels, preview
 from scan2albedo.report.overview import overview_figure
 
 RECORD = "result.json"
@@ -56,7 +56,7 @@ def _write_all(rendered: RenderedLenses, source: LensInput, folder: Path) -> Len
     parts = [_frame_part(rendered.frame), *(_lens_part(lens) for lens in rendered.lenses)]
     write_parts_glb(folder / "frame_with_lenses.glb", parts)
     panels = lens_panels([(v.camera.name, v.picture) for v in rendered.views], rendered.exposure)
-    overview_figure(f"{source.frame.name}: {_title(rendered)}", panels, COLUMNS).savefig(
+    overview_figure(f"{source.frame.name}: {_title(rendered)}", panels, LENS_COLUMNS).savefig(
         folder / "overview.png"
     )
     files = sorted(path.name for path in folder.iterdir())

@@ -14,7 +14,7 @@ from scan2albedo.io.eyeglasses_json import FileRecord, RegisteredFrameRecord, Re
 from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_json import PlanRecord, installed_versions, plain_json, write_record
 from scan2albedo.io.skinned_glb import write_skinned_glb
-from scan2albedo.report.glasses_views import MOST_VIEWS, SeenView, registration_panels
+from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure
 
 RECORD = "result.json"

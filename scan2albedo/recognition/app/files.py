@@ -139,7 +139,7 @@ def _table(found: ResultIdentification) -> str:
 
 
 def _write_figures(cmc: CmcCurve | None, roc: RocCurve | None, folder: Path) -> None:
-    from scan2albedo.report.recognition_curves import cmc_figure, roc_figure
+    from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
 
     if cmc is not None:
         cmc_figure({"albedo": cmc}).savefig(folder / "cmc.png")

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from scan2albedo.report.html.histogram import Histogram, histogram
-from scan2albedo.report.html.rows import DONE, FAILED, NOT_RUN, ScanRow
+from scan2albedo.report.html.charts import Histogram, histogram
+from scan2albedo.report.html.rows import COVERAGE, DONE, FAILED, NOT_RUN, RESIDUAL, UNCERTAINTY, ScanRow
 from scan2albedo.report.html.scan_section import relative_link
-from scan2albedo.report.html.selection import COVERAGE, RESIDUAL, UNCERTAINTY
 from scan2albedo.report.html.texts import label_of, number_text, seconds_text, unit_of, value_text
 
 FIGURES = (

@@ -1,13 +1,15 @@
-"""One row a scan: its figures as flat columns, from `result.json` files."""
+"""One row a scan, from `catalogue.parquet` or `result.json`, and which of them get a section of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import MissingDependencyError, Scan2AlbedoError
 from scan2albedo.io.result_json import ResultRecord, read_record
 
 RESULT_FILE = "result.json"
@@ -97,3 +99,115 @@ def flattened(tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
         else:
             leaves[name] = value
     return leaves
+
+
+CATALOGUE_FILE = "catalogue.parquet"
+_OWN_FIELDS = ("name", "status", "reason", "folder")
+
+
+def rows_of_catalogue(file: Path) -> list[ScanRow]:
+    """Return a row for each scan of a batch, in the order of its catalogue.
+
+    Raises
+    ------
+    MissingDependencyError
+        Without pyarrow.
+    Scan2AlbedoError
+        When the file cannot be read or has no names or no states; the message names it.
+    """
+    table = _table(file)
+    missing = [name for name in ("name", "status") if name not in table.column_names]
+    if missing:
+        raise Scan2AlbedoError(
+            f"{file}: has no column {' and no column '.join(missing)}; it is no catalogue of a batch"
+        )
+    return [_row(entry, file.parent) for entry in table.to_pylist()]
+
+
+def _table(file: Path) -> Any:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{file} cannot be read without pyarrow; mend it with: pip install pyarrow"
+        ) from error
+    try:
+        return parquet.read_table(file)
+    except (OSError, pyarrow.ArrowException) as error:
+        first = " ".join(str(error).split())[:200]
+        raise Scan2AlbedoError(
+            f"{file}: cannot be read as Parquet ({first}); run the batch again, or remove the file so that "
+            "the table is made of the result.json files"
+        ) from error
+
+
+def _row(entry: Mapping[str, Any], out: Path) -> ScanRow:
+    status = str(entry["status"] or NOT_RUN).replace("_", " ")
+    values = {key: _plain(value) for key, value in entry.items() if key not in _OWN_FIELDS}
+    folder = out / str(entry["folder"]) if entry.get("folder") else None
+    reason = str(entry.get("reason") or "")
+    if status == DONE and folder is not None and not (folder / RESULT_FILE).is_file():
+        # The catalogue may be carried about without the folders; the row says so.
+        reason, folder = reason or "its files are not here", None
+    return ScanRow(str(entry["name"]), status, reason or _without_reason(status), folder, values)
+
+
+def _without_reason(status: str) -> str:
+    return "no reason was recorded" if status == FAILED else ""
+
+
+def _plain(value: Any) -> Any:
+    """Return a number, text, bool or None."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, datetime):
+        return value.isoformat(" ", "seconds")
+    if isinstance(value, date):
+        return value.isoformat()
+    if isinstance(value, list | tuple):
+        return ", ".join(str(part) for part in value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)
+
+
+RESIDUAL = "metrics_fit_residual_mean_mm"
+COVERAGE = "metrics_fit_coverage"
+UNCERTAINTY = "metrics_albedo_uncertainty_albedo_deviation"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Positions of the rows that are shown in full, and why these."""
+
+    rows: tuple[int, ...]
+    reason: str
+
+
+def selected_rows(rows: Sequence[ScanRow], count: int) -> Selection:
+    """Return the scans a person wants to see first: the worst, and two to compare them with.
+
+    Of the scans that are done and have files, the worst by fit residual (by the albedo's uncertainty for
+    objects without a fit), and the median and the best one. Failed scans have nothing to show; their
+    reasons are in the table.
+    """
+    there = [k for k, row in enumerate(rows) if row.status == DONE and row.folder is not None]
+    if count >= len(there):
+        return Selection(tuple(there), f"all {len(there)} scans that have results" if len(there) > 1 else "")
+    if not count:
+        return Selection((), "no scan, as asked for")
+    column = RESIDUAL if any(rows[k].number(RESIDUAL) is not None for k in there) else UNCERTAINTY
+    what = "fit residual" if column == RESIDUAL else "uncertainty of the albedo"
+    known = [k for k in there if rows[k].number(column) is not None]
+    ranked = sorted(known, key=lambda k: -(rows[k].number(column) or 0.0))
+    ranked += [k for k in there if rows[k].number(column) is None]
+    if not known:
+        return Selection(tuple(ranked[:count]), f"the first {count} of {len(there)} scans that have results")
+    if count < 4 or len(known) < count:
+        chosen = ranked[:count]
+        return Selection(tuple(chosen), f"the {count} scans of {len(there)} with the greatest {what}")
+    compared = (ranked[len(known) // 2], ranked[len(known) - 1])
+    worst = [k for k in ranked if k not in compared][: count - 2]
+    text = f"the {count - 2} scans of {len(there)} with the greatest {what}, then the median and the best one"
+    return Selection((*worst, *compared), text)

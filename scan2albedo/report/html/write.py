@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -10,13 +11,67 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.result_json import ResultRecord, read_record
 from scan2albedo.report.html.batch_section import batch_section
-from scan2albedo.report.html.catalogue import CATALOGUE_FILE, rows_of_catalogue
-from scan2albedo.report.html.mesh_data import Topologies
-from scan2albedo.report.html.options import ReportOptions, WrittenReport
+from scan2albedo.report.html.encoding import Topologies
 from scan2albedo.report.html.page import Page, page_html
-from scan2albedo.report.html.rows import DONE, FAILED, RESULT_FILE, ScanRow, result_folders, rows_of_folders
+from scan2albedo.report.html.rows import (
+    CATALOGUE_FILE,
+    DONE,
+    FAILED,
+    RESULT_FILE,
+    ScanRow,
+    result_folders,
+    rows_of_catalogue,
+    rows_of_folders,
+    selected_rows,
+)
 from scan2albedo.report.html.scan_section import ScanSection, SectionStyle, scan_section
-from scan2albedo.report.html.selection import selected_rows
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Settings of `write_report`.
+
+    Raises
+    ------
+    ValueError
+        For a number out of range.
+    """
+
+    scans: int = 40
+    """How many scans of a batch get a section of their own."""
+    rows: int = 10_000
+    """How many scans the table of a batch holds at most."""
+    texture_size: int = 1024
+    """Longest side of the textures of a single scan; those of its geometry image when that is smaller."""
+    batch_texture_size: int = 256
+    """The same for each scan of a batch."""
+    residual: bool = True
+    """Measure a single scan's distance to its fit again when the input still lies where it lay: no file of a
+    result holds it for each vertex."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("scans", 0), ("rows", 1), ("texture_size", 8), ("batch_texture_size", 8)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
+
+
+@dataclass(frozen=True)
+class WrittenReport:
+    """Where a report is and what it tells."""
+
+    path: Path
+    """Of the page."""
+    scans: int
+    """In the table, or 1."""
+    done: int
+    """Of them."""
+    failed: int
+    """Of them."""
+    sections: int
+    """Scans that have a section of their own."""
+    size_bytes: int
+    """Of the page."""
+
 
 REPORT_FILE = "report.html"
 

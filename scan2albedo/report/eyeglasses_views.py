@@ -1,4 +1,4 @@
-"""`overview.png` of a frame registered on a face: over each picture's mask, and how sure its parts are."""
+"""`overview.png` of eyeglasses: canonicalised frames, frames registered on a face, and lenses."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
+from scan2albedo.eyeglasses import Camera, LensPicture, RegisteredEyeglasses
+from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, in_own_axes
 from scan2albedo.eyeglasses.on_face.outline import cover, covered_points
 from scan2albedo.eyeglasses.on_face.outline_samples import hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.report.overview import Panel
 from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
@@ -23,9 +25,11 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 Mesh = tuple[FloatArray, IntArray]
 
-MOST_VIEWS = 12
-"""Views beyond these are not drawn: nobody would find them."""
-_SIZE = 560
+CANONICAL_COLUMNS, LENS_COLUMNS = 4, 2
+MOST_FRAMES, MOST_VIEWS = 24, 12
+"""Frames and views beyond these are not drawn: nobody would find them."""
+_CANONICAL_SIZE, _SIZE = 420, 560
+"""Side of a panel in pixels, of canonical frames and of frames on a face."""
 _MARGIN = 0.04
 """Left free around what a picture shows, as a part of its width."""
 _OUTSIDE, _BACKDROP, _MASK = 235, 40, 150
@@ -34,6 +38,67 @@ _INLIER_COLOR, _OUTLIER_COLOR = (0.2, 0.95, 0.2), (1.0, 0.1, 0.3)
 _UNOBSERVED_COLOR = (0.85, 0.1, 0.2)
 _SKIN_COLOR, _FRAME_COLOR = (0.87, 0.78, 0.72), (0.15, 0.25, 0.55)
 _TURN_DEG, _ABOVE_DEG = 35.0, -90.0
+
+
+@dataclass(frozen=True)
+class DrawnFrame:
+    """A frame's name, its vertices (V, 3) and key points (20, 3) as given, and what became of them."""
+
+    name: str
+    vertices: FloatArray
+    keypoints: FloatArray
+    canonical: CanonicalEyeglasses
+
+
+def glasses_panels(frames: Sequence[DrawnFrame], mean_keypoints: FloatArray) -> list[Panel]:
+    """Return four panels a frame: before, coloured by weights, and after, coloured by how far it moved.
+
+    Before is the frame brought rigidly to the mean. Dots are the mean's key points, the same in all panels.
+    """
+    drawn = frames[:MOST_FRAMES]
+    before = [_aligned(frame, frame.vertices) for frame in drawn]
+    moved = [
+        np.linalg.norm(frame.canonical.vertices - placed, axis=1)
+        for frame, placed in zip(drawn, before, strict=True)
+    ]
+    most = max(float(m.max()) for m in moved)
+    views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
+    panels = []
+    for frame, placed, distance in zip(drawn, before, moved, strict=True):
+        rms = float(np.sqrt(np.mean(distance**2)))
+        colors = (
+            weight_colors(frame.canonical.weights),
+            heat_colors(distance, 0, max(most, 1e-9), "viridis"),
+        )
+        states = (
+            (f"{frame.name}, brought to the mean", placed, colors[0]),
+            (f"moved by {rms:.2f} mm rms (0 to {most:.2g} mm)", frame.canonical.vertices, colors[1]),
+        )
+        for view, side in zip(views, ("front", "above"), strict=True):
+            for title, vertices, color in states:
+                picture = render_mesh(
+                    vertices, frame.canonical.faces, vertex_color_srgb=color, view=view, size=_CANONICAL_SIZE
+                )
+                panels.append(Panel(f"{title}; {side}", picture, _dots(mean_keypoints, view)))
+    return panels
+
+
+def weight_colors(weights: FloatArray) -> FloatArray:
+    """Return (V, 3) sRGB colours: each of the (V, K) weights' columns has a hue, mixed by weight."""
+    from matplotlib import colormaps
+
+    palette = colormaps["tab20"](np.arange(weights.shape[1]) % 20)[:, :3]
+    return np.asarray(weights @ palette)
+
+
+def _aligned(frame: DrawnFrame, points: FloatArray) -> FloatArray:
+    return transform_points(frame.canonical.canonical_from_frame, frame.canonical.scale * points)
+
+
+def _dots(points: FloatArray, view: View) -> FloatArray:
+    seen = view.project(points[np.isfinite(points).all(1)])
+    scale = (_CANONICAL_SIZE - 1) / (2 * view.half_width_mm)
+    return np.stack([(seen[:, 0] + view.half_width_mm) * scale, (view.half_width_mm - seen[:, 1]) * scale], 1)
 
 
 @dataclass(frozen=True)
@@ -165,3 +230,20 @@ def _head_panel(frame: RegisteredEyeglasses, vertices: FloatArray, head: Mesh) -
     view = View(around.center_mm, 1.3 * around.half_width_mm, yaw_deg=-_TURN_DEG)
     picture = render_mesh(*joined, vertex_color_srgb=colors, view=view, size=_SIZE)
     return Panel("on the head", picture)
+
+
+def lens_panels(pictures: Sequence[tuple[str, LensPicture]], exposure: float) -> list[Panel]:
+    """Return two panels a view, named pictures with linear colours times `exposure`."""
+    panels = []
+    for name, picture in pictures[:MOST_VIEWS]:
+        for title, linear in (
+            ("without lenses", picture.without_lenses_linear),
+            ("with lenses", picture.image_linear),
+        ):
+            panels.append(Panel(f"{name}, {title}", preview(linear, exposure)))
+    return panels
+
+
+def preview(linear: NDArray[np.float64], exposure: float) -> NDArray[np.uint8]:
+    """Return sRGB bytes (H, W, 3)."""
+    return encode_srgb_bytes(exposure * linear)

@@ -8,8 +8,8 @@ from scipy.ndimage import distance_transform_edt
 
 from scan2albedo.eyeglasses import Camera, register_on_face
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
-from scan2albedo.report import glasses_views
-from scan2albedo.report.glasses_views import SeenView, registration_panels
+from scan2albedo.report import eyeglasses_views
+from scan2albedo.report.eyeglasses_views import SeenView, registration_panels
 from scan2albedo.synthetic import WearerOptions, wearer
 
 pytestmark = pytest.mark.slow
@@ -51,8 +51,8 @@ def off_mask(panel):
     """How far in pixels nine tenths of the orange outline are from the gray of the mask, at most."""
     shade = panel.picture[:, :, 0].astype(int)
     gray = (panel.picture == panel.picture[:, :, :1]).all(-1)
-    light = gray & (shade >= (glasses_views._MASK + glasses_views._BACKDROP) / 2)
-    outline = painted(panel, glasses_views._SEEN_COLOR)
+    light = gray & (shade >= (eyeglasses_views._MASK + eyeglasses_views._BACKDROP) / 2)
+    outline = painted(panel, eyeglasses_views._SEEN_COLOR)
     assert outline.any()
     return float(np.percentile(distance_transform_edt(~light)[outline], 90))
 
@@ -73,8 +73,8 @@ def test_what_the_head_hides_is_blue(person, frame, views):
     assert len(bare) == 5
     covered = registration_panels(frame, views, (person.head_vertices, person.head_faces))
     for number in (0, 2):  # from the sides the far temple is behind the head
-        assert not painted(bare[number], glasses_views._HIDDEN_COLOR).any()
-        assert painted(covered[number], glasses_views._HIDDEN_COLOR).sum() > 50
+        assert not painted(bare[number], eyeglasses_views._HIDDEN_COLOR).any()
+        assert painted(covered[number], eyeglasses_views._HIDDEN_COLOR).sum() > 50
 
 
 def test_labels_are_green_and_outliers_red(frame, views):
@@ -87,8 +87,8 @@ def test_labels_are_green_and_outliers_red(frame, views):
     assert "1 outliers" in panel.title
     assert "no mask" in panel.title
     assert panel.dot_colors.shape == (20, 3)
-    np.testing.assert_array_equal(panel.dot_colors[0], glasses_views._OUTLIER_COLOR)
-    np.testing.assert_array_equal(panel.dot_colors[1:], [glasses_views._INLIER_COLOR] * 19)
+    np.testing.assert_array_equal(panel.dot_colors[0], eyeglasses_views._OUTLIER_COLOR)
+    np.testing.assert_array_equal(panel.dot_colors[1:], [eyeglasses_views._INLIER_COLOR] * 19)
     assert (panel.dots >= 0).all()
     assert (panel.dots < panel.picture.shape[0]).all()
 
@@ -115,5 +115,5 @@ def test_a_frame_behind_the_camera_and_many_views_are_drawn(frame, views):
     many = replace(many, outline_rms_px=frame.outline_rms_px[twenty])
     many = replace(many, label_errors_px=np.full((20, 20), np.nan))
     panels = registration_panels(many, 20 * [nowhere])
-    assert len(panels) == glasses_views.MOST_VIEWS + 2
-    assert not painted(panels[0], glasses_views._SEEN_COLOR).any()
+    assert len(panels) == eyeglasses_views.MOST_VIEWS + 2
+    assert not painted(panels[0], eyeglasses_views._SEEN_COLOR).any()
