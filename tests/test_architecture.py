@@ -14,7 +14,6 @@ HEAVY = ("open3d", "igl", "embreex", "matplotlib", "cv2", "trimesh", "numba", "x
 KNOWN_CIRCLES = (
     # Packages whose circles are still to go: this list only shrinks.
     "scan2albedo.reflectance",
-    "scan2albedo.benchmarks",
 )
 
 

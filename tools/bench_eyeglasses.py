@@ -28,13 +28,13 @@ from pathlib import Path
 
 import igl
 import numpy as np
+from benchmarks.weights import fixed_nodes, igl_bbw, kuhn_tetrahedra
 from eyeglasses_canonical import bench_canonical
 from eyeglasses_registration import bench_registration
 from eyeglasses_rims import bench_real, bench_synthetic
 from numpy.typing import NDArray
 from scipy import sparse
 
-from scan2albedo.benchmarks.weight_peers import fixed_nodes, igl_bbw, kuhn_tetrahedra
 from scan2albedo.core import Meter
 from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual

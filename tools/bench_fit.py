@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarks import fit_peers
 from face_data import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
-from scan2albedo.benchmarks import fit_peers
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.fit import CROP_MARGIN
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model

@@ -15,9 +15,9 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from benchmarks.scan_scenes import scanned_skin
 
 import scan2albedo as s2a
-from scan2albedo.benchmarks.scan_scenes import scanned_skin
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.pipeline.demo import compare_with_truth

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from benchmarks.reflectance_scenes import Surface, albedo_error, person, surface
 
-from scan2albedo.benchmarks.reflectance_scenes import Surface, albedo_error, person, surface
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.surface_diffusion import surface_diffusion
 from scan2albedo.lighting.environment_harmonics import project_environment

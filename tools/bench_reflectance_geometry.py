@@ -21,11 +21,11 @@ from functools import cache
 from typing import get_args
 
 import numpy as np
+from benchmarks.reflectance_scenes import learned, person, shape_model, surface
 from numba import njit
 from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
-from scan2albedo.benchmarks.reflectance_scenes import learned, person, shape_model, surface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize

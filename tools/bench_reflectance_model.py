@@ -18,9 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from shadowed_shots import ShadowedSurface, sent
-
-from scan2albedo.benchmarks.reflectance_scenes import (
+from benchmarks.reflectance_scenes import (
     CAMERA_MM,
     albedo_error,
     learned,
@@ -28,6 +26,8 @@ from scan2albedo.benchmarks.reflectance_scenes import (
     shot,
     surface,
 )
+from shadowed_shots import ShadowedSurface, sent
+
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize

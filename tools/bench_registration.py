@@ -20,11 +20,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 from face_data import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
-from scan2albedo.benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 from scan2albedo.core import Budget
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals

@@ -9,8 +9,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from face_model_generator.build import build_face_model
+
 from scan2albedo.face_model.files import save_model
-from scan2albedo.face_model.generator.build import build_face_model
 from scan2albedo.geometry.parametrization import chart_distortion
 
 ROOT = Path(__file__).resolve().parents[1]

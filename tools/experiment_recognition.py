@@ -1,29 +1,35 @@
-"""The recognition experiment in full, and what its choices are worth.
+"""Figure 10 of Toderici et al. on a synthetic population: who is recognised by texture, and who by albedo.
 
-    python tools/experiment_recognition.py [-o recognition_out] [--persons 60] [--probes 3] [--lamp-colors 0]
-                                           [--jobs 2] [--choices]
+    python tools/experiment_recognition.py [-o recognition_out] [--persons 60] [--probes 3] [--size 256]
+        [--individuality 0.5] [--lamp-colors 0] [--brdf NAME ...] [--budget SECONDS] [--jobs N] [--seed 0]
+        [--choices] [--json]
 
-Scans and processes 60 persons, four times each (an hour on two cores; a run that was stopped goes on), writes
-the report, and prints pairs of reflectances beside each other. --choices repeats the identification, on the
-same scans, with templates of other sizes, windows and masks.
+Scans and processes 60 persons, four times each (an hour on two cores), writes the report, and prints pairs of
+reflectances beside each other. A run that was stopped goes on where it was, and one with more persons begins
+with those that are done. --choices repeats the identification, on the same scans, with templates of other
+sizes, windows and masks.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 
-from scan2albedo.core import TraceRow
-from scan2albedo.experiments.recognition import (
+from recognition_experiment import (
     RecognitionExperimentOptions,
     RecognitionReport,
     run_recognition_experiment,
 )
-from scan2albedo.experiments.recognition.files import write_report
+from recognition_experiment.files import write_report
+
+from scan2albedo.core import TraceRow
+from scan2albedo.io.result_folder import check_writable, removed_if_empty
+from scan2albedo.io.result_json import plain_json
 from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 
 CHOICES = {
@@ -62,27 +68,56 @@ def show(row: TraceRow) -> None:
     print(f"{row.evaluations} scans, {row.elapsed_s:.0f} s: rank-1 errors {row.error:.1%}", file=sys.stderr)
 
 
-def main() -> None:
+def parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
-    parser.add_argument("-o", "--out", type=Path, default=Path("recognition_out"))
-    parser.add_argument("--persons", type=int, default=60)
-    parser.add_argument("--probes", type=int, default=3)
-    parser.add_argument(
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    made.add_argument("-o", "--out", type=Path, default=Path("recognition_out"), help="keeps the scans, too")
+    made.add_argument("--persons", type=int, default=60)
+    made.add_argument("--probes", type=int, default=3, help="scans of each person beside the gallery's")
+    made.add_argument("--size", type=int, default=256, help="side of the geometry images, 128 or more")
+    made.add_argument("--individuality", type=float, help="part of the skin's paint of one's own, 0 to 1")
+    made.add_argument(
         "--lamp-colors", type=float, default=0.0, help="deviation of log red and blue of each lamp; 0: white"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the population")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--choices", action="store_true", help="identify with other templates, too")
-    arguments = parser.parse_args()
+    made.add_argument("--brdf", action="append", help="a reflectance, repeatable; all when omitted")
+    made.add_argument("--budget", type=float, help="seconds; then report who is complete")
+    made.add_argument("--jobs", type=int, default=0, help="processes; 0 for one a core")
+    made.add_argument("--seed", type=int, default=0, help="of the population")
+    made.add_argument("--choices", action="store_true", help="identify with other templates, too")
+    made.add_argument("--json", action="store_true", help="print all figures as JSON on stdout")
+    return made
+
+
+def options_of(arguments: argparse.Namespace) -> RecognitionExperimentOptions:
+    """Return the options of a command line; a ValueError names what is out of range."""
+    if arguments.budget is not None and not arguments.budget > 0:
+        raise ValueError(f"budget is {arguments.budget}, expected seconds above 0")
     options = RecognitionExperimentOptions(
-        persons=arguments.persons, probes=arguments.probes, seed=arguments.seed
+        persons=arguments.persons, probes=arguments.probes, size=arguments.size, seed=arguments.seed
     )
     crowd = replace(options.population, lamp_colors=arguments.lamp_colors)
-    options = replace(options, population=crowd)
-    cache = arguments.out / "scans"
-    report = run_recognition_experiment(cache, options=options, jobs=arguments.jobs, on_progress=show)
+    if arguments.individuality is not None:
+        crowd = replace(crowd, individuality=arguments.individuality)
+    return replace(options, population=crowd, brdfs=tuple(arguments.brdf or options.brdfs))
+
+
+def main(words: list[str] | None = None) -> None:
+    arguments = parser().parse_args(words)
+    try:
+        options = options_of(arguments)
+    except ValueError as error:
+        parser().error(str(error))
+    cache, jobs = arguments.out / "scans", arguments.jobs or os.cpu_count() or 1
+    with removed_if_empty(arguments.out):
+        check_writable(arguments.out)
+        report = run_recognition_experiment(
+            cache, options=options, budget=arguments.budget, jobs=jobs, on_progress=show
+        )
     write_report(report, arguments.out, cache)
+    print(f"files in {arguments.out}", file=sys.stderr)
+    if arguments.json:
+        print(json.dumps(plain_json(report.figures()), indent=2))
+        return
     print(report.table())
     print_pairs(report)
     if arguments.choices:

@@ -11,7 +11,6 @@ import typer
 
 from scan2albedo.cli.applications import add_commands
 from scan2albedo.cli.batch import batch
-from scan2albedo.cli.benchmark import benchmark
 from scan2albedo.cli.common import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -21,7 +20,6 @@ from scan2albedo.cli.common import (
     refuse_shared_folders,
     stop_cleanly_on_interrupt,
 )
-from scan2albedo.cli.experiments import app as experiments_app
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.process_flags import (
@@ -46,13 +44,11 @@ app = typer.Typer(
 )
 
 app.add_typer(glasses_app, name="glasses")
-app.add_typer(experiments_app, name="experiment")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
 app.command()(batch)
 app.command()(report)
-app.command()(benchmark)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 

@@ -1,14 +1,12 @@
-"""CMC and ROC curves with their intervals, and a sheet of people, as figures."""
+"""CMC and ROC curves with their intervals, as figures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-from scan2albedo.io.color import encode_srgb_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,37 +95,3 @@ def _draw(
 ) -> None:
     (line,) = axis.plot(x, y, label=label, marker=marker, markersize=3.5)
     axis.fill_between(x, low, high, color=line.get_color(), alpha=0.18, linewidth=0)
-
-
-_MEAN_SHOWN = 0.3
-"""Linear level at which each picture's mean is shown: scales of albedos are not known."""
-
-
-def people_figure(rows: Mapping[str, Sequence[NDArray[np.floating]]], columns: Sequence[str]) -> Figure:
-    """Return a figure of linear pictures (H, W, 3), 0 outside the face: a row a name, a column a title.
-
-    Raises
-    ------
-    ValueError
-        When there is no row, or one has not a picture for each column.
-    """
-    if not rows or any(len(pictures) != len(columns) for pictures in rows.values()):
-        raise ValueError(f"expected one row or more of {len(columns)} pictures each")
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(1.7 * len(columns), 1.75 * len(rows) + 0.4), dpi=110, layout="constrained")
-    axes = figure.subplots(len(rows), len(columns), squeeze=False)
-    for line, (name, pictures) in zip(axes, rows.items(), strict=True):
-        for axis, picture in zip(line, pictures, strict=True):
-            axis.imshow(encode_srgb_bytes(_shown(np.asarray(picture, np.float64))))
-            axis.set_xticks([])
-            axis.set_yticks([])
-        line[0].set_ylabel(name, fontsize=8)
-    for axis, title in zip(axes[0], columns, strict=True):
-        axis.set_title(title, fontsize=8)
-    return figure
-
-
-def _shown(picture: NDArray[np.float64]) -> NDArray[np.float64]:
-    lit = picture.max(-1) > 0
-    return picture * (_MEAN_SHOWN / picture[lit].mean()) if lit.any() else picture

@@ -1,10 +1,10 @@
 """Albedo error on pictures of an independent path tracer: other reflectance, soft lamps, interreflection."""
 
 import pytest
+from benchmarks.albedo_peers import robust_harmonics
 from mitsuba_set import load_scenes, scene_names
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
-from scan2albedo.benchmarks.albedo_peers import robust_harmonics
 
 CEILINGS = (
     ("person-gloss-flash-0", 0.15),

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from face_model_generator.anthropometry import Measurements
+from face_model_generator.build import build_face_model
+from face_model_generator.key_points import half_face
+from face_model_generator.landmarks import LEFT_TO_RIGHT, MIDDLE
+from face_model_generator.regions import MIDDLE_REGIONS
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.face_model.generator.anthropometry import Measurements
-from scan2albedo.face_model.generator.build import build_face_model
-from scan2albedo.face_model.generator.key_points import half_face
-from scan2albedo.face_model.generator.landmarks import LEFT_TO_RIGHT, MIDDLE
-from scan2albedo.face_model.generator.regions import MIDDLE_REGIONS
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas

@@ -1,1 +1,0 @@
-"""Experiments of the paper, reproducible by one call."""

@@ -1,0 +1,62 @@
+"""What persons are told apart by: the texture as scanned, cheap filters of it, and albedos."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition_experiment.options import RecognitionExperimentOptions
+from recognition_experiment.sessions import TEXTURE, Session
+from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.recognition import Templates, albedo_templates
+from scan2albedo.recognition.light_normalization import histogram_equalized, multi_scale_retinex
+from scan2albedo.recognition.preparation import one_channel
+
+FloatArray = NDArray[np.float64]
+
+RAW, RAW_SRGB = "raw texture", "raw texture, sRGB"
+RETINEX, EQUALIZED = "multi-scale retinex", "histogram equalisation"
+CHROMATICITY = "raw red to green"
+"""Free of shading where all lamps have one colour, as they have unless the options say otherwise."""
+
+
+def method_names(options: RecognitionExperimentOptions) -> tuple[str, ...]:
+    """Return the names of what is compared, raw texture first."""
+    return (RAW, RAW_SRGB, EQUALIZED, RETINEX, CHROMATICITY, *map(albedo_method, options.brdfs))
+
+
+def albedo_method(brdf: str) -> str:
+    """Return the name under which the albedo of a reflectance is compared."""
+    return f"albedo, {brdf}"
+
+
+def method_image(method: str, session: Session, options: RecognitionExperimentOptions) -> FloatArray:
+    """Return what a method compares, (H, W) or (H, W, 3)."""
+    for brdf in options.brdfs:
+        if method == albedo_method(brdf):
+            return session.images[brdf].astype(np.float64)
+    texture = session.images[TEXTURE].astype(np.float64)
+    if method == RAW:
+        return texture
+    if method == RAW_SRGB:
+        return linear_to_srgb(texture)
+    if method == CHROMATICITY:
+        return one_channel(texture, "red-to-green")
+    bright = one_channel(texture, options.templates.channel)
+    if method == EQUALIZED:
+        return histogram_equalized(bright, session.seen)
+    if method == RETINEX:
+        return multi_scale_retinex(bright, session.seen)
+    raise ValueError(f"{method!r} is no method, expected one of {', '.join(method_names(options))}")
+
+
+def session_templates(
+    session: Session, name: str, options: RecognitionExperimentOptions
+) -> dict[str, Templates]:
+    """Return the template of a session by each method, all over the texels that were seen."""
+    return {
+        method: albedo_templates(
+            [method_image(method, session, options)], [name], masks=[session.seen], options=options.templates
+        )
+        for method in method_names(options)
+    }
