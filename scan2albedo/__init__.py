@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel, Region
     from scan2albedo.fitting import FittedFace, fit
     from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
-    from scan2albedo.io import load_scan, read_geometry_image
+    from scan2albedo.io import load_scan
+    from scan2albedo.io.geometry_image_files import read_geometry_image
     from scan2albedo.pipeline.process import process
     from scan2albedo.pipeline.quality import Quality
     from scan2albedo.pipeline.result import ProcessResult
@@ -66,7 +67,7 @@ _HOMES = {
     "geometry_image_of_scan": "geometry_image",
     "load_scan": "io",
     "process": "pipeline.process",
-    "read_geometry_image": "io",
+    "read_geometry_image": "io.geometry_image_files",
     "register": "registration",
 }
 _SUBPACKAGES = ("applications", "batch", "eyeglasses", "recognition", "reflectance", "report", "synthetic")

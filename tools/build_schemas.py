@@ -12,19 +12,22 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.batch.records import BatchRecord, BatchScanRecord
+from scan2albedo.eyeglasses.app.records import (
+    CanonicalFrameRecord,
+    CanonicalSetRecord,
+    LensesRecord,
+    RegisteredFrameRecord,
+)
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile
 from scan2albedo.eyeglasses.files.label_files import LabelsFile
 from scan2albedo.eyeglasses.files.start_files import StartFile
 from scan2albedo.face_model.files import FaceModelFile
-from scan2albedo.io.application_json import ApplicationRecord
-from scan2albedo.io.batch_json import BatchRecord, BatchScanRecord
-from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, RegisteredFrameRecord
-from scan2albedo.io.identification_json import IdentificationRecord
-from scan2albedo.io.lens_json import LensesRecord
-from scan2albedo.io.reflectance_json import ReflectanceRecord
-from scan2albedo.io.result_json import RegistrationRecord, ResultRecord
+from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
+from scan2albedo.recognition.app.files import IdentificationRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
+from scan2albedo.reflectance.app.output import ReflectanceRecord
 from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from scan2albedo.reflectance.model_files import ReflectanceModelHeader
 from scan2albedo.reflectance.photograph_files import FacePhotographFile

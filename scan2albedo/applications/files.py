@@ -15,13 +15,13 @@ from scan2albedo.applications.relighting import relight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError
-from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.records import plain_json, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_json import LightRecord, plain_json, write_record
+from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord
 from scan2albedo.lighting.asrm import Reflectance
 
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)

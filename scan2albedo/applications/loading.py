@@ -14,10 +14,10 @@ from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, Processe
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError, Scan2AlbedoError
-from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.images import read_image_linear
-from scan2albedo.io.result_json import LightRecord, ResultRecord, read_record
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord, ResultRecord
 from scan2albedo.lighting.asrm import Reflectance
 
 if TYPE_CHECKING:

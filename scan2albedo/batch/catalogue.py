@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from scan2albedo.batch.columns import FILES, FIXED, METRICS, STAGES, path_column
 from scan2albedo.batch.layout import CATALOGUE
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan
+from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError
 from scan2albedo.io.atomic import atomic_path
-from scan2albedo.io.batch_json import BatchScanRecord
 
 if TYPE_CHECKING:
     import pyarrow

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 
 from scan2albedo.batch import worker
 from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.errors import BatchError
-from scan2albedo.io.batch_json import BatchScanRecord
 
 _DEATHS_BEFORE_ANY_SCAN = 3
 _CAUSES = "for want of memory, or a library crashed"

@@ -10,10 +10,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder, write_text
-from scan2albedo.io.batch_json import BatchScanRecord
-from scan2albedo.io.result_json import read_record, write_record
+from scan2albedo.io.records import read_record, write_record
 
 CATALOGUE, RECORD = "catalogue.parquet", "batch.json"
 _KEPT = ".batch"

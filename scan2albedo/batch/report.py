@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scan2albedo.io.batch_json import BatchScanRecord
+from scan2albedo.batch.records import BatchScanRecord
 
 _SHOWN = 10
 

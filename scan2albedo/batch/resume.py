@@ -12,9 +12,9 @@ from pathlib import Path
 
 from scan2albedo.batch.fingerprints import changed_file
 from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.io.batch_json import BatchScanRecord
 from scan2albedo.io.input_hash import input_sha256
 
 _READERS = 4

@@ -18,13 +18,13 @@ from scan2albedo.batch.fingerprints import model_sha256, options_sha256
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
+from scan2albedo.batch.records import BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.resume import Resumed, remove_leftovers, verified
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError
-from scan2albedo.io.batch_json import BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
-from scan2albedo.io.result_json import installed_versions, write_record
+from scan2albedo.io.records import installed_versions, write_record
 from scan2albedo.pipeline.options import ProcessOptions
 
 CATALOGUE_INTERVAL_S = 30.0

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from scan2albedo.batch.fingerprints import folder_sha256
 from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
-from scan2albedo.io.batch_json import BatchScanRecord
 from scan2albedo.io.input_hash import input_sha256
 
 if TYPE_CHECKING:

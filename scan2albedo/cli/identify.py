@@ -10,8 +10,8 @@ import typer
 from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
 
 if TYPE_CHECKING:
-    from scan2albedo.io.identification_json import IdentificationRecord
     from scan2albedo.recognition import LabelledTemplates, TemplateOptions
+    from scan2albedo.recognition.app.files import IdentificationRecord
 
 COMBINATIONS = ("best", "mean")
 TEMPLATES = ".npz"

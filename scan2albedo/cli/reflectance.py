@@ -291,8 +291,8 @@ def _checked_budget(budget: float | None) -> Budget:
 
 
 def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:
-    from scan2albedo.io.reflectance_json import REFLECTANCE_FILE, ReflectanceRecord
-    from scan2albedo.io.result_json import read_record
+    from scan2albedo.io.records import read_record
+    from scan2albedo.reflectance.app.output import REFLECTANCE_FILE, ReflectanceRecord
 
     for note in read_record(out / REFLECTANCE_FILE, ReflectanceRecord).notes:
         progress.say(f"{name}: {note}")

@@ -13,8 +13,8 @@ from scan2albedo.errors import ModelError
 from scan2albedo.face_model.annotation import AnnotatedSurface, Region
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import checked_content
 from scan2albedo.io.npz import Arrays, read_npz, write_npz
+from scan2albedo.io.records import read_record
 
 
 class RegionEntry(BaseModel):
@@ -139,30 +139,17 @@ def load_model(path: str | Path) -> AnnotatedSurface:
 
 
 def _read_entry(path: Path) -> FaceModelFile:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ModelError(f"face model {path}: {error.strerror}; give the .json file of a model") from error
-    except UnicodeDecodeError as error:
-        raise ModelError(f"face model {path} is no text file; give the .json file, not the .npz") from error
-    return checked_content(
-        text,
+    return read_record(
+        path,
         FaceModelFile,
-        place=f"face model {path} is no annotated face model",
-        advice="expected data_schemas/annotated_face_model.schema.json",
+        what="face model",
+        advice="give the .json file of a model (data_schemas/annotated_face_model.schema.json)",
         error=ModelError,
     )
 
 
 def _read_arrays(path: Path) -> Arrays:
-    try:
-        return read_npz(path)
-    except FileNotFoundError as error:
-        raise ModelError(f"face model: {path} is missing; copy it beside its .json file") from error
-    except (OSError, ValueError) as error:
-        raise ModelError(
-            f"face model: {path} is truncated or no .npz file ({error}); copy it again"
-        ) from error
+    return read_npz(path, what="face model", advice="copy it beside its .json file again", error=ModelError)
 
 
 def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:

@@ -131,12 +131,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
 
 
 def _read_npz(file: Path) -> dict[str, NDArray[Any]]:
-    try:
-        arrays = read_npz(file)
-    except (OSError, ValueError) as error:
-        raise GeometryImageError(
-            f"{file}: cannot be read as a NumPy archive ({error}); write it again"
-        ) from error
+    arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
     version = int(arrays.pop("format_version", np.int64(FORMAT_VERSION)))
     if version > FORMAT_VERSION:
         raise GeometryImageError(

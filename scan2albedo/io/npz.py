@@ -1,4 +1,4 @@
-"""NPZ files: written whole or not at all, and read with two kinds of error for all that can be wrong."""
+"""NPZ files: written whole, and read with one error that names the file, whatever is wrong with it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
+from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.records import Content, parse_record
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -62,7 +65,14 @@ def write_npz(path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str
         save(temporary, allow_pickle=False, **content)
 
 
-def read_npz(path: str | Path, names: Collection[str] | None = None) -> Arrays:
+def read_npz(
+    path: str | Path,
+    names: Collection[str] | None = None,
+    *,
+    what: str,
+    advice: str,
+    error: type[Scan2AlbedoError],
+) -> Arrays:
     """Return arrays of an .npz file by name.
 
     Parameters
@@ -70,21 +80,59 @@ def read_npz(path: str | Path, names: Collection[str] | None = None) -> Arrays:
     path : str or Path
     names : collection of str, optional
         Of the arrays that must be there, others are not read; all when omitted.
+    what, advice : str
+        The thing in the file and what to do about a wrong one, for messages.
+    error : type of Scan2AlbedoError
+        To raise.
 
     Raises
     ------
-    OSError
-        When the file cannot be opened.
-    ValueError
-        When it is damaged, something else, or lacks an array; tells what it met, not the file.
+    Scan2AlbedoError
+        Of the given type, when the file is missing, damaged, something else, or lacks an array.
     """
-    # A stream of our own: NumPy leaves the file open where it is damaged.
-    with Path(path).open("rb") as stream:
-        try:
+    try:
+        # A stream of our own: NumPy leaves the file open where it is damaged.
+        with Path(path).open("rb") as stream:
             stored = np.load(stream, allow_pickle=False)
             if not isinstance(stored, NpzFile):
                 raise ValueError("it holds a single array, no archive of them")
             with stored:
                 return {name: stored[name] for name in (stored.files if names is None else names)}
-        except _DAMAGE as cause:
-            raise ValueError(" ".join(str(cause).split())) from cause
+    except (OSError, *_DAMAGE) as cause:
+        told = " ".join(str(cause).split())
+        raise error(f"{what} {path} cannot be read ({told}); {advice}") from cause
+
+
+def write_npz_record(
+    path: str | Path, header: BaseModel, arrays: Mapping[str, NDArray[Any]], *, what: str
+) -> None:
+    """Write arrays with a record beside them, uncompressed; see `write_npz`."""
+    write_npz(path, {"header": np.array(header.model_dump_json()), **arrays}, what=what, compressed=False)
+
+
+def read_npz_record(
+    path: str | Path,
+    kind: type[Content],
+    arrays: Mapping[str, str],
+    *,
+    what: str,
+    advice: str,
+    error: type[Scan2AlbedoError],
+) -> tuple[Content, Arrays]:
+    """Return record and arrays of a file that `write_npz_record` wrote; see `read_npz`.
+
+    `arrays` maps the names of the arrays to the letters of the kinds of dtype they may have.
+    """
+    found = read_npz(path, ("header", *arrays), what=what, advice=advice, error=error)
+    header = parse_record(
+        str(found.pop("header")),
+        kind,
+        place=f"{what} {path}",
+        whole="the header",
+        advice=advice,
+        error=error,
+    )
+    for name, array in found.items():
+        if array.dtype.kind not in arrays[name]:
+            raise error(f"{what} {path}: {name} holds {array.dtype}; write it again")
+    return header, found

@@ -14,16 +14,14 @@ from scan2albedo.io.geometry_image_files import write_geometry_image, write_geom
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_json import (
+from scan2albedo.io.result_records import (
     InputRecord,
     LightRecord,
     PlanRecord,
     RegistrationRecord,
     ResultRecord,
-    installed_versions,
-    plain_json,
-    write_record,
 )
 from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb, save_figure
 

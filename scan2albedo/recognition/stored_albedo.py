@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import RecognitionError, Scan2AlbedoError
-from scan2albedo.io.application_json import APPLICATION_FILE, ApplicationRecord
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
-from scan2albedo.io.result_json import ResultRecord, read_record
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.recognition.manifest import Manifest
 from scan2albedo.recognition.options import TemplateOptions
 from scan2albedo.recognition.templates import Chart, Templates, common_chart, image_coefficients

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
+from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.recognition.options import Channel, TemplateOptions
 from scan2albedo.recognition.templates import Chart, Templates
 
@@ -78,7 +78,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     chart = None if templates.chart is None else ChartRecord(**vars(templates.chart))
     header = TemplatesHeader(names=templates.names, options=options, chart=chart)
     arrays = {name: getattr(templates, name) for name in _ARRAYS}
-    write_checked_npz(path, header, arrays, what="template")
+    write_npz_record(path, header, arrays, what="template")
 
 
 def read_templates(path: str | Path) -> Templates:
@@ -93,13 +93,12 @@ def read_templates(path: str | Path) -> Templates:
     RecognitionError
         When the file is missing, damaged, something else, or holds templates that cannot be used; names it.
     """
-    header, arrays = read_checked_npz(
+    header, arrays = read_npz_record(
         path,
         TemplatesHeader,
         _ARRAYS,
         what="templates",
-        writer="write_templates",
-        schema="template_set.schema.json",
+        advice="give a file that write_templates wrote (data_schemas/template_set.schema.json)",
         error=RecognitionError,
     )
     try:

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import ReflectanceError, ScanError
-from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import read_checked
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
+from scan2albedo.io.records import read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
@@ -210,12 +209,11 @@ def read_capture(path: str | Path) -> CaptureFiles:
         When the mesh cannot be read.
     """
     file = Path(path)
-    content = read_checked(
+    content = read_record(
         file,
         FlashCaptureFile,
         what="capture",
-        writer="write_capture",
-        schema="flash_capture.schema.json",
+        advice="give a file that write_capture wrote (data_schemas/flash_capture.schema.json)",
         error=ReflectanceError,
     )
     mesh = read_mesh_file(file.parent / content.mesh)
@@ -249,4 +247,4 @@ def write_capture(path: str | Path, content: FlashCaptureFile) -> None:
     OutputError
         When it cannot be written.
     """
-    write_text(path, content.model_dump_json(indent=1) + "\n")
+    write_record(path, content, indent=1)

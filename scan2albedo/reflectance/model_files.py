@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
+from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, refuse_other_lobes
 
@@ -62,7 +62,7 @@ def write_model(path: str | Path, model: MorphableReflectanceModel) -> None:
         total_variance=model.total_variance,
     )
     arrays = {name: getattr(model, name) for name in _ARRAYS}
-    write_checked_npz(path, header, arrays, what="reflectance model")
+    write_npz_record(path, header, arrays, what="reflectance model")
 
 
 def read_model(path: str | Path) -> MorphableReflectanceModel:
@@ -73,13 +73,12 @@ def read_model(path: str | Path) -> MorphableReflectanceModel:
     ReflectanceError
         When the file is missing, damaged or something else; names it.
     """
-    header, arrays = read_checked_npz(
+    header, arrays = read_npz_record(
         path,
         ReflectanceModelHeader,
         _ARRAYS,
         what="reflectance model",
-        writer="MorphableReflectanceModel.save",
-        schema="reflectance_model.schema.json",
+        advice="give a file that its `save` wrote (data_schemas/reflectance_model.schema.json)",
         error=ReflectanceError,
     )
     refuse_other_lobes(header.exponents, f"reflectance model {path}")

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import read_checked
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
+from scan2albedo.io.records import read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.reflectance.shape_model import LANDMARKS
 
@@ -109,12 +108,11 @@ def read_photograph(path: str | Path) -> PhotographFiles:
         When image, mask or mesh cannot be read.
     """
     file = Path(path)
-    content = read_checked(
+    content = read_record(
         file,
         FacePhotographFile,
         what="photograph",
-        writer="write_photograph",
-        schema="face_photograph.schema.json",
+        advice="give a file that write_photograph wrote (data_schemas/face_photograph.schema.json)",
         error=ReflectanceError,
     )
     scale, folder = MM_PER_UNIT[content.unit], file.parent
@@ -145,7 +143,7 @@ def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
     OutputError
         When it cannot be written.
     """
-    write_text(path, content.model_dump_json(indent=1) + "\n")
+    write_record(path, content, indent=1)
 
 
 def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:

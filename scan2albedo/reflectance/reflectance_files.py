@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
+from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.fit_result import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, refuse_other_lobes
 
@@ -111,7 +111,7 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
     )
     if fit is not None:
         arrays |= {name: getattr(fit, name) for name in _OF_A_FIT}
-    write_checked_npz(path, header, arrays, what="reflectance")
+    write_npz_record(path, header, arrays, what="reflectance")
 
 
 def read_reflectance(path: str | Path) -> MeshReflectance:
@@ -130,13 +130,12 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
     ReflectanceError
         When the file is missing, damaged or something else; names it.
     """
-    header, arrays = read_checked_npz(
+    header, arrays = read_npz_record(
         path,
         MeshReflectanceHeader,
         _ARRAYS,
         what="reflectance",
-        writer="write_reflectance",
-        schema="mesh_reflectance.schema.json",
+        advice="give a file that write_reflectance wrote (data_schemas/mesh_reflectance.schema.json)",
         error=ReflectanceError,
     )
     refuse_other_lobes(header.exponents, f"reflectance {path}")

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.checked_npz import read_checked_npz, write_checked_npz
+from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 
 _ARRAYS = {
@@ -54,7 +54,7 @@ def write_shape_model(path: str | Path, model: MorphableShapeModel) -> None:
         expression_components=model.expression_components,
     )
     arrays = {name: getattr(model, name) for name in _ARRAYS}
-    write_checked_npz(path, header, arrays, what="shape model")
+    write_npz_record(path, header, arrays, what="shape model")
 
 
 def read_shape_model(path: str | Path) -> MorphableShapeModel:
@@ -65,13 +65,12 @@ def read_shape_model(path: str | Path) -> MorphableShapeModel:
     ReflectanceError
         When the file is missing, damaged or something else; names it.
     """
-    header, arrays = read_checked_npz(
+    header, arrays = read_npz_record(
         path,
         ShapeModelHeader,
         _ARRAYS,
         what="shape model",
-        writer="MorphableShapeModel.save",
-        schema="shape_model.schema.json",
+        advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
         error=ReflectanceError,
     )
     found = tuple(len(np.atleast_1d(arrays[n])) for n in ("mean", "identity_basis", "expression_basis"))

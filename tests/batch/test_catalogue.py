@@ -9,8 +9,8 @@ import pytest
 
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan
+from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError
-from scan2albedo.io.batch_json import BatchScanRecord
 
 SHA = "0" * 64
 

@@ -13,10 +13,9 @@ from typer.testing import CliRunner
 
 from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
-from scan2albedo.io.identification_json import IdentificationRecord
 from scan2albedo.io.images import write_exr
 from scan2albedo.recognition import TemplateOptions, identify_results
-from scan2albedo.recognition.app.files import FILES, write_identification
+from scan2albedo.recognition.app.files import FILES, IdentificationRecord, write_identification
 from scan2albedo.synthetic import face
 
 

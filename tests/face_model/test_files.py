@@ -68,17 +68,17 @@ def test_json_fits_the_shipped_schema(saved: Path):
 
 
 def test_missing_files_are_named(saved: Path):
-    with pytest.raises(ModelError, match=r"nowhere\.json: No such file"):
+    with pytest.raises(ModelError, match=r"nowhere\.json: cannot be read: No such file"):
         load_model(saved.with_name("nowhere.json"))
     saved.with_suffix(".npz").unlink()
-    with pytest.raises(ModelError, match=r"afm\.npz is missing; copy it beside"):
+    with pytest.raises(ModelError, match=r"afm\.npz cannot be read .*No such file.*copy it beside"):
         load_model(saved)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "scan2albedo-afm-9"}'])
 def test_a_broken_json_is_refused(saved: Path, text: str):
     saved.write_text(text)
-    with pytest.raises(ModelError, match="is no annotated face model"):
+    with pytest.raises(ModelError, match=r"face model .*\(data_schemas/annotated_face_model"):
         load_model(saved)
 
 
@@ -92,7 +92,7 @@ def test_a_truncated_binary_is_refused(saved: Path, share: float):
     binary = saved.with_suffix(".npz")
     data = binary.read_bytes()
     binary.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(ModelError, match=r"afm\.npz is truncated"):
+    with pytest.raises(ModelError, match=r"afm\.npz cannot be read"):
         load_model(saved)
 
 

@@ -96,7 +96,7 @@ def test_json_files_agree_with_their_schemas(result):
 
 
 def test_files_hold_what_the_result_holds(result):
-    from scan2albedo.io import read_image_linear
+    from scan2albedo.io.images import read_image_linear
 
     image = s2a.read_geometry_image(result.out / "geometry_image.npz")
     np.testing.assert_array_equal(image.position, result.geometry_image.position)

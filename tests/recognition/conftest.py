@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scan2albedo.io.application_json import ApplicationRecord
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.images import write_exr
-from scan2albedo.io.result_json import write_record
+from scan2albedo.io.records import write_record
+from scan2albedo.io.result_records import ApplicationRecord
 from scan2albedo.synthetic import face
 
 

@@ -9,7 +9,8 @@ from PIL import Image
 
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.images import write_exr
-from scan2albedo.io.result_json import InputRecord, LightRecord, PlanRecord, ResultRecord, write_record
+from scan2albedo.io.records import write_record
+from scan2albedo.io.result_records import InputRecord, LightRecord, PlanRecord, ResultRecord
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 MATERIAL = Material(0.3, 0.15, 20.0)

@@ -15,7 +15,8 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.input_hash import input_sha256
-from scan2albedo.io.result_json import InputRecord, RegistrationRecord, write_record
+from scan2albedo.io.records import write_record
+from scan2albedo.io.result_records import InputRecord, RegistrationRecord
 from scan2albedo.report.html.charts import MOST_POINTS, Axis, read_trace, stage_charts
 from scan2albedo.report.html.encoding import (
     TextureStyle,
@@ -140,7 +141,8 @@ def half_a_millimetre_off(folder):
 
 
 def test_residuals_are_measured_again_from_the_input(write_scan, tmp_path):
-    from scan2albedo.io.result_json import ResultRecord, read_record
+    from scan2albedo.io.records import read_record
+    from scan2albedo.io.result_records import ResultRecord
 
     scan, mesh, inside = half_a_millimetre_off(tmp_path)
     source = InputRecord(file=str(scan), sha256=input_sha256(scan), vertices=900, faces=1682)

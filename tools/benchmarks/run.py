@@ -112,7 +112,7 @@ def run_benchmarks(
 def write_benchmarks(report: BenchmarkReport, out: Path) -> list[Path]:
     """Write figure, tables, CSV and JSON into a folder; return their paths."""
     from benchmarks.figure import draw
-    from scan2albedo.io.result_json import plain_json
+    from scan2albedo.io.records import plain_json
 
     make_folder(out)
     write_text(out / TABLES, report.text() + "\n")

@@ -12,7 +12,7 @@ from recognition_experiment.people import people_figure
 from recognition_experiment.report import RecognitionReport
 from recognition_experiment.sessions import TEXTURE, cached_session
 from scan2albedo.io.atomic import atomic_path, make_folder, write_text
-from scan2albedo.io.result_json import plain_json
+from scan2albedo.io.records import plain_json
 from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
 
 if TYPE_CHECKING:

@@ -54,8 +54,8 @@ def cached_session(
     """Return a session from the disk, None when it is not there whole or lacks an albedo."""
     path = session_file(cache, options, person, session)
     try:
-        arrays = read_npz(path)
-    except (OSError, ValueError):
+        arrays = read_npz(path, what="session", advice="it is made again", error=Scan2AlbedoError)
+    except Scan2AlbedoError:
         return None
     if "seen" not in arrays or "failure" not in arrays:
         return None

@@ -19,19 +19,14 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app.canonicalization import CanonicalFiles
 from scan2albedo.eyeglasses.app.input import GlassesFrame
+from scan2albedo.eyeglasses.app.records import CanonicalFrameRecord, CanonicalSetRecord, FailedFrameRecord
 from scan2albedo.eyeglasses.keypoints import PARENTS
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.atomic import make_folder
-from scan2albedo.io.eyeglasses_json import CanonicalFrameRecord, CanonicalSetRecord, FailedFrameRecord
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_json import (
-    InputRecord,
-    PlanRecord,
-    installed_versions,
-    plain_json,
-    write_record,
-)
+from scan2albedo.io.result_records import InputRecord, PlanRecord
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure

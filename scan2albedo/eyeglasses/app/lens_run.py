@@ -10,7 +10,7 @@ from scan2albedo.eyeglasses import LensMaterial, LensPictureOptions
 from scan2albedo.eyeglasses.app.lens_files import write_lens_files
 from scan2albedo.eyeglasses.app.lens_input import LensInput
 from scan2albedo.eyeglasses.app.lenses import LensView, render_lenses
-from scan2albedo.io.lens_json import LensesRecord
+from scan2albedo.eyeglasses.app.records import LensesRecord
 
 
 def run_lenses(

@@ -8,11 +8,12 @@ from typing import Any
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, write_keypoints, write_registered
+from scan2albedo.eyeglasses.app.records import FileRecord, RegisteredFrameRecord, RegisteredViewRecord
 from scan2albedo.eyeglasses.app.registration import PlacedFrame
 from scan2albedo.eyeglasses.keypoints import PARENTS
-from scan2albedo.io.eyeglasses_json import FileRecord, RegisteredFrameRecord, RegisteredViewRecord
+from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_json import PlanRecord, installed_versions, plain_json, write_record
+from scan2albedo.io.result_records import PlanRecord
 from scan2albedo.io.skinned_glb import write_skinned_glb
 from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure

@@ -23,7 +23,8 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app.input import read_frame
 from scan2albedo.eyeglasses.files.mask_files import mask_path
-from scan2albedo.io import input_sha256, load_scan
+from scan2albedo.io import load_scan
+from scan2albedo.io.input_hash import input_sha256
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -48,10 +48,7 @@ def read_arrays(path: str | Path, layout: Layout, *, what: str, example: str) ->
     EyeglassesError
         When the file is missing, damaged or something else; names it.
     """
-    try:
-        arrays = read_npz(path, layout)
-    except (OSError, ValueError) as error:
-        raise EyeglassesError(f"{what} {path} cannot be read ({error}); give a {example}") from error
+    arrays = read_npz(path, layout, what=what, advice=f"give a {example}", error=EyeglassesError)
     lengths: dict[str, int] = {}
     for name, (_, *shape) in layout.items():
         got = arrays[name].shape

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import read_checked
+from scan2albedo.io.records import read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 
 FloatArray = NDArray[np.float64]
@@ -156,7 +155,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: Literal["mm
         matrix[:, :3] *= MM_PER_UNIT[unit]
         height, width = (int(side) for side in camera.shape)
         entries.append(CameraEntry(name=camera.name, width=width, height=height, matrix=matrix.tolist()))
-    write_text(path, CamerasFile(unit=unit, cameras=tuple(entries)).model_dump_json(indent=2) + "\n")
+    write_record(path, CamerasFile(unit=unit, cameras=tuple(entries)))
 
 
 def read_cameras(path: str | Path) -> tuple[Camera, ...]:
@@ -172,12 +171,11 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
         When the file cannot be read, is no camera file, or a matrix is not finite or singular; names the
         file and the camera.
     """
-    content = read_checked(
+    content = read_record(
         path,
         CamerasFile,
         what="cameras",
-        writer="write_cameras",
-        schema="cameras.schema.json",
+        advice="give a file that write_cameras wrote (data_schemas/cameras.schema.json)",
         error=EyeglassesError,
     )
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)

@@ -13,8 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
-from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import read_checked
+from scan2albedo.io.records import read_record, write_record
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +75,7 @@ def write_keypoints(
         name: (float(p[0]), float(p[1]), float(p[2])) if found else None
         for name, p, found in zip(KEY_POINT_NAMES, points, seen, strict=True)
     }
-    write_text(path, KeyPointsFile(unit=unit, key_points=entries).model_dump_json(indent=2) + "\n")
+    write_record(path, KeyPointsFile(unit=unit, key_points=entries))
 
 
 @dataclass(frozen=True)
@@ -104,12 +103,11 @@ def read_keypoints(path: str | Path) -> FloatArray:
 
 def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
     """Return what `read_keypoints` does, and the unit that the file states."""
-    entry = read_checked(
+    entry = read_record(
         path,
         KeyPointsFile,
         what="key points",
-        writer="write_keypoints",
-        schema="eyeglasses_keypoints.schema.json",
+        advice="give a file that write_keypoints wrote (data_schemas/eyeglasses_keypoints.schema.json)",
         error=EyeglassesError,
     )
     nothing = (np.nan, np.nan, np.nan)

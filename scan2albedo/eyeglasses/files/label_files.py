@@ -15,8 +15,7 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.files.camera_files import CameraName, refuse_equal_names
 from scan2albedo.eyeglasses.files.keypoint_files import refuse_strange_names
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
-from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import read_checked
+from scan2albedo.io.records import read_record, write_record
 
 FloatArray = NDArray[np.float64]
 
@@ -114,7 +113,7 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
         }
         for name, view in zip(camera_names, pixels, strict=True)
     }
-    write_text(path, LabelsFile(views=views).model_dump_json(indent=2) + "\n")
+    write_record(path, LabelsFile(views=views))
 
 
 def read_labels(path: str | Path) -> ViewLabels:
@@ -129,12 +128,11 @@ def read_labels(path: str | Path) -> ViewLabels:
     EyeglassesError
         When the file cannot be read or is no label file; names the file and its first fault.
     """
-    content = read_checked(
+    content = read_record(
         path,
         LabelsFile,
         what="labels",
-        writer="write_labels",
-        schema="eyeglasses_labels.schema.json",
+        advice="give a file that write_labels wrote (data_schemas/eyeglasses_labels.schema.json)",
         error=EyeglassesError,
     )
     nothing = (np.nan, np.nan)

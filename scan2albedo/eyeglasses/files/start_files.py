@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.io.atomic import write_text
-from scan2albedo.io.checked_json import read_checked
-from scan2albedo.io.result_json import Matrix, plain_json
+from scan2albedo.io.records import Matrix, plain_json, read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 
 FloatArray = NDArray[np.float64]
@@ -65,7 +63,7 @@ def write_start(
         When the file cannot be written.
     """
     content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, np.float64)))
-    write_text(path, content.model_dump_json(indent=2) + "\n")
+    write_record(path, content)
 
 
 def read_start(path: str | Path) -> FloatArray:
@@ -80,12 +78,11 @@ def read_start(path: str | Path) -> FloatArray:
     EyeglassesError
         When the file cannot be read or holds no rigid transform; names it.
     """
-    content = read_checked(
+    content = read_record(
         path,
         StartFile,
         what="start",
-        writer="write_start",
-        schema="eyeglasses_start.schema.json",
+        advice="give a file that write_start wrote (data_schemas/eyeglasses_start.schema.json)",
         error=EyeglassesError,
     )
     pose = np.array(content.world_from_glasses)

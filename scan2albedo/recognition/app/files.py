@@ -6,23 +6,64 @@ import csv
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.io.atomic import write_text
-from scan2albedo.io.identification_json import (
-    IDENTIFICATION_FILE,
-    IdentificationRecord,
-    ProbeRecord,
-    RatesRecord,
-)
+from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_json import write_record
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
 
+IDENTIFICATION_FILE = "identification.json"
+Interval = tuple[Number, Number]
 FILES = frozenset({"identification.csv", "similarities.npz", "cmc.png", "roc.png", IDENTIFICATION_FILE})
 """Every file an identification may have."""
+
+
+class ProbeRecord(Record):
+    """One probe."""
+
+    probe: str = Field(description="The result, as the file of probes names it.")
+    person: str | None = Field(description="Who it shows; null where nobody knows.")
+    predicted: str = Field(description="The most similar person of the gallery.")
+    similarity: Number = Field(description="Of that person, 0 to 1.")
+    rank: int | None = Field(ge=1, description="Place of the right person; null where nobody knows.")
+    next_person: str | None = Field(description="The second; null in a gallery of one person.")
+    next_similarity: OptionalNumber
+
+
+class RatesRecord(Record):
+    """Of the probes whose person is known."""
+
+    probes: int = Field(ge=1)
+    confidence: float = Field(gt=0, lt=1, description="Of the intervals.")
+    rank_1_rate: Number = Field(ge=0, le=1)
+    rank_1_interval: Interval = Field(description="Clopper and Pearson's.")
+    equal_error_rate: OptionalNumber = Field(
+        description="Of claims to be a person; null where nobody could be an impostor."
+    )
+    equal_error_interval: Interval | None = Field(description="By a bootstrap over persons.")
+
+
+class IdentificationRecord(Record):
+    """The content of `identification.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    gallery: str = Field(description="The file that names it, as given.")
+    probes: str = Field(description="The file that names them, as given.")
+    gallery_images: int = Field(ge=1)
+    persons: tuple[str, ...] = Field(min_length=1, description="Of the gallery.")
+    combine: Literal["best", "mean"] = Field(description="What is taken of a person's several images.")
+    template_options: Figures
+    model: str | None = Field(description="Name of the face model on whose chart the albedos lie.")
+    rates: RatesRecord | None = Field(description="Null when no probe's person is known.")
+    results: tuple[ProbeRecord, ...] = Field(min_length=1, description="In the order of the probes.")
+    notes: tuple[str, ...] = ()
+    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 
 def identification_record(found: ResultIdentification, files: tuple[str, ...] = ()) -> IdentificationRecord:

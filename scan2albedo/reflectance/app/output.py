@@ -5,22 +5,36 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.images import write_png
-from scan2albedo.io.reflectance_json import REFLECTANCE_FILE, ReflectanceRecord
+from scan2albedo.io.records import Figures, Record, listed_files, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_json import listed_files, write_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+REFLECTANCE_FILE = "reflectance.json"
 _DPI = 110
+
+
+class ReflectanceRecord(Record):
+    """The content of `reflectance.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    command: Literal["olat", "fit", "build", "sample", "fit-image", "finetune"]
+    inputs: tuple[str, ...] = Field(description="Files, as given.")
+    options: Figures = Field(description="What the command was called with.")
+    metrics: Figures
+    notes: tuple[str, ...] = ()
+    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 
 class Results:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from scan2albedo.errors import MissingDependencyError, Scan2AlbedoError
-from scan2albedo.io.result_json import ResultRecord, read_record
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import ResultRecord
 
 RESULT_FILE = "result.json"
 DONE, FAILED, NOT_RUN = "done", "failed", "not run"

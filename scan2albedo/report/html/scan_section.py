@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.io.result_json import ResultRecord
+from scan2albedo.io.result_records import ResultRecord
 from scan2albedo.report.html.charts import StageChart, read_trace, stage_charts
 from scan2albedo.report.html.encoding import TextureStyle, Topologies, picture_url
 from scan2albedo.report.html.rows import flattened

@@ -15,7 +15,8 @@ from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, port
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.geometry_image_files import read_geometry_image
-from scan2albedo.io.result_json import RegistrationRecord, ResultRecord, read_record
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
 from scan2albedo.lighting.shadow_map import shadow_offset_mm
 from scan2albedo.report.html.encoding import (
     TextureStyle,

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import write_text
-from scan2albedo.io.result_json import ResultRecord, read_record
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import ResultRecord
 from scan2albedo.report.html.batch_section import batch_section
 from scan2albedo.report.html.encoding import Topologies
 from scan2albedo.report.html.page import Page, page_html

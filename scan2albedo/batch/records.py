@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field
 
-from scan2albedo.io.result_json import Figures, Number, OptionalNumber, Record
+from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
+from scan2albedo.io.result_records import SHA256
 
 BatchStatus = Literal["running", "ended", "interrupted"]
-Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Sha256 = Annotated[str, Field(pattern=SHA256)]
 
 
 class BatchScanRecord(Record):

@@ -1,4 +1,4 @@
-"""Records of eyeglasses: frames made canonical, alone and in sets, and frames registered on faces."""
+"""Records of eyeglasses: canonical frames, alone and in sets, frames registered on faces, and lenses."""
 
 from __future__ import annotations
 
@@ -6,17 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from scan2albedo.io.result_json import (
-    Figures,
-    InputRecord,
-    Matrix,
-    Number,
-    OptionalNumber,
-    PlanRecord,
-    Record,
-)
+from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
+from scan2albedo.io.result_records import SHA256, InputRecord, PlanRecord
 
-_SHA256 = "^[0-9a-f]{64}$"
+_Vector = tuple[Number, Number, Number]
 
 
 class CanonicalFrameRecord(Record):
@@ -28,7 +21,7 @@ class CanonicalFrameRecord(Record):
     name: str = Field(min_length=1, description="Name of the frame.")
     input: InputRecord
     keypoints_file: str = Field(description="Path as given.")
-    keypoints_sha256: str = Field(pattern=_SHA256)
+    keypoints_sha256: str = Field(pattern=SHA256)
     mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
     scale: Number = Field(gt=0, description="Factor on the frame in mm; 1 unless it was of no true size.")
     canonical_from_frame: Matrix = Field(
@@ -70,7 +63,7 @@ class FileRecord(Record):
     """A file that a result was made from."""
 
     file: str = Field(description="Path as given.")
-    sha256: str = Field(pattern=_SHA256, description="Of a mesh: with the files it refers to.")
+    sha256: str = Field(pattern=SHA256, description="Of a mesh: with the files it refers to.")
 
 
 class RegisteredViewRecord(Record):
@@ -111,4 +104,59 @@ class RegisteredFrameRecord(Record):
     plan: tuple[PlanRecord, ...]
     metrics: Figures
     notes: tuple[str, ...] = Field((), description="What reading decided, repaired and did not find.")
+    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+
+
+class LensRecord(Record):
+    """One lens: what it is made of, and the rim it fills."""
+
+    side: Literal["left", "right"] = Field(description="The wearer's.")
+    dioptres: Number = Field(description="1/m; negative for the shortsighted.")
+    tint_linear: _Vector
+    alpha: Number = Field(ge=0, le=1, description="Share of the tint.")
+    beta: Number = Field(ge=0, le=1, description="Share of the reflection, at right angles.")
+    fresnel: bool
+    tinting: Literal["paint", "filter"]
+    front_radius_mm: Number | None = Field(description="Of the sphere that mirrors; null is a flat one.")
+    center_mm: _Vector = Field(description="Optical centre, in the world.")
+    normal: _Vector = Field(description="Of the lens plane, towards the viewer.")
+    mean_radius_mm: Number = Field(gt=0)
+    measured: Number = Field(
+        ge=0, le=1, description="Share of the outline met by rays; the rest is filled in."
+    )
+    gaps: Literal["none", "interpolated", "subdivided"] = Field(description="How the rest was filled in.")
+
+
+class LensViewRecord(Record):
+    """One picture."""
+
+    name: str = Field(min_length=1)
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+    left_lens_pixels: int = Field(ge=0)
+    right_lens_pixels: int = Field(ge=0)
+    unknown_pixels: int = Field(ge=0, description="Of which the photograph does not show what a lens does.")
+    seconds: Number = Field(ge=0)
+
+
+class LensesRecord(Record):
+    """The content of `result.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
+    name: str = Field(min_length=1, description="Name of the frame.")
+    options: Figures = Field(description="Settings of the pictures.")
+    input: InputRecord = Field(description="The frame.")
+    keypoints: FileRecord
+    mm_per_unit: Number = Field(gt=0, description="Of the frame's file.")
+    head: InputRecord
+    cameras: FileRecord
+    pictures: tuple[FileRecord, ...] = ()
+    environment: FileRecord | None = Field(None, description="null for the built-in one, or none.")
+    light: Literal["given", "built-in", "none"] = Field(description="Where the environment comes from.")
+    exposure: Number = Field(gt=0, description="Factor on linear colours in the PNG files.")
+    lenses: tuple[LensRecord, ...]
+    views: tuple[LensViewRecord, ...] = Field(min_length=1)
+    notes: tuple[str, ...] = ()
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")

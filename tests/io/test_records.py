@@ -9,16 +9,13 @@ from pydantic import ValidationError
 
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import OutputError, Scan2AlbedoError
-from scan2albedo.io.result_json import (
+from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
+from scan2albedo.io.result_records import (
     InputRecord,
     LightRecord,
     PlanRecord,
     RegistrationRecord,
     ResultRecord,
-    installed_versions,
-    plain_json,
-    read_record,
-    write_record,
 )
 
 SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"

@@ -1,0 +1,153 @@
+"""Records: JSON files with a schema, written whole and checked when they are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, ValidationError
+
+from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.io.atomic import write_text
+
+_LIBRARIES = ("numpy", "scipy", "numba", "libigl", "open3d-cpu", "open3d", "embreex", "xatlas", "trimesh")
+
+Content = TypeVar("Content", bound=BaseModel)
+
+
+def plain_json(value: Any) -> Any:
+    """Return a value in JSON's own types: numpy unwrapped, paths as text, NaN and infinity as null.
+
+    Examples
+    --------
+    >>> plain_json({"sigma": np.float64(0.3), "distance": math.inf, "size": (2, 3)})
+    {'sigma': 0.3, 'distance': None, 'size': [2, 3]}
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        return plain_json(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain_json(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+Figures = Annotated[dict[str, JsonValue], BeforeValidator(plain_json)]
+Number = Annotated[float, BeforeValidator(plain_json)]
+OptionalNumber = Annotated[float | None, BeforeValidator(plain_json)]
+Row = tuple[float, float, float, float]
+Matrix = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(plain_json)]
+
+
+class Record(BaseModel):
+    """Base of every record: unknown fields are refused, values are fixed, numbers are finite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions of Python and of the numerical libraries that are installed."""
+    import platform
+
+    versions = {"python": platform.python_version()}
+    for library in _LIBRARIES:
+        try:
+            versions[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return versions
+
+
+def write_record(path: str | Path, record: BaseModel, *, indent: int = 2) -> None:
+    """Write a record as indented JSON, atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    record : BaseModel
+        A `Record`, or the content of a file that people edit.
+    indent : int
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    """
+    write_text(path, record.model_dump_json(indent=indent) + "\n")
+
+
+def read_record(
+    path: str | Path,
+    kind: type[Content],
+    *,
+    what: str = "",
+    advice: str = "it was edited, cut short, or written by another version: process the scan again",
+    error: type[Scan2AlbedoError] = Scan2AlbedoError,
+) -> Content:
+    """Read and check a record, for example ``read_record("out/james/result.json", ResultRecord)``.
+
+    Parameters
+    ----------
+    path : str or Path
+    kind : type of BaseModel
+        Such as `ResultRecord`.
+    what : str
+        The thing in the file, for messages, such as "key points".
+    advice : str
+        What to do about a file that does not fit, for messages.
+    error : type of Scan2AlbedoError
+        To raise.
+
+    Returns
+    -------
+    the record, of type `kind`
+
+    Raises
+    ------
+    Scan2AlbedoError
+        Of the given type, when the file is missing, no JSON, or does not fit; the message names the file and
+        the first fault.
+    """
+    place = f"{what} {path}".lstrip()
+    try:
+        text = Path(path).read_bytes().decode("utf-8")
+    except OSError as cause:
+        raise error(f"{place}: cannot be read: {cause.strerror or cause}; {advice}") from cause
+    except UnicodeDecodeError as cause:
+        raise error(f"{place}: is no text file; {advice}") from cause
+    return parse_record(text, kind, place=place, advice=advice, error=error)
+
+
+def parse_record(
+    text: str,
+    kind: type[Content],
+    *,
+    place: str,
+    advice: str,
+    error: type[Scan2AlbedoError],
+    whole: str = "the file",
+) -> Content:
+    """Return the record that JSON text holds.
+
+    `place` is what the text was read from and `whole` its name, for messages; the rest as in `read_record`.
+    """
+    try:
+        return kind.model_validate_json(text)
+    except ValidationError as cause:
+        first = cause.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or whole
+        raise error(f"{place}: {where}: {first['msg']} ({cause.error_count()} problems); {advice}") from cause
+
+
+def listed_files(path: Path, kind: type[Record]) -> tuple[str, ...]:
+    """Return the `files` of an older record, none when there is no such record of that kind."""
+    try:
+        return tuple(getattr(read_record(path, kind), "files", ()))
+    except Scan2AlbedoError:
+        return ()

@@ -1,0 +1,117 @@
+"""Records of processed faces: `result.json`, `registration.json` and `application.json`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
+
+if TYPE_CHECKING:
+    from scan2albedo.core.point_light import PointLight
+
+APPLICATION_FILE = "application.json"
+SHA256 = "^[0-9a-f]{64}$"
+
+
+class InputRecord(Record):
+    """The scan a result was made from."""
+
+    file: str | None = Field(None, description="Path as given; null when the scan came from memory.")
+    sha256: str = Field(
+        pattern=SHA256, description="Of the scan file and the files it refers to; see input_sha256."
+    )
+    vertices: int = Field(ge=1, description="After repairs.")
+    faces: int = Field(ge=1, description="After repairs.")
+    texture_size: tuple[int, int] | None = Field(None, description="Width and height in texels.")
+
+
+class PlanRecord(Record):
+    """One decision: a step that ran or was left out."""
+
+    stage: str
+    ran: bool
+    reason: str
+    evidence: str = Field("", description="The measured figure behind the reason, with its unit.")
+
+
+class LightRecord(Record):
+    """One light in the model's frame."""
+
+    azimuth_deg: Number = Field(description="From +z toward +x.")
+    elevation_deg: Number = Field(description="From the xz-plane toward +y.")
+    distance_mm: OptionalNumber = Field(None, description="From the model's origin; null is a distant light.")
+    intensity: Number = Field(ge=0, description="Irradiance relative to ambient = 1.")
+
+    @classmethod
+    def of(cls, light: PointLight) -> LightRecord:
+        """Return the record of a light."""
+        return cls(
+            azimuth_deg=math.degrees(light.azimuth_rad),
+            elevation_deg=math.degrees(light.elevation_rad),
+            distance_mm=light.distance_mm,
+            intensity=light.intensity,
+        )
+
+
+class ResultRecord(Record):
+    """The content of `result.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
+    name: str = Field(min_length=1, description="Name of the scan.")
+    seed: int
+    options: Figures = Field(description="What the run was called with.")
+    input: InputRecord
+    plan: tuple[PlanRecord, ...]
+    metrics: Figures = Field(description="Figures of each stage; null is not finite or not measured.")
+    lights: tuple[LightRecord, ...] = ()
+    parameters: Figures = Field(
+        description="Of the reflectance model; null is infinite, as a light's distance."
+    )
+    timings_s: dict[str, Number] = Field(description="Wall-clock seconds of each stage.")
+    notes: tuple[str, ...] = Field((), description="What loading repaired, and warnings of the stages.")
+    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+
+
+class RegistrationRecord(Record):
+    """The content of `registration.json`."""
+
+    format_version: Literal[1] = 1
+    model_from_scan: Matrix = Field(
+        description="Row-major 4x4 acting on column vectors: scan points in mm into the model's frame."
+    )
+    fitted_from_scan: Matrix | None = Field(
+        None, description="The same as the fit refined it: into the frame of fitted.glb."
+    )
+    rmse_mm: Number = Field(ge=0)
+    depth_error: OptionalNumber = Field(
+        None, description="Depth-derivative objective; null when not measured."
+    )
+    converged: bool
+    confidence: Number = Field(ge=0, le=1)
+    iterations: int = Field(ge=0)
+
+
+class ApplicationRecord(Record):
+    """The content of `application.json`."""
+
+    format_version: Literal[1] = 1
+    scan2albedo_version: str
+    name: str = Field(min_length=1, description="Name of the face that came of it.")
+    application: str = Field(description="swap, blend or transfer-expression.")
+    inputs: tuple[str, ...] = Field(description="Names of the faces it was made from, in order.")
+    options: Figures = Field(description="What the application was called with.")
+    model: str = Field(description="Name of the face model whose chart this is.")
+    chart_mesh: bool = Field(
+        description="The surface is the geometry image's texels; there is no other mesh."
+    )
+    casts_shadows: bool
+    view_direction: tuple[float, float, float] = Field(description="Unit, toward the viewer.")
+    shadow_offset_mm: float = Field(ge=0)
+    reflectance: Figures = Field(description="Under the names that result.json has for its parameters.")
+    lights: tuple[LightRecord, ...] = ()
+    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
