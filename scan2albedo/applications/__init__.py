@@ -7,9 +7,8 @@ from scan2albedo.applications.face_reflectance import (
     reflectance_model_of_processed,
     reflectance_of_processed,
 )
-from scan2albedo.applications.files import write_face
+from scan2albedo.applications.files import load_result, write_face
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
-from scan2albedo.applications.loading import load_result
 from scan2albedo.applications.personal_model import personal_model
 from scan2albedo.applications.pictures import Picture, default_camera
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace

@@ -8,11 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.compatibility import on_common_chart
 from scan2albedo.applications.expression_correspondence import refined_expression
 from scan2albedo.applications.local_frames import local_similarities
 from scan2albedo.applications.model_surface import refinement_level
-from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_common_chart
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import procrustes, transform_points

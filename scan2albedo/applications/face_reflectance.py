@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.compatibility import same_mesh
-from scan2albedo.applications.loading import load_result
-from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.applications.files import ProcessedScan, load_result
+from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace, same_mesh
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.lighting.asrm import Reflectance, shade_points
 
 if TYPE_CHECKING:
-    from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
 
 FloatArray = NDArray[np.float64]
@@ -54,7 +52,7 @@ class FaceReflectance:
 
 
 def reflectance_of_processed(
-    source: str | Path | ProcessResult | ProcessedFace, *, level: float | None = None
+    source: str | Path | ProcessedScan | ProcessedFace, *, level: float | None = None
 ) -> FaceReflectance:
     """Return the reflectance of a processed scan at the vertices of its model's surface.
 
@@ -119,7 +117,7 @@ def reflectance_of_processed(
 
 
 def reflectance_model_of_processed(
-    sources: Sequence[str | Path | ProcessResult | ProcessedFace],
+    sources: Sequence[str | Path | ProcessedScan | ProcessedFace],
     *,
     level: float | None = None,
     components: int | None = None,

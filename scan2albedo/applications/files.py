@@ -1,49 +1,246 @@
-"""The files of a face that an application made; `load_result` reads them back."""
+"""Processed faces from files and to files: `load_result` and `write_face`."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.pictures import auto_exposure, padded
-from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import OutputError
+from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.geometry_image_files import write_geometry_image
+from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.records import plain_json, write_record
+from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.records import plain_json, read_record, write_record
 from scan2albedo.io.result_folder import result_folder
-from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord
+from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord, ResultRecord
 from scan2albedo.lighting.asrm import Reflectance
 
-PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
-"""Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
+if TYPE_CHECKING:
+    from scan2albedo.albedo import AlbedoEstimate
+    from scan2albedo.core.raw_scan import RawScan
+    from scan2albedo.fitting import FittedFace
 
-
-SCAN_FILE = "result.json"
+RESULT_FILE = "result.json"
 FILES = frozenset(
     {"application.json", "geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "picture.png"}
 )
 """Every file of a face that an application made."""
+PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
+"""Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
+_SAME_PLACE_MM = 0.01
+"""GLB files hold metres with 24 bits: a vertex of a face is off by far less."""
+
+
+class ProcessedScan(Protocol):
+    """What `load_result` takes of a result in memory; `scan2albedo.ProcessResult` is one."""
+
+    @property
+    def scan(self) -> RawScan:
+        """The input."""
+
+    @property
+    def fitted(self) -> FittedFace | None:
+        """None for a scan that was processed without a model."""
+
+    @property
+    def geometry_image(self) -> GeometryImage:
+        """The evenly sampled surface."""
+
+    @property
+    def albedo(self) -> AlbedoEstimate | None:
+        """None for a scan without colour."""
+
+
+def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
+    """Return the processed face of a scan's folder ``OUT/<scan name>``, of what an application wrote, or of a
+    `ProcessResult`.
+
+    Parameters
+    ----------
+    source : path or ProcessResult
+        A folder needs result.json (or application.json), geometry_image.npz and albedo.exr, and fitted.glb
+        unless it was processed without a model.
+
+    Raises
+    ------
+    ApplicationError
+        When a file is missing, cannot be read, or belongs to another result; the message names it. When the
+        result has no albedo.
+    """
+    if isinstance(source, str | Path):
+        return _from_folder(Path(source))
+    estimate, fitted, image = source.albedo, source.fitted, source.geometry_image
+    if estimate is None:
+        raise ApplicationError(
+            f"{source.scan.name}: has no albedo, for the scan has no colour or the stage was skipped; "
+            "process a coloured scan with the stage albedo"
+        )
+    mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
+    return ProcessedFace(
+        source.scan.name,
+        image,
+        estimate.albedo_linear,
+        estimate.reflectance,
+        estimate.lights,
+        mesh,
+        NO_MODEL if fitted is None else fitted.model.name,
+        estimate.casts_shadows,
+        estimate.view_direction,
+        estimate.shadow_offset_mm,
+    )
+
+
+def _from_folder(folder: Path) -> ProcessedFace:
+    if not folder.is_dir():
+        raise ApplicationError(
+            f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
+        )
+    try:
+        if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
+            return _of_scan(folder, read_record(_present(folder, RESULT_FILE), ResultRecord))
+        return _of_application(folder, read_record(folder / APPLICATION_FILE, ApplicationRecord))
+    except ApplicationError:
+        raise
+    except Scan2AlbedoError as error:
+        text = str(error) if str(folder) in str(error) else f"{folder}: {error}"
+        raise ApplicationError(text) from error
+
+
+def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
+    if not record.parameters:
+        raise ApplicationError(
+            f"{folder / RESULT_FILE}: holds no albedo, for the scan has no colour or the stage was "
+            "skipped; process a coloured scan with the stage albedo"
+        )
+    model = str(record.options.get("model", NO_MODEL))
+    image, albedo = _images(folder)
+    return ProcessedFace(
+        record.name,
+        image,
+        albedo,
+        _reflectance(record.parameters, folder / RESULT_FILE),
+        _lights(record.lights),
+        FaceMesh.of_chart(image) if model == NO_MODEL else fitted_mesh(folder, image),
+        model,
+        all(step.ran for step in record.plan if step.stage == "albedo.shadows"),
+    )
+
+
+def _of_application(folder: Path, record: ApplicationRecord) -> ProcessedFace:
+    image, albedo = _images(folder)
+    return ProcessedFace(
+        record.name,
+        image,
+        albedo,
+        _reflectance(record.reflectance, folder / APPLICATION_FILE),
+        _lights(record.lights),
+        FaceMesh.of_chart(image) if record.chart_mesh else fitted_mesh(folder, image),
+        record.model,
+        record.casts_shadows,
+        record.view_direction,
+        record.shadow_offset_mm,
+    )
+
+
+def _reflectance(parameters: Mapping[str, Any], file: Path) -> Reflectance:
+    brdf = parameters.get("brdf")
+    if brdf == "spherical-harmonics":
+        return Reflectance("lambert")
+    rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
+    strength, exponent = parameters.get("specular_strength"), parameters.get("specular_exponent")
+    try:
+        return Reflectance(str(brdf), float(rough), float(strength), float(exponent))  # type: ignore[arg-type]
+    except (TypeError, ValueError) as error:
+        raise ApplicationError(
+            f"{file}: its parameters describe no reflectance ({error}); process the scan again"
+        ) from error
+
+
+def _lights(records: Sequence[LightRecord]) -> tuple[PointLight, ...]:
+    return tuple(
+        PointLight(
+            math.radians(r.azimuth_deg),
+            math.radians(r.elevation_deg),
+            math.inf if r.distance_mm is None else r.distance_mm,
+            r.intensity,
+        )
+        for r in records
+    )
+
+
+def _present(folder: Path, name: str) -> Path:
+    file = folder / name
+    if not file.is_file():
+        raise ApplicationError(
+            f"{file}: is missing; {folder} is not the folder of one processed scan (OUT/<scan name>), or its "
+            "run was cut short: process the scan again"
+        )
+    return file
+
+
+def _images(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
+    image = read_geometry_image(_present(folder, "geometry_image.npz"))
+    albedo = read_image_linear(_present(folder, "albedo.exr"))
+    if albedo.shape[:2] != image.shape:
+        raise ApplicationError(
+            f"{folder / 'albedo.exr'}: has {albedo.shape[:2]} texels and geometry_image.npz {image.shape}; "
+            "they come from different runs: process the scan again"
+        )
+    return image, albedo
+
+
+def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
+    """Return the fitted surface: triangles and chart from the GLB, vertices from the image where it has them.
+
+    Raises
+    ------
+    ApplicationError
+        When fitted.glb is missing, damaged, or of another result; the message names it.
+    """
+    import trimesh
+
+    from scan2albedo.io.glb import METRES_PER_MM
+
+    file = _present(folder, "fitted.glb")
+    try:
+        mesh: Any = trimesh.load(file, process=False, force="mesh")
+        vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
+        faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
+    except (ValueError, TypeError, KeyError, AttributeError, IndexError, OSError) as error:
+        raise ApplicationError(
+            f"{file}: cannot be read as a textured GLB ({error}); process the scan again"
+        ) from error
+    exact = None if image.occluder is None else image.occluder[0]
+    if exact is not None and (
+        exact.shape != vertices.shape or np.abs(exact - vertices).max() > _SAME_PLACE_MM
+    ):
+        raise ApplicationError(
+            f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
+            "process the scan again"
+        )
+    return FaceMesh(vertices if exact is None else exact, faces, uv)
 
 
 def check_face_folder(folder: Path) -> None:
-    """Refuse the folder of a processed scan, which a new face would spoil.
+    """Refuse the folder of a processed scan, which a new face would overwrite.
 
     Raises
     ------
     OutputError
         Naming it.
     """
-    if (folder / SCAN_FILE).exists():
+    if (folder / RESULT_FILE).exists():
         raise OutputError(f"{folder}: is the folder of a processed scan; choose another for the new face")
 
 
@@ -55,7 +252,7 @@ def write_face(
     inputs: Sequence[ProcessedFace],
     options: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write what came of an application into a folder, whole or not at all; return the folder.
+    """Write the face that an application made into a folder, whole or not at all; return the folder.
 
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
     portrait light, and application.json, which comes last.
@@ -66,15 +263,11 @@ def write_face(
     folder : str or Path
         Made when it is not there.
     application : str
-        "swap", "blend" or "transfer-expression"; kept in the record.
+        "swap", "blend" or "transfer-expression".
     inputs : sequence of ProcessedFace
-        What the face was made of; their names are kept.
+        What the face was made of; the record keeps their names.
     options : mapping, optional
-        What the application was called with; kept.
-
-    Returns
-    -------
-    Path
+        Of the application, for the record.
 
     Raises
     ------
@@ -91,16 +284,11 @@ def write_face(
     return target
 
 
-def albedo_preview(face: ProcessedFace) -> NDArray[np.uint8]:
-    """Return (H, W, 3) sRGB bytes of the albedo, bright but not clipped, carried on over the chart's rim."""
-    factor = auto_exposure(face.albedo_linear[face.mask])
-    return encode_srgb_bytes(np.clip(factor * padded(face.albedo_linear, face.mask), 0, 1))
-
-
 def _write_images(face: ProcessedFace, folder: Path) -> None:
     write_geometry_image(folder / "geometry_image.npz", face.image)
     write_exr(folder / "albedo.exr", face.albedo_linear)
-    preview = albedo_preview(face)
+    factor = auto_exposure(face.albedo_linear[face.mask])
+    preview = encode_srgb_bytes(np.clip(factor * padded(face.albedo_linear, face.mask), 0, 1))
     write_png(folder / "albedo.png", np.where(face.mask[..., None], preview, np.uint8(255)))
     write_glb(folder / "fitted.glb", face.mesh.vertices, face.mesh.faces, face.mesh.uv, preview)
     write_png(folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
@@ -113,6 +301,7 @@ def _record(
     options: Mapping[str, Any],
     files: tuple[str, ...],
 ) -> ApplicationRecord:
+    skin = face.reflectance
     return ApplicationRecord(
         scan2albedo_version=VERSION,
         name=face.name,
@@ -124,17 +313,12 @@ def _record(
         casts_shadows=face.casts_shadows,
         view_direction=face.view_direction,
         shadow_offset_mm=face.shadow_offset_mm,
-        reflectance=_parameters(face.reflectance),
+        reflectance={
+            "brdf": skin.brdf,
+            "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
+            "specular_strength": skin.specular_strength,
+            "specular_exponent": skin.exponent,
+        },
         lights=tuple(LightRecord.of(light) for light in face.lights),
         files=files,
     )
-
-
-def _parameters(reflectance: Reflectance) -> dict[str, Any]:
-    rough = "minnaert_exponent" if reflectance.brdf == "minnaert" else "sigma_rad"
-    return {
-        "brdf": reflectance.brdf,
-        rough: reflectance.roughness,
-        "specular_strength": reflectance.specular_strength,
-        "specular_exponent": reflectance.exponent,
-    }

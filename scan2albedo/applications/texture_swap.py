@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scan2albedo.applications.compatibility import on_common_chart
-from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.skin_continuation import continued, trusted
 
 

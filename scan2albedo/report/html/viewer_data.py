@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.loading import fitted_mesh, load_result
+from scan2albedo.applications.files import fitted_mesh, load_result
 from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.errors import Scan2AlbedoError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.applications import blend_faces, load_result, swap_texture, transfer_expression
-from scan2albedo.applications.compatibility import on_common_chart
+from scan2albedo.applications.processed_face import on_common_chart
 from scan2albedo.errors import ApplicationError
 
 APPLICATIONS = [blend_faces, swap_texture, lambda a, b: transfer_expression(a, a, b)]
