@@ -1,10 +1,10 @@
-"""Morphable reflectance: lobes at oblique views, fits to images, shadows, white light, speed.
+"""Morphable reflectance: lobes at oblique views, fits to images, shadows, speed.
 
-    python tools/bench_reflectance_model.py [lobes] [fit] [shadows] [white] [photograph] [speed]
+    python tools/bench_reflectance_model.py [lobes] [fit] [shadows] [photograph] [speed]
                                             [--picture fit.png] [--photographs faces.png]
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
-is generated; it casts shadows in `shadows`, `white` and `photograph` only, ray-traced as
+is generated; it casts shadows in `shadows` and `photograph` only, ray-traced as
 tools/shadowed_shots.py tells.
 Albedo errors are relative RMSE after the best single scale, over seen vertices; faces are such as the model
 was not learned from, unless said. Times are CPU seconds.
@@ -129,10 +129,8 @@ class ShadowedCases:
     elsewhere: np.ndarray
 
     @classmethod
-    def of(cls, faces: list[VertexReflectance], seed: int, grey: bool = False) -> ShadowedCases:
+    def of(cls, faces: list[VertexReflectance], seed: int) -> ShadowedCases:
         maps = [generated_environment(seed + k) for k in range(2 * len(faces))]
-        if grey:
-            maps = [np.repeat(image.mean(-1, keepdims=True), 3, -1) for image in maps]
         received = shadowed_surface().received(maps)
         return cls(faces, received[: len(faces)], received[len(faces) :])
 
@@ -214,16 +212,6 @@ def print_shadows() -> None:
                 print(f"{label:44}{made}", flush=True)
 
 
-def print_white_light() -> None:
-    """Print fits with a penalty on the colour of light, under coloured and under grey light."""
-    print(f"{'light':12}{'white_light_weight':>20}{'albedo':>10}{'worst':>10}{'relit':>10}{'fit':>10}")
-    for name, grey in (("as it comes", False), ("grey", True)):
-        cases = ShadowedCases.of([person(k) for k in range(8)], 63_000, grey)
-        for weight in (0.0, 1e-3, 1e-2, 0.1, 10.0):
-            made = cases.fitted(True, ImageFitOptions(white_light_weight=weight))
-            print(f"{name:12}{weight:20g}{made}", flush=True)
-
-
 def photograph_of(cases: ShadowedCases, k: int, camera: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """A picture (H, W, 3) of 8 bits before grey, of gamma 1.2, in which no skin is saturated."""
     s = surface()
@@ -291,10 +279,9 @@ def print_speed() -> None:
 PARTS = {
     "lobes": print_lobes,
     "shadows": print_shadows,
-    "white": print_white_light,
     "speed": print_speed,
 }
-ORDER = ("lobes", "fit", "shadows", "white", "photograph", "speed")
+ORDER = ("lobes", "fit", "shadows", "photograph", "speed")
 
 
 def main() -> None:

@@ -8,14 +8,14 @@ from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, Reflectan
 from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
 from scan2albedo.reflectance.generated_environments import generated_environment
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
-from scan2albedo.reflectance.geometry_options import GeometryFitOptions
-from scan2albedo.reflectance.image_fit import ImageFit, ImageFitOptions, fit_image
+from scan2albedo.reflectance.geometry_terms import GeometryFitOptions
+from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.image_terms import ImageFitOptions, PerceptualDistance
 from scan2albedo.reflectance.light_transfer import light_transfer
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
-from scan2albedo.reflectance.perceptual_term import PerceptualDistance
 from scan2albedo.reflectance.photograph import PhotographOptions, observe_photograph
 from scan2albedo.reflectance.photograph_files import PhotographFiles, read_photograph, write_photograph
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance

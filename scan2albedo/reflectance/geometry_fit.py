@@ -8,20 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core import Budget, Plan, ProgressCallback, Trace
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.reflectance.environment_shading import checked_light
-from scan2albedo.reflectance.geometry_input import checked_landmarks, edge_px, initial_state
-from scan2albedo.reflectance.geometry_options import GeometryFitOptions
-from scan2albedo.reflectance.geometry_refinement import GeometryRefinement
-from scan2albedo.reflectance.photometry import Photometry
+from scan2albedo.reflectance.geometry_search import GeometryObjective, GeometrySearch, GeometryState
+from scan2albedo.reflectance.geometry_start import checked_landmarks, edge_px, initial_state, landmark_term
+from scan2albedo.reflectance.geometry_terms import (
+    GeometryFitOptions,
+    GeometryTerm,
+    PhotometricTerm,
+    Photometry,
+)
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.smooth_image import SmoothImage
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
 FloatArray = NDArray[np.float64]
+
+_RIGID_STEPS, _LANDMARK_STEPS = 20, 100
+"""Most steps with landmarks alone: of the pose, then of pose and shape."""
+_REFRESH_STEPS = 5
+"""After so many steps with photometry it is settled anew which vertices count."""
+_LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
+"""Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
+by more than this many pixels."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +173,7 @@ def refine_geometry(
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so nothing tells of the geometry; give one of both"
         )
-    fit = GeometryRefinement(matrix, landmarks, shape_model, photometry, start, options)
+    fit = _Refinement(matrix, landmarks, shape_model, photometry, start, options)
     fit.run(Budget.of(budget), on_progress)
     if not fit.converged:
         warnings.warn(
@@ -172,7 +184,133 @@ def refine_geometry(
     return _result(fit)
 
 
-def _result(fit: GeometryRefinement) -> GeometryFit:
+class _Refinement:
+    """A fit in its two stages: landmarks alone, then colours with them, accepted or not."""
+
+    def __init__(
+        self,
+        camera: FloatArray,
+        landmarks: FloatArray,
+        model: MorphableShapeModel,
+        photometry: Photometry | None,
+        start: GeometryState,
+        options: GeometryFitOptions,
+    ) -> None:
+        self.camera, self.landmarks, self.model = camera, landmarks, model
+        self.photometry, self.state, self.options = photometry, start, options
+        self.anchor = landmark_term(camera, landmarks, model, start, options)
+        self.converged, self.iterations = True, 0
+        self.rmse: tuple[float | None, float | None] = (None, None)
+        self.steps: list[PlanStep] = []
+        self.trace = Trace()
+
+    def run(self, budget: Budget, on_progress: ProgressCallback | None) -> None:
+        """Run both stages."""
+        meter = Meter("reflectance.geometry", "objective", budget, on_progress)
+        self._fit_landmarks(meter)
+        self._fit_photometry(meter)
+        self.trace = meter.trace
+
+    def _fit_landmarks(self, meter: Meter) -> None:
+        name = "reflectance.geometry.landmarks"
+        if self.anchor is None:
+            self.steps.append(PlanStep(name, False, "no landmark is seen"))
+            return
+        stage = meter.child(name, "objective")
+        rigid = GeometrySearch(self.state, stage)
+        rigid.run(self._objective([self.anchor], stage, rigid=True), _RIGID_STEPS)
+        search = GeometrySearch(rigid.state, stage)
+        search.run(self._objective([self.anchor], stage), _LANDMARK_STEPS)
+        self.state, self.converged = search.state, search.converged
+        self.iterations += rigid.iterations + search.iterations
+        meter.adopt(stage)
+        self.steps.append(PlanStep(name, True, "landmarks are seen", f"{len(self.anchor.vertex)} landmarks"))
+
+    def _fit_photometry(self, meter: Meter) -> None:
+        name = "reflectance.geometry.photometry"
+        if self.photometry is None:
+            self.steps.append(PlanStep(name, False, "no reflectance and light are given"))
+            return
+        if meter.exhausted:
+            self.converged = False
+            self.steps.append(PlanStep(name, False, "the budget had ended"))
+            return
+        stage = meter.child(name, "objective")
+        search = GeometrySearch(self.state, stage)
+        converged = self._search(search, self.photometry)
+        meter.adopt(stage)
+        self.iterations += search.iterations
+        if self._accept(name, self.photometry, search):
+            self.state, self.converged = search.state, converged
+        elif meter.exhausted:
+            self.converged = False
+
+    def _objective(
+        self, terms: list[GeometryTerm], meter: Meter, *, rigid: bool = False
+    ) -> GeometryObjective:
+        return GeometryObjective.of(self.model, self.options.prior_weight, terms, meter, rigid=rigid)
+
+    def _search(self, search: GeometrySearch, photometry: Photometry) -> bool:
+        """Search with what is seen settled anew every few steps; tell whether it converged."""
+        converged = False
+        for level in range(photometry.levels):
+            converged = False
+            for _ in range(self.options.rounds):
+                vertices = search.state.vertices(self.model)
+                term = photometry.term(vertices, photometry.usable(vertices), level)
+                if term is None or search.meter.exhausted:
+                    break
+                terms: list[GeometryTerm] = [term] if self.anchor is None else [self.anchor, term]
+                search.run(self._objective(terms, search.meter), _REFRESH_STEPS)
+                # Nothing to gain from what is seen now, and so neither from settling it anew.
+                if search.converged or search.hardly_fell:
+                    converged = not search.meter.exhausted
+                    break
+        return converged
+
+    def _accept(self, name: str, photometry: Photometry, search: GeometrySearch) -> bool:
+        """Tell whether the result of photometry is accepted, and write it into the plan."""
+        if search.iterations == 0:
+            self.steps.append(PlanStep(name, False, "the image shows nothing of the face, or no step helps"))
+            return False
+        shapes = [state.vertices(self.model) for state in (self.state, search.state)]
+        term = photometry.common_term(shapes)
+        if term is None:
+            self.steps.append(PlanStep(name, False, "shapes before and after show nothing in common"))
+            return False
+        objection = self._objection(term, self.state, search.state)
+        evidence = f"relative rmse {self.rmse[0]:.4f} -> {self.rmse[1]:.4f}, {len(term.used)} vertices"
+        reason = objection or "the colours are explained better"
+        self.steps.append(PlanStep(name, not objection, reason, evidence))
+        return not objection
+
+    def _objection(self, term: PhotometricTerm, before: GeometryState, after: GeometryState) -> str:
+        """Return why the result of photometry is not accepted, or an empty text."""
+        values, rmse = [], []
+        for state in (before, after):
+            vertices = state.vertices(self.model)
+            rmse.append(term.relative_rmse(vertices))
+            prior = self.options.prior_weight * float(state.coefficients @ state.coefficients)
+            of_landmarks = 0.0 if self.anchor is None else self.anchor.value(vertices)
+            values.append(term.value(vertices) + of_landmarks + prior)
+        self.rmse = rmse[0], rmse[1]
+        if not values[1] < values[0]:
+            return "the objective did not fall over what both shapes show"
+        if not rmse[1] <= self.options.largest_rmse:
+            return "the colours are not explained; light or reflectance are others"
+        if self.anchor is not None:
+            error = [_rms(self.landmark_errors(state)) for state in (before, after)]
+            if error[1] > max(_LANDMARK_GROWTH * error[0], error[0] + _LANDMARK_SLACK_PX):
+                return f"the landmarks' error grew from {error[0]:.2f} to {error[1]:.2f} px"
+        return ""
+
+    def landmark_errors(self, state: GeometryState) -> FloatArray:
+        """Return (68,) distances in pixels, NaN where a landmark is not seen."""
+        pixels, _ = project(self.camera, state.vertices(self.model)[self.model.landmark_vertices])
+        return np.asarray(np.linalg.norm(pixels - self.landmarks, axis=1))
+
+
+def _result(fit: _Refinement) -> GeometryFit:
     vertices = fit.state.vertices(fit.model)
     return GeometryFit(
         scene_from_model=fit.state.scene_from_model,
@@ -197,3 +335,7 @@ def _checked_reflectance(reflectance: VertexReflectance, model: MorphableShapeMo
             "bring both to one topology"
         )
     return reflectance
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.nanmean(errors**2)))

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt over pose and coefficients of a shape model."""
+"""Search over pose and coefficients of a shape model."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from scipy import sparse
 from scan2albedo.core import Meter
 from scan2albedo.geometry.normal_jacobian import cross_matrices
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.optimization import Damping, NormalEquations, minimize
 from scan2albedo.reflectance.geometry_terms import GeometryTerm
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 
 FloatArray = NDArray[np.float64]
 
-_LARGEST_DAMPING = 1e10
-_FLAT_STEPS = 3
+_TOLERANCE, _FLAT_STEPS = 1e-4, 3
+"""Converged when the objective falls by less than this part, so many steps running."""
+_LARGEST_FIRST_DAMPING = 0.1
+"""A search goes on with the damping that the one before ended with, but never with more than this."""
 POSE = 6
 """Parameters of a step's pose: turn around the face's middle in rad, and shift in mm."""
 
@@ -42,108 +45,85 @@ class GeometryState:
         return transform_points(self.scene_from_model, model.shape(self.identity, self.expression))
 
 
-class GeometrySearch:
-    """State of the search.
+@dataclass(frozen=True)
+class GeometryObjective:
+    """The sum of terms and prior_weight |coefficients|^2."""
 
-    Minimises the sum of terms and prior_weight |coefficients|^2.
+    model: MorphableShapeModel
+    basis: FloatArray
+    """(3V, P - 6) directions of the coefficients that move."""
+    prior_weight: float
+    terms: Sequence[GeometryTerm]
+    meter: Meter
 
-    Parameters
-    ----------
-    model : MorphableShapeModel
-    start : GeometryState
-    prior_weight : float
-    meter : Meter
-        Counts evaluations of the objective and records its value.
-    rigid : bool
-        Move the pose only.
-    """
-
-    def __init__(
-        self,
+    @classmethod
+    def of(
+        cls,
         model: MorphableShapeModel,
-        start: GeometryState,
         prior_weight: float,
+        terms: Sequence[GeometryTerm],
         meter: Meter,
         *,
         rigid: bool = False,
-    ) -> None:
-        self.model, self.prior_weight, self.meter = model, prior_weight, meter
+    ) -> GeometryObjective:
+        """Return the objective over pose and all coefficients, or over the pose only."""
         count = 0 if rigid else model.identity_components + model.expression_components
-        self._basis = model.basis[:count].reshape(count, 3 * len(model.mean)).T
-        self.state, self.vertices = start, start.vertices(model)
-        self.terms: Sequence[GeometryTerm] = ()
-        self.value = self.first_value = np.inf
-        self.damping = 1e-3
-        self.iterations, self.converged = 0, False
+        return cls(
+            model, model.basis[:count].reshape(count, 3 * len(model.mean)).T, prior_weight, terms, meter
+        )
 
-    def run(self, terms: Sequence[GeometryTerm], steps: int, tolerance: float) -> None:
-        """Take up to `steps` steps down the sum of `terms`, until it hardly falls or the budget ends.
-
-        `converged` tells of this run, `first_value` the objective it began with. Where the terms are not
-        defined nothing moves.
-        """
-        self.terms, self.converged = terms, False
-        if self.meter.exhausted:
-            return
-        self.damping = min(self.damping, 1e-1)
-        self.value = self._objective(self.state, self.vertices)
-        self.first_value = self.value
+    def at(self, state: GeometryState) -> GeometryPoint:
+        """Evaluate the objective."""
         self.meter.count()
-        if not np.isfinite(self.value):
-            return
-        self.meter.record(self.value)
-        flat = 0
-        for _ in range(steps):
-            before = self.value
-            if self.meter.exhausted:
-                return
-            if not self._step():
-                # No step along the descent direction helps any more, or the budget cut the trials short.
-                self.converged = self.damping > _LARGEST_DAMPING
-                return
-            self.iterations += 1
-            self.meter.record(self.value)
-            flat = flat + 1 if before - self.value < tolerance * before else 0
-            if flat == _FLAT_STEPS:
-                self.converged = True
-                return
+        vertices = state.vertices(self.model)
+        cost = self.prior_weight * float(state.coefficients @ state.coefficients)
+        for term in self.terms:
+            cost += term.value(vertices)
+        return GeometryPoint(self, state, vertices, cost)
 
-    def _step(self) -> bool:
-        """Go down by one damped step, damping more until the objective falls; tell whether it did."""
-        hessian, gradient = self._normal_equations()
-        diagonal = np.diag(hessian)
-        floor = 1e-12 * max(float(diagonal.max()), 1e-300)
-        while self.damping <= _LARGEST_DAMPING and not self.meter.exhausted:
-            step = -np.linalg.solve(hessian + np.diag(self.damping * diagonal + floor), gradient)
-            trial = self._moved(np.asarray(step, np.float64))
-            vertices = trial.vertices(self.model)
-            value = self._objective(trial, vertices)
-            self.meter.count()
-            if value < self.value:
-                self.state, self.vertices, self.value = trial, vertices, value
-                self.damping = max(self.damping / 5, 1e-9)
-                return True
-            self.damping *= 4
-        return False
 
-    def _normal_equations(self) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True)
+class GeometryPoint:
+    """The objective at a state."""
+
+    objective: GeometryObjective
+    state: GeometryState
+    vertices: FloatArray
+    cost: float
+    """Infinite where a term is not defined."""
+
+    def normal_equations(self) -> NormalEquations:
         """Return the Gauss-Newton matrix and the gradient by pose and coefficients."""
-        count = self._basis.shape[1]
-        prior = np.concatenate([np.zeros(POSE), np.full(count, 2 * self.prior_weight)])
+        basis, weight = self.objective.basis, self.objective.prior_weight
+        count = basis.shape[1]
+        prior = np.concatenate([np.zeros(POSE), np.full(count, 2 * weight)])
         hessian = np.diag(prior)
         gradient = prior * np.concatenate([np.zeros(POSE), self.state.coefficients[:count]])
         rotation = self.state.scene_from_model[:3, :3]
         pose_motion = self._pose_motion()
-        for term in self.terms:
+        for term in self.objective.terms:
             linear = term.linearized(self.vertices)
             by = linear.by_vertices
             by_shape = sparse.bsr_matrix((by.data @ rotation, by.indices, by.indptr), shape=by.shape)
-            jacobian = np.concatenate([by @ pose_motion, by_shape @ self._basis], axis=1)
+            jacobian = np.concatenate([by @ pose_motion, by_shape @ basis], axis=1)
             root = np.sqrt(linear.weight)
             scaled = root[:, None] * jacobian
             hessian = hessian + scaled.T @ scaled
             gradient = gradient + scaled.T @ (root * linear.residual)
-        return hessian, gradient
+        return NormalEquations(hessian, gradient)
+
+    def moved(self, step: FloatArray) -> GeometryPoint:
+        """Return the objective after a turn, a shift and a change of coefficients (P,)."""
+        middle = self.vertices.mean(0)
+        # A turn of more than a radian in one step is a runaway.
+        turn = step[:3] / max(1.0, float(np.linalg.norm(step[:3])))
+        pivot, away = compose(np.eye(3), middle), compose(np.eye(3), -middle)
+        motion = compose(rotation_from_vector(turn), np.zeros(3))
+        pose = compose(np.eye(3), step[3:POSE]) @ pivot @ motion @ away @ self.state.scene_from_model
+        coefficients = self.state.coefficients
+        coefficients[: len(step) - POSE] += step[POSE:]
+        split = self.objective.model.identity_components
+        return self.objective.at(GeometryState(pose, coefficients[:split], coefficients[split:]))
 
     def _pose_motion(self) -> FloatArray:
         """Return (3V, 6) derivatives of the vertices by turn and shift."""
@@ -151,20 +131,48 @@ class GeometrySearch:
         shift = np.broadcast_to(np.eye(3), turn.shape)
         return np.concatenate([turn, shift], axis=2).reshape(-1, POSE)
 
-    def _moved(self, step: FloatArray) -> GeometryState:
-        pivot = compose(np.eye(3), self.vertices.mean(0))
-        # A turn of more than a radian in one step is a runaway.
-        turn = step[:3] / max(1.0, float(np.linalg.norm(step[:3])))
-        away = compose(np.eye(3), -self.vertices.mean(0))
-        motion = compose(rotation_from_vector(turn), np.zeros(3))
-        pose = compose(np.eye(3), step[3:POSE]) @ pivot @ motion @ away @ self.state.scene_from_model
-        moved = self.state.coefficients
-        moved[: len(step) - POSE] += step[POSE:]
-        split = self.model.identity_components
-        return GeometryState(pose, moved[:split], moved[split:])
 
-    def _objective(self, state: GeometryState, vertices: FloatArray) -> float:
-        value = self.prior_weight * float(state.coefficients @ state.coefficients)
-        for term in self.terms:
-            value += term.value(vertices)
-        return value
+class GeometrySearch:
+    """A state that searches move, one after the other.
+
+    Parameters
+    ----------
+    start : GeometryState
+    meter : Meter
+        Counts evaluations of the objectives and records their values.
+    """
+
+    def __init__(self, start: GeometryState, meter: Meter) -> None:
+        self.state, self.meter = start, meter
+        self.value = self.first_value = np.inf
+        self.iterations, self.converged = 0, False
+        self._damping = Damping().first
+
+    def run(self, objective: GeometryObjective, steps: int) -> None:
+        """Take up to `steps` steps, until the objective hardly falls or the budget ends.
+
+        `converged` is that of this run, `first_value` and `value` its objective before and after. Where a
+        term is not defined nothing moves.
+        """
+        self.converged = False
+        if self.meter.exhausted:
+            return
+        start = objective.at(self.state)
+        found = minimize(
+            start,
+            steps=steps,
+            tolerance=_TOLERANCE,
+            flat_steps=_FLAT_STEPS,
+            damping=Damping(first=min(self._damping, _LARGEST_FIRST_DAMPING)),
+            meter=self.meter,
+            on_better=lambda point: self.meter.record(point.cost),
+        )
+        self.first_value, self.value = start.cost, found.best.cost
+        self.state, self._damping = found.best.state, found.damping
+        self.iterations += found.steps
+        self.converged = found.converged
+
+    @property
+    def hardly_fell(self) -> bool:
+        """Whether the last run was not worth another one with the same terms."""
+        return self.first_value - self.value <= _TOLERANCE * self.value

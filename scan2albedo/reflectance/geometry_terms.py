@@ -1,7 +1,9 @@
-"""What landmarks and colours say of where vertices lie: values and derivatives."""
+"""What a geometry fit minimises: landmarks and colours as functions of where vertices lie."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,9 +18,63 @@ from scan2albedo.reflectance.environment_shading import shade_environment
 from scan2albedo.reflectance.shading_gradient import shading_gradient
 from scan2albedo.reflectance.smooth_image import SmoothImage
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+_VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
+"""Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
+than so many pixels to an edge of the surface in the image."""
+_OFFSET_MM, _DEPTH_STEP_MM = 0.2, 3.0
+"""Of rays and of edges in depth, see `VertexVisibility`."""
+_LEAST_VERTICES = 20
+"""Fewer tell nothing of a shape."""
+
+
+@dataclass(frozen=True)
+class GeometryFitOptions:
+    """How pose and shape are fitted to one image.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    landmark_weight: float = 0.2
+    """Of the mean squared distance of landmarks, in mm at the face's depth."""
+    photometric_weight: float = 2.0
+    """Of the mean absolute difference of colours, in units of the image's median colour."""
+    prior_weight: float = 1e-3
+    """Of the squared coefficients."""
+    softness: float = 0.01
+    """Differences below this share of the median colour count by their squares (Charbonnier's epsilon)."""
+    landmark_softness_mm: float | None = None
+    """Landmarks farther off than this count by their distance, not its square; None for squares alone."""
+    contour: bool = True
+    """Use landmarks 0 ... 16, along the jaw, which slide over the face where its outline is meant."""
+    blur_edges: tuple[float, ...] = (0.3,)
+    """The image is smoothed by these standard deviations, one after the other, in mean edges of the mesh: the
+    reflectance does not hold what is finer than the spacing of its vertices."""
+    rounds: int = 10
+    """Most times that it is settled anew which vertices count, for each of `blur_edges`."""
+    largest_rmse: float = 0.25
+    """Photometry is not accepted when the colours' relative rmse stays above this."""
+
+    def __post_init__(self) -> None:
+        positive = ["landmark_weight", "photometric_weight", "softness", "largest_rmse"]
+        if self.landmark_softness_mm is not None:
+            positive.append("landmark_softness_mm")
+        for name in positive:
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be above 0 and finite, got {getattr(self, name)}")
+        if not 0 <= self.prior_weight < math.inf:
+            raise ValueError(f"prior_weight must be 0 or more and finite, got {self.prior_weight}")
+        if self.rounds < 1:
+            raise ValueError(f"rounds must be 1 or more, got {self.rounds}")
+        if not self.blur_edges or not all(0 <= blur < math.inf for blur in self.blur_edges):
+            raise ValueError(f"blur_edges must hold one or more finite numbers >= 0, got {self.blur_edges}")
 
 
 @dataclass(frozen=True)
@@ -157,6 +213,93 @@ class PhotometricTerm:
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
         return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
+
+
+class Photometry:
+    """An image, its camera, and the face's reflectance in a light: makes terms over what is seen.
+
+    Parameters
+    ----------
+    images : sequence of SmoothImage
+        The same one, from smooth to sharp.
+    camera : (3, 4) float64
+        Normalised.
+    faces : (F, 3) int64
+    reflectance : VertexReflectance
+        Of V vertices.
+    light : (81, 3) float64
+    options : GeometryFitOptions
+    """
+
+    def __init__(
+        self,
+        images: Sequence[SmoothImage],
+        camera: FloatArray,
+        faces: IntArray,
+        reflectance: VertexReflectance,
+        light: FloatArray,
+        options: GeometryFitOptions,
+    ) -> None:
+        self._images = images
+        self._camera, self._faces = camera, faces
+        self._reflectance, self._light, self._options = reflectance, light, options
+
+    @property
+    def levels(self) -> int:
+        """Number of images, from smooth to sharp."""
+        return len(self._images)
+
+    def usable(self, vertices: FloatArray) -> IntArray:
+        """Return the vertices (U,) that are seen, known, and lie on valid pixels; none where too few are."""
+        none = np.zeros(0, np.int64)
+        pixels, depth = project(self._camera, vertices)
+        if not (np.isfinite(vertices).all() and (depth > 0).all()):
+            return none
+        candidates = self._reflectance.known & self._images[0].covers(pixels)
+        if candidates.sum() < _LEAST_VERTICES:
+            return none
+        visibility = VertexVisibility(
+            vertices, self._faces, vertex_normals(vertices, self._faces), _OFFSET_MM
+        )
+        seen = visibility.seen(self._camera, _VIEW_COSINE, _MARGIN_PX, _DEPTH_STEP_MM)
+        used = np.flatnonzero(candidates & seen)
+        return used if len(used) >= _LEAST_VERTICES else none
+
+    def term(self, vertices: FloatArray, used: IntArray, level: int) -> PhotometricTerm | None:
+        """Return the term over the `used` of `vertices` in the image smoothed for `level`.
+
+        None where the image is black there.
+        """
+        image, reflectance = self._images[level], self._reflectance
+        if len(used) == 0:
+            return None
+        grey = np.abs(image.look_up(project(self._camera, vertices[used])[0])).mean(1)
+        unit = float(np.median(grey)) or float(grey.mean())
+        if not unit > 0:
+            return None
+        part = VertexReflectance(
+            reflectance.diffuse_linear[used], reflectance.weights[used], reflectance.known[used]
+        )
+        return PhotometricTerm(
+            image,
+            self._camera,
+            self._faces,
+            used,
+            part,
+            self._light,
+            unit,
+            self._options.photometric_weight,
+            self._options.softness,
+        )
+
+    def common_term(self, shapes: Sequence[FloatArray]) -> PhotometricTerm | None:
+        """Return the term in the last image over what all of the shapes (V, 3) show, or None."""
+        used = self.usable(shapes[0])
+        for vertices in shapes[1:]:
+            used = np.intersect1d(used, self.usable(vertices))
+        if len(used) < _LEAST_VERTICES:
+            return None
+        return self.term(shapes[0], used, self.levels - 1)
 
 
 def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:

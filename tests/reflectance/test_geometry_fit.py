@@ -24,7 +24,7 @@ from scan2albedo.reflectance import (
     refine_geometry,
     shade_environment,
 )
-from scan2albedo.reflectance.geometry_search import GeometrySearch, GeometryState
+from scan2albedo.reflectance.geometry_search import GeometryObjective, GeometryState
 from scan2albedo.reflectance.geometry_terms import LandmarkTerm, PhotometricTerm
 from scan2albedo.reflectance.smooth_image import SmoothImage
 from scan2albedo.synthetic import identity
@@ -136,18 +136,14 @@ def test_colours_differ_by_the_derivative_when_vertices_move(model, face):
 
 @pytest.mark.parametrize("softness_mm", [None, 0.5])
 def test_the_gradient_is_that_of_the_objective_by_pose_and_coefficients(model, face, softness_mm):
-    search = GeometrySearch(model, states(model, face), 1e-3, Meter("test", "objective"))
-    search.terms = terms(model, face, softness_mm)
-    _, gradient = search._normal_equations()
+    parts = terms(model, face, softness_mm)
+    point = GeometryObjective.of(model, 1e-3, parts, Meter("test", "objective")).at(states(model, face))
+    gradient = point.normal_equations().gradient
     assert len(gradient) == 6 + model.identity_components + model.expression_components
-
-    def objective(step):
-        moved = search._moved(step)
-        return search._objective(moved, moved.vertices(model))
 
     for direction in np.random.default_rng(2).normal(size=(4, len(gradient))):
         direction[:3] *= 0.01
-        expected = (objective(1e-6 * direction) - objective(-1e-6 * direction)) / 2e-6
+        expected = (point.moved(1e-6 * direction).cost - point.moved(-1e-6 * direction).cost) / 2e-6
         assert gradient @ direction == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
@@ -394,7 +390,6 @@ def test_shapes_that_do_not_fit_are_refused(model, face):
         {"softness": np.nan},
         {"blur_edges": ()},
         {"blur_edges": (-1.0,)},
-        {"view_cosine": 1.0},
         {"rounds": 0},
         {"landmark_softness_mm": 0.0},
     ],

@@ -24,7 +24,6 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.environment_shading import light_response
 from scan2albedo.reflectance.image_terms import ImageTerms
 from scan2albedo.reflectance.model_update import best_change
-from scan2albedo.reflectance.white_light_term import WhiteLightTerm
 
 DIRECTIONS = distant_directions(700)
 NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]
@@ -214,33 +213,6 @@ def test_what_a_perceptual_function_must_not_return(model, lighting, answer, tol
         fit_image(picture(people(1, 5)[0], 3), model, lighting, perceptual=answer)
 
 
-def test_the_white_light_term_has_the_derivatives_of_its_value(lighting):
-    term, rng = WhiteLightTerm(0.7, 2.0, lighting), np.random.default_rng(0)
-    g, t = 0.3 * rng.normal(size=30), np.log([0.5, 1.0, 2.0])
-    matrix, gradient = term.normal_equations(t, lighting.light(g, scale_rgb=np.exp(t)))
-    for direction in rng.normal(size=(3, 33)):
-        ahead, behind = (
-            term.value(lighting.light(g + h * direction[:30], scale_rgb=np.exp(t + h * direction[30:])))
-            for h in (1e-5, -1e-5)
-        )
-        assert gradient @ direction == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)
-    grey = np.repeat(rng.normal(size=(81, 1)), 3, 1)
-    assert term.value(grey) == pytest.approx(0, abs=1e-25)
-    assert np.linalg.eigvalsh(matrix).min() > -1e-9
-
-
-def test_a_heavy_white_light_term_makes_light_grey_whatever_the_exposure(model, lighting):
-    image = picture(people(1, 5)[0], 4)
-    spreads = []
-    for weight, exposure in ((0.0, 1.0), (100.0, 1.0), (100.0, 30.0)):
-        bright = dataclasses.replace(image, observed_linear=exposure * np.asarray(image.observed_linear))
-        options = ImageFitOptions(white_light_weight=weight)
-        light = quiet_fit(bright, model, lighting, options=options).light
-        spreads.append(np.linalg.norm(light - light.mean(1, keepdims=True)) / np.linalg.norm(light))
-    assert spreads[1] < 0.1 * spreads[0]
-    assert spreads[2] == pytest.approx(spreads[1], rel=1e-3)
-
-
 def test_one_vertex(model, lighting):
     image = picture(people(1, 5)[0], 3)
     one = np.arange(len(SEEN)) == np.flatnonzero(SEEN)[5]
@@ -294,6 +266,6 @@ def test_a_wrong_gamma_makes_errors_larger_but_finite(model, lighting):
 
 
 def test_options_are_checked():
-    for name in ("perceptual_weight", "white_light_weight", "prior_weight"):
+    for name in ("perceptual_weight", "prior_weight"):
         with pytest.raises(ValueError, match=name):
             ImageFitOptions(**{name: -1.0})

@@ -1,4 +1,4 @@
-"""The landmarks and the initial state that `refine_geometry` starts from."""
+"""Where a geometry fit starts: its landmarks, and the pose and coefficients before the first step."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
-from scan2albedo.geometry.pinhole import project
-from scan2albedo.reflectance.geometry_options import GeometryFitOptions
+from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
+from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.reflectance.geometry_search import GeometryState
-from scan2albedo.reflectance.geometry_terms import LandmarkTerm
-from scan2albedo.reflectance.pose_from_landmarks import pose_from_landmarks
+from scan2albedo.reflectance.geometry_terms import GeometryFitOptions, LandmarkTerm
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel, checked_coefficients
 
 FloatArray = NDArray[np.float64]
@@ -19,6 +18,10 @@ FloatArray = NDArray[np.float64]
 _CONTOUR = 17
 """Landmarks of the jaw's outline come first."""
 _LEAST_FOR_POSE = 6
+_ITERATIONS = 200
+_LEAST_SPAN_PX = 1e-3
+_STARTS_DEG = ((0.0, 0.0), (0.0, 45.0), (0.0, -45.0), (35.0, 0.0), (-35.0, 0.0))
+"""Pitch and yaw that the first rotation is turned by: flat sets of points have two minima."""
 
 
 def checked_landmarks(landmarks_px: ArrayLike, contour: bool) -> FloatArray:
@@ -107,3 +110,74 @@ def edge_px(camera: FloatArray, model: MorphableShapeModel, state: GeometryState
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
     """Return the size of a pixel at the median depth."""
     return float(np.median(depth) / np.sqrt(abs(np.linalg.det(camera[:, :3]))))
+
+
+def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return the rigid transform (4, 4), scene from model, that puts points on their lines of sight.
+
+    Minimises the sum over points of the squared distance to the line of sight by orthogonal iteration: with
+    the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation, and
+    the rotation is the Procrustes one from points to where their projections lie.
+
+    Parameters
+    ----------
+    camera : (3, 4) float64
+        Pixels from mm in the scene, normalised.
+    points_mm : (N, 3) float64
+        Four or more, not on a line, in the model's frame.
+    pixels : (N, 2) float64
+
+    Raises
+    ------
+    ReflectanceError
+        When the pixels are all one, or no pose found has the points in front of the camera.
+
+    References
+    ----------
+    .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
+       IEEE PAMI 22(6), 2000.
+    """
+    if not np.ptp(pixels, axis=0).max() > _LEAST_SPAN_PX:
+        raise ReflectanceError("all landmarks lie in one point of the image; check them")
+    center = points_mm.mean(0)
+    local = points_mm - center
+    directions = pixel_directions(camera, pixels)
+    best, least = np.eye(4), np.inf
+    for pitch, yaw in np.radians(_STARTS_DEG):
+        first = procrustes(local, _plane_points(directions), scale=True)
+        rotation = first[:3, :3] / np.cbrt(np.linalg.det(first[:3, :3]))
+        turned = rotation @ rotation_from_vector([0, yaw, 0]) @ rotation_from_vector([pitch, 0, 0])
+        pose, error = _iterate(local, directions, turned)
+        if error < least:
+            best, least = pose, error
+    if not np.isfinite(least):
+        raise ReflectanceError(
+            "no pose puts the landmarks in front of the camera; check landmarks and camera"
+        )
+    to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
+    return np.asarray(to_scene @ best @ compose(np.eye(3), -center))
+
+
+def _plane_points(directions: FloatArray) -> FloatArray:
+    """Return where lines of sight cross a plane in front of the camera: a weak-perspective picture."""
+    axis = directions.mean(0) / np.linalg.norm(directions.mean(0))
+    return directions / (directions @ axis)[:, None]
+
+
+def _iterate(points: FloatArray, directions: FloatArray, rotation: FloatArray) -> tuple[FloatArray, float]:
+    """Return pose and error of orthogonal iteration, the camera at the origin."""
+    onto = directions[:, :, None] * directions[:, None, :]
+    off = onto - np.eye(3)
+    to_translation = -np.linalg.inv(off.sum(0))
+    before = np.inf
+    for _ in range(_ITERATIONS):
+        shift = to_translation @ np.einsum("nij,nj->i", off, points @ rotation.T)
+        pose = compose(rotation, shift)
+        target = np.einsum("nij,nj->ni", onto, transform_points(pose, points))
+        error = float(np.sum((transform_points(pose, points) - target) ** 2))
+        if not error < before * (1 - 1e-6):
+            break
+        before = error
+        rotation = procrustes(points, target)[:3, :3]
+    behind = (transform_points(pose, points) * directions).sum(1) <= 0
+    return pose, np.inf if behind.any() else error
