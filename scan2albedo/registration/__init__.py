@@ -1,7 +1,6 @@
 """Rigid registration of raw scans: from any pose into the model's frame, without landmarks."""
 
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.register import register
-from scan2albedo.registration.result import Registration
+from scan2albedo.registration.register import Registration, register
 
 __all__ = ["Registration", "RegistrationOptions", "register"]

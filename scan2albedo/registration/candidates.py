@@ -1,4 +1,4 @@
-"""Refine candidate poses and judge which of them lays the model on a face."""
+"""Candidate poses: refined by ICP, scored, ranked, until one lays the model on a face."""
 
 from __future__ import annotations
 
@@ -9,107 +9,135 @@ from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import rotation_angle_rad
-from scan2albedo.registration.face_evidence import FaceEvidence
+from scan2albedo.registration.coarse_search import CoarsePoses, Poses
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
-from scan2albedo.registration.robust_icp import ScanTree, SimilarPose, residuals, robust_icp
-from scan2albedo.registration.starts import Starts
+from scan2albedo.registration.robust_icp import SimilarPose, residuals, rigid_distance_mm, robust_icp
+from scan2albedo.registration.scan_preparation import PreparedScan
+from scan2albedo.registration.scoring import FaceScores
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
 
+COVERAGE_NEEDED = 0.25
+"""Least part of the model's depth image that the scan must cover to be a face."""
+CERTAINTY_NEEDED = 0.49
+"""Least certainty (`FaceScores`) of a face: whole faces reach 0.55 and more, balls, boxes, backs of heads and
+random bumpy bodies at most 0.48."""
+_CONVINCING = 0.1
+_MORE_CANDIDATES = 24
+"""Further poses that are refined before a scan is refused."""
 _SAMPLES = 400
-_TRACE_SIGMA_MM = 1.0
 _SAME_ROTATION_RAD = np.deg2rad(3)
 _SAME_POSITION_MM = 3.0
 _OTHER_ROTATION_RAD = np.deg2rad(20)
 _OTHER_POSITION_MM = 30.0
+_WHOLE_COVERAGE = 0.8
+_DOUBT_OF_MISSING = 0.4
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A refined pose (scan frame centred) and the evidence for it."""
+    """A refined pose on the prepared scan, and its scores."""
 
     pose: SimilarPose
-    evidence: FaceEvidence
+    scores: FaceScores
+
+    def is_face(self, certainty_needed: float = CERTAINTY_NEEDED) -> bool:
+        """Whether the pose covers enough of the face, with at least this certainty."""
+        return self.scores.coverage >= COVERAGE_NEEDED and self.scores.certainty >= certainty_needed
 
 
-@dataclass(frozen=True)
-class ScanView:
-    """The scan, centred, as the candidates are judged on it."""
+def ranked_candidates(
+    scan: PreparedScan, template: Template, poses: CoarsePoses, options: RegistrationOptions, meter: Meter
+) -> tuple[Candidate, ...]:
+    """Refine and rank candidates, batch by batch, until one is a face; best first."""
+    target = ScanTarget(scan.samples)
+    candidates: tuple[Candidate, ...] = ()
+    needed = CERTAINTY_NEEDED + _CONVINCING
+    for batch in poses.batches(options.candidates, _MORE_CANDIDATES):
+        candidates = with_refined(scan, target, template, batch, options, meter, candidates)
+        if meter.exhausted or candidates[0].is_face(needed):
+            return candidates
+        needed = CERTAINTY_NEEDED
+    # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
+    for batch in poses.batches(2 * options.candidates, 0):
+        candidates = with_refined(scan, None, template, batch, options, meter, candidates)
+        if meter.exhausted or candidates[0].is_face(needed):
+            return candidates
+    return candidates
 
-    vertices: FloatArray
-    faces: NDArray[np.int64]
-    tree: ScanTree
 
-
-def judged_candidates(
-    scan: ScanView,
+def with_refined(
+    scan: PreparedScan,
     target: ScanTarget | None,
     template: Template,
-    starts: Starts,
+    starts: Poses,
     options: RegistrationOptions,
     meter: Meter,
-    before: tuple[Candidate, ...] = (),
+    known: tuple[Candidate, ...] = (),
 ) -> tuple[Candidate, ...]:
-    """Refine every start by Open3D's ICP, then with scale, and rank by face evidence, best first.
+    """Refine every start by Open3D's ICP, then with scale, and rank them with the `known`, best first.
 
-    Without a `target` Open3D's part is left out. Candidates judged `before` are ranked with the new ones;
-    a start that ends at one of them is left.
+    Without a `target` Open3D's part is left out. A start that ends at a known candidate is dropped.
     At least one is refined however small the budget is.
     """
     samples = template.first(_SAMPLES)
-    poses = [candidate.pose for candidate in before]
-    candidates = list(before)
+    poses = [candidate.pose for candidate in known]
+    candidates = list(known)
     for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
         if candidates and meter.exhausted:
             break
         pose = SimilarPose(rotation, translation)
         if target is not None:
-            pose = _widely_refined(target, samples, pose, options.icp_iterations)
+            refined = target.refine(
+                samples, pose.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=options.icp_iterations
+            )
+            pose = SimilarPose(refined[:3, :3], refined[:3, 3])
             meter.count()
         if any(_near(pose, other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
             continue
         poses.append(pose)
-        candidates.append(_judged(scan, template, pose, options.scaled_iterations))
+        candidates.append(_scored(scan, template, samples, pose, options.scaled_iterations))
         meter.count()
-        best = max(candidates, key=lambda c: c.evidence.score)
-        meter.record(rigid_distance_mm(scan, template, best.pose))
-    return tuple(sorted(candidates, key=lambda c: -c.evidence.score))
+        best = max(candidates, key=lambda c: c.scores.ranking)
+        meter.record(rigid_distance_mm(scan.samples, template, best.pose))
+    return tuple(sorted(candidates, key=lambda c: -c.scores.ranking))
 
 
-def _widely_refined(
-    target: ScanTarget, samples: OrientedPoints, start: SimilarPose, iterations: int
-) -> SimilarPose:
-    refined = target.refine(samples, start.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=iterations)
-    return SimilarPose(refined[:3, :3], refined[:3, 3])
+def _scored(
+    scan: PreparedScan, template: Template, samples: OrientedPoints, start: SimilarPose, iterations: int
+) -> Candidate:
+    """Refine pose and size, and score the result."""
+    pose = robust_icp(scan.samples, samples, samples.areas, start, iterations=iterations, sigma_mm=(6.0, 3.0))
+    rms_mm = residuals(scan.samples, samples, pose).trimmed_rms_mm(samples.areas)
+    scores = template.image.scores(scan.vertices, scan.faces, pose.model_from_scan(), rms_mm)
+    return Candidate(pose, scores)
 
 
-def _judged(scan: ScanView, template: Template, start: SimilarPose, iterations: int) -> Candidate:
-    samples = template.first(_SAMPLES)
-    pose = robust_icp(scan.tree, samples, samples.areas, start, iterations=iterations, sigma_mm=(6.0, 3.0))
-    rms_mm = residuals(scan.tree, samples, pose).trimmed_rms_mm(samples.areas)
-    evidence = template.image.evidence(scan.vertices, scan.faces, pose.model_from_scan(), rms_mm)
-    return Candidate(pose, evidence)
-
-
-def rigid_distance_mm(
-    view: ScanView, template: Template, pose: SimilarPose, sigma_mm: float = _TRACE_SIGMA_MM
-) -> float:
-    """Return the robust distance of the model's samples to the scan, weighted to the rigid regions."""
-    return residuals(view.tree, template.samples, pose).robust_cost(template.rigidity, sigma_mm)
-
-
-def runner_up_score(candidates: tuple[Candidate, ...]) -> float:
-    """Return the score of the best candidate whose pose clearly differs from the first's, or 0."""
+def next_ranking(candidates: tuple[Candidate, ...]) -> float:
+    """Return the ranking of the best candidate whose pose clearly differs from the first's, or 0."""
     best = candidates[0].pose
     others = [
-        c.evidence.score
+        c.scores.ranking
         for c in candidates[1:]
         if not _near(c.pose, best, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
     ]
     return max([0.0, *others])
+
+
+def confidence(candidates: tuple[Candidate, ...]) -> float:
+    """Return how far the scores lie above the refusal line and above any other pose's, 0 ... 1.
+
+    Where part of the face is missing the line is higher: half a face that resembles the model little
+    slides along it by a centimetre.
+    """
+    best = candidates[0].scores
+    missing = max(0.0, _WHOLE_COVERAGE - best.coverage)
+    clear = (best.certainty - CERTAINTY_NEEDED - _DOUBT_OF_MISSING * missing) / 0.1 + 0.3
+    alone = (best.ranking - next_ranking(candidates)) / 0.15
+    return float(np.clip(min(clear, alone), 0, 1))
 
 
 def _near(a: SimilarPose, b: SimilarPose, angle_rad: float, distance_mm: float) -> bool:

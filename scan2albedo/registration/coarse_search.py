@@ -1,4 +1,4 @@
-"""Coarse multi-start search: thousands of starts, thinned in rounds to a few distinct poses."""
+"""Coarse search: thousands of starting poses all over the scan, thinned in two rounds to a few."""
 
 from __future__ import annotations
 
@@ -6,60 +6,82 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import super_fibonacci_rotations
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
-from scan2albedo.registration.normal_relief import normal_relief
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
-from scan2albedo.registration.starts import Starts, anchored_starts
+from scan2albedo.registration.scoring import normal_relief
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
+_ANCHOR_LIMIT = 600
+"""Greatest number of anchors: a scan of a whole room is searched more coarsely."""
+_CONE_RAD = np.deg2rad(35.0)
+"""Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
+_NORMAL_SMOOTHING_MM = 45.0
 _BLOCK = 128
-_JUDGED = 160
-_QUICK_LOOK = 40
+_DISTINCT_POSES = 160
+_RANKED_BY_RELIEF = 40
 _RELIEF_SAMPLES = 400
 _CELL_MM = 6.0
 _MARGIN_MM = 40.0
-_NORMAL_SMOOTHING_MM = 45.0
 _SAME_ROTATION_RAD = np.deg2rad(8)
 _SAME_POSITION_MM = 10.0
 
 
 @dataclass(frozen=True)
-class CoarsePoses:
-    """Distinct poses of the coarse search, nearest surface first, and what tells those with relief."""
+class Poses:
+    """`scan_from_model` poses: `rotations` (N, 3, 3) and `translations` (N, 3) in mm."""
 
-    starts: Starts
+    rotations: FloatArray
+    translations: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    def subset(self, index: IntArray) -> Poses:
+        """Return the poses at `index`."""
+        return Poses(self.rotations[index], self.translations[index])
+
+
+@dataclass(frozen=True)
+class CoarsePoses:
+    """Distinct poses of the coarse search, nearest surface first, and what ranks them by relief."""
+
+    poses: Poses
     grid: NearestGrid
     model: OrientedPoints
 
     def __len__(self) -> int:
-        return len(self.starts)
+        return len(self.poses)
 
-    def looks(self, candidates: int, more_candidates: int) -> Iterator[Starts]:
-        """Yield `candidates` poses in two looks, then `more_candidates` in a third.
+    def batches(self, candidates: int, more_candidates: int) -> Iterator[Poses]:
+        """Yield `candidates` poses in two batches, then `more_candidates` in a third.
 
         First those whose surface is nearest, then those that show most relief among the nearer ones, at
         last among all: distance alone prefers the whole back of a head to half a face, and relief
         alone is dear.
         """
         first = np.arange(min((candidates + 1) // 2, len(self)))
-        yield _taken(self.starts, first)
-        nearer = self._by_relief(min(_QUICK_LOOK, len(self)))
+        yield self.poses.subset(first)
+        nearer = self._by_relief(min(_RANKED_BY_RELIEF, len(self)))
         second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
-        yield _taken(self.starts, second)
+        yield self.poses.subset(second)
         every = self._by_relief(len(self))
         rest = every[~np.isin(every, np.concatenate([first, second]))]
-        yield _taken(self.starts, rest[:more_candidates])
+        yield self.poses.subset(rest[:more_candidates])
 
-    def _by_relief(self, count: int) -> NDArray[np.int64]:
+    def _by_relief(self, count: int) -> IntArray:
         """Return the first `count` poses in the order of the relief that the scan's normals show there."""
         relief = [
-            normal_relief(self.grid, self.model, self.starts.rotations[i], self.starts.translations[i])
+            normal_relief(self.grid, self.model, self.poses.rotations[i], self.poses.translations[i])
             for i in range(count)
         ]
         return np.argsort(-np.array(relief), kind="stable")
@@ -75,36 +97,58 @@ def coarse_poses(
     when its budget ends, what has been tried so far is ranked.
     """
     grid = NearestGrid.of(scan, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
-    starts = anchored_starts(
+    poses = anchored_starts(
         scan,
         template.front,
         rotation_count=options.rotation_count,
         anchor_spacing_mm=options.anchor_spacing_mm,
-        anchor_limit=options.anchor_limit,
-        cone_rad=np.deg2rad(options.cone_deg),
-        smoothing_mm=_NORMAL_SMOOTHING_MM,
     )
     # In random order a budget that ends early has still seen starts from all over the scan.
-    starts = _taken(starts, np.random.default_rng(seed).permutation(len(starts)))
+    poses = poses.subset(np.random.default_rng(seed).permutation(len(poses)))
     first, second = options.coarse_iterations
-    starts, _ = _round(grid, template.first(60), starts, first, (20.0, 10.0), meter)
-    starts = _taken(starts, np.arange(min(options.kept_starts, len(starts))))
-    starts, _ = _round(grid, template.first(200), starts, second, (12.0, 5.0), meter)
-    return CoarsePoses(_distinct(starts, _JUDGED), grid, template.first(_RELIEF_SAMPLES))
+    poses = _round(grid, template.first(60), poses, first, (20.0, 10.0), meter)
+    poses = poses.subset(np.arange(min(options.kept_starts, len(poses))))
+    poses = _round(grid, template.first(200), poses, second, (12.0, 5.0), meter)
+    return CoarsePoses(_distinct(poses, _DISTINCT_POSES), grid, template.first(_RELIEF_SAMPLES))
 
 
-def _taken(starts: Starts, index: NDArray[np.int64]) -> Starts:
-    return Starts(starts.rotations[index], starts.translations[index])
+def anchored_starts(
+    scan: OrientedPoints, model_anchor: FloatArray, *, rotation_count: int, anchor_spacing_mm: float
+) -> Poses:
+    """Put the model's front point on well-spread scan points, in every rotation that faces outward there.
+
+    A face may lie anywhere on a scan that also holds shoulders and hair, so centroids say little;
+    but its front always is a piece of surface whose averaged normal is roughly the face's +z axis.
+
+    Parameters
+    ----------
+    scan : OrientedPoints
+    model_anchor : (3,) float64
+        The front of the model, in the model's frame.
+    rotation_count : int
+        Super-Fibonacci rotations, of which each anchor takes those that face outward.
+    anchor_spacing_mm : float
+        Least distance between two anchors.
+    """
+    anchors = farthest_points(scan.points, anchor_spacing_mm, _ANCHOR_LIMIT)
+    around = scan.tree.query_ball_point(scan.points[anchors], _NORMAL_SMOOTHING_MM)
+    outward = normalized(np.array([(scan.normals[i] * scan.areas[i, None]).sum(0) for i in around]))
+    rotations = super_fibonacci_rotations(rotation_count)
+    facing = outward @ rotations[:, :, 2].T >= np.cos(_CONE_RAD)
+    anchor, rotation = np.nonzero(facing)
+    turned = rotations[rotation]
+    translations = scan.points[anchors[anchor]] - turned @ model_anchor
+    return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(translations))
 
 
 def _round(
     grid: NearestGrid,
     model: OrientedPoints,
-    starts: Starts,
+    starts: Poses,
     iterations: int,
     sigma_mm: tuple[float, float],
     meter: Meter,
-) -> tuple[Starts, FloatArray]:
+) -> Poses:
     """Refine the starts block by block while the budget lasts; return those tried, best first."""
     rotations, translations = starts.rotations.copy(), starts.translations.copy()
     scores: list[FloatArray] = []
@@ -124,24 +168,48 @@ def _round(
             )
         )
         meter.count(len(scores[-1]))
-    score = np.concatenate(scores)
-    order = np.argsort(-score, kind="stable")
-    return Starts(rotations[order], translations[order]), score[order]
+    order = np.argsort(-np.concatenate(scores), kind="stable")
+    return Poses(rotations[order], translations[order])
 
 
-def _distinct(starts: Starts, count: int) -> Starts:
+def _distinct(poses: Poses, count: int) -> Poses:
     """Keep the first of every group of like poses, at most `count`."""
     same_trace = 1 + 2 * np.cos(_SAME_ROTATION_RAD)
     kept: list[int] = []
-    alike = np.zeros(len(starts), bool)
-    for i in range(len(starts)):
+    alike = np.zeros(len(poses), bool)
+    for i in range(len(poses)):
         if alike[i]:
             continue
         kept.append(i)
         if len(kept) == count:
             break
-        offset = starts.translations[i + 1 :] - starts.translations[i]
-        trace = np.einsum("nij,ij->n", starts.rotations[i + 1 :], starts.rotations[i])
+        offset = poses.translations[i + 1 :] - poses.translations[i]
+        trace = np.einsum("nij,ij->n", poses.rotations[i + 1 :], poses.rotations[i])
         near = np.einsum("ni,ni->n", offset, offset) < _SAME_POSITION_MM**2
         alike[i + 1 :] |= near & (trace > same_trace)
-    return _taken(starts, np.array(kept, np.int64))
+    return poses.subset(np.array(kept, np.int64))
+
+
+def farthest_points(points: FloatArray, spacing: float, limit: int, first: int = 0) -> IntArray:
+    """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
+    return _farthest_points(np.ascontiguousarray(points), spacing * spacing, limit, first)
+
+
+@njit(cache=True, nogil=True)
+def _farthest_points(points, spacing_squared, limit, first):  # type: ignore[no-untyped-def]
+    chosen = np.empty(limit, np.int64)
+    squared = np.full(points.shape[0], np.inf)
+    count, index = 0, first
+    while count < limit:
+        chosen[count] = index
+        count += 1
+        x, y, z = points[index, 0], points[index, 1], points[index, 2]
+        index = 0
+        for i in range(points.shape[0]):
+            dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
+            squared[i] = min(squared[i], dx * dx + dy * dy + dz * dz)
+            if squared[i] > squared[index]:
+                index = i
+        if squared[index] < spacing_squared:
+            break
+    return chosen[:count]

@@ -2,44 +2,74 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, checked_seed
+from scan2albedo.core import Budget, Meter, ProgressCallback, Trace, checked_seed
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.registration.candidates import (
-    Candidate,
-    ScanView,
-    judged_candidates,
-    runner_up_score,
-)
-from scan2albedo.registration.coarse_search import CoarsePoses, coarse_poses
-from scan2albedo.registration.finish import annealed, rms_mm, tightened
-from scan2albedo.registration.open3d_icp import ScanTarget
-from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.oriented_points import oriented_points
-from scan2albedo.registration.own_frame import in_own_frame
-from scan2albedo.registration.refusal import (
-    is_face,
+from scan2albedo.registration.acceptance import (
     refuse_facing_away,
     refuse_inside_out,
     refuse_no_face,
-    refuse_too_small,
-    refuse_wrong_size,
     warn_of_doubts,
 )
-from scan2albedo.registration.result import Registration
-from scan2albedo.registration.robust_icp import ScanTree
-from scan2albedo.registration.stray_vertices import without_stray
+from scan2albedo.registration.candidates import (
+    CERTAINTY_NEEDED,
+    Candidate,
+    confidence,
+    next_ranking,
+    ranked_candidates,
+)
+from scan2albedo.registration.coarse_search import coarse_poses
+from scan2albedo.registration.depth_annealing import annealed
+from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.robust_icp import rms_mm, tightened
+from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
 
-_CONVINCING = 0.1
-_WHOLE_COVERAGE = 0.8
-_DOUBT_OF_MISSING = 0.4
+
+@dataclass(frozen=True)
+class Registration:
+    """Rigid pose of a scan in the model's frame.
+
+    Parameters
+    ----------
+    model_from_scan : (4, 4) float64
+        Maps scan points (mm) into the model's frame.
+    rmse_mm : float
+        Root mean square distance model -> scan over the inliers at the final pose.
+    depth_error : float or None
+        Depth-derivative objective at the final pose; None when annealing did not run.
+    converged : bool
+        False when a budget ended the search.
+    confidence : float
+        0 ... 1: how clearly a face was found (see `registration.register`).
+    iterations : int
+        Objective evaluations and ICP iterations spent.
+    trace : Trace
+        Stages "icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced.
+    notes : tuple of (step, ran, reason, evidence)
+        What the steps inside decided, for the plan.
+    face_scale : float
+        Size of the face relative to the model's, about the model's origin; `model_from_scan` is rigid
+        and does not contain it.
+    """
+
+    model_from_scan: FloatArray
+    rmse_mm: float
+    depth_error: float | None
+    converged: bool
+    confidence: float
+    iterations: int
+    trace: Trace
+    notes: tuple[tuple[str, bool, str, str], ...] = ()
+    face_scale: float = 1.0
 
 
 def register(
@@ -96,79 +126,34 @@ def register(
     """
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)
-    refuse_wrong_size(scan)
-    faces = without_stray(scan.vertices, scan.faces)
-    vertices, own_from_scan = in_own_frame(scan.vertices, faces)
-    cloud = oriented_points(vertices, faces, options.scan_spacing_mm)
-    refuse_too_small(scan, cloud)
+    prepared = prepared_scan(scan, options.scan_spacing_mm)
     template = Template.of(model, options.model_spacing_mm, seed)
-    poses = coarse_poses(cloud, template, options, meter, seed)
-    view = ScanView(vertices, faces, ScanTree.of(cloud))
-    candidates = _judged(view, template, poses, options, meter)
+    poses = coarse_poses(prepared.samples, template, options, meter, seed)
+    candidates = ranked_candidates(prepared, template, poses, options, meter)
     if not meter.exhausted:
-        refuse_inside_out(scan, view, template, candidates[0], options, meter)
-        refuse_no_face(scan, candidates, options)
-    refuse_facing_away(scan, view, template, candidates[0])
+        refuse_inside_out(prepared, template, candidates[0], options, meter)
+        refuse_no_face(scan, candidates)
+    refuse_facing_away(prepared, template, candidates[0])
     closing = meter.child("tight_icp", "mm")
-    tight = tightened(view, template, candidates[0].pose, options, closing)
+    tight = tightened(prepared.samples, template, candidates[0].pose, options.settling_iterations, closing)
     annealing = closing.child("depth_annealing", "truncated slope difference")
-    final = annealed(view, template, tight, options, annealing, seed)
-    warn_of_doubts(scan, candidates, final.pose.scale, options)
+    final = annealed(prepared, template, tight, options, annealing, seed)
+    warn_of_doubts(scan, candidates, final.pose.scale)
     return Registration(
-        model_from_scan=invert_rigid(final.pose.rigid()) @ own_from_scan,
-        rmse_mm=rms_mm(view, template, final.pose),
+        model_from_scan=invert_rigid(final.pose.rigid()) @ prepared.prepared_from_scan,
+        rmse_mm=rms_mm(prepared.samples, template, final.pose),
         depth_error=final.depth_error,
         converged=not any(m.exhausted for m in (meter, closing, annealing)),
-        confidence=_confidence(candidates, options),
+        confidence=confidence(candidates),
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(
-            _search_note(candidates, len(poses), len(scan.faces) - len(faces), options),
-            final.note,
-        ),
+        notes=(_search_note(candidates, len(poses), prepared.stray_faces), final.note),
         face_scale=final.pose.scale,
     )
 
 
-def _judged(
-    view: ScanView,
-    template: Template,
-    poses: CoarsePoses,
-    options: RegistrationOptions,
-    meter: Meter,
-) -> tuple[Candidate, ...]:
-    """Refine and rank candidates, look by look, until one is a face."""
-    target = ScanTarget(view.tree.samples)
-    candidates: tuple[Candidate, ...] = ()
-    needed = options.certainty_needed + _CONVINCING
-    for starts in poses.looks(options.candidates, options.more_candidates):
-        candidates = judged_candidates(view, target, template, starts, options, meter, candidates)
-        if meter.exhausted or is_face(candidates[0], options, needed):
-            return candidates
-        needed = options.certainty_needed
-    # Open3D's wide pairs draw half a face round the head, towards its missing half: look without it.
-    for starts in poses.looks(2 * options.candidates, 0):
-        candidates = judged_candidates(view, None, template, starts, options, meter, candidates)
-        if meter.exhausted or is_face(candidates[0], options, needed):
-            return candidates
-    return candidates
-
-
-def _confidence(candidates: tuple[Candidate, ...], options: RegistrationOptions) -> float:
-    """Return how far the evidence lies above the refusal line and above any other pose, 0 ... 1.
-
-    Where part of the face is missing the line is higher: half a face that resembles the model little
-    slides along it by a centimetre.
-    """
-    best = candidates[0].evidence
-    missing = max(0.0, _WHOLE_COVERAGE - best.coverage)
-    clear = (best.certainty - options.certainty_needed - _DOUBT_OF_MISSING * missing) / 0.1 + 0.3
-    alone = (best.score - runner_up_score(candidates)) / 0.15
-    return float(np.clip(min(clear, alone), 0, 1))
-
-
 def _search_note(
-    candidates: tuple[Candidate, ...], kept: int, stray: int, options: RegistrationOptions
+    candidates: tuple[Candidate, ...], kept: int, stray_faces: int
 ) -> tuple[str, bool, str, str]:
     best = candidates[0]
     return (
@@ -176,9 +161,9 @@ def _search_note(
         True,
         "the pose whose depth image has the relief of a face is taken",
         f"{len(candidates)} of {kept} candidates refined; "
-        f"certainty {best.evidence.certainty:.2f} (needed: {options.certainty_needed:.2f}), "
-        f"likeness {best.evidence.likeness:.2f} "
-        f"(next pose {runner_up_score(candidates):.2f}), coverage {100 * best.evidence.coverage:.0f} %, "
+        f"certainty {best.scores.certainty:.2f} (needed: {CERTAINTY_NEEDED:.2f}), "
+        f"likeness {best.scores.likeness:.2f} "
+        f"(next pose {next_ranking(candidates):.2f}), coverage {100 * best.scores.coverage:.0f} %, "
         f"face {100 * best.pose.scale:.0f} % of the model's size"
-        + (f"; {stray} triangles that reach far away left out" if stray else ""),
+        + (f"; {stray_faces} triangles that reach far away left out" if stray_faces else ""),
     )

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.registration.oriented_points import OrientedPoints
+from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
 
@@ -18,6 +19,12 @@ _PRIOR_SHARE = 0.02
 _FARTHEST_MM = 30.0
 _INLIER_MM = 10.0
 _SETTLED = 1e-3
+_FIRST_ROUND_MM = (3.0, 2.0)
+_FIRST_STEPS, _NARROWING_STEPS = 8, 4
+_RIGID_PART = 0.3
+_NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
+_HARDLY_MOVING = 0.02
+_TIGHTEST_MM, _WIDEST_MM = 0.35, 3.0
 
 
 @dataclass(frozen=True)
@@ -50,19 +57,6 @@ class SimilarPose:
     def rigid(self) -> FloatArray:
         """Return (4, 4) `scan_from_model` without the scale; the model's origin maps to the same point."""
         return compose(self.rotation, self.translation)
-
-
-@dataclass(frozen=True)
-class ScanTree:
-    """Scan samples with a k-d tree over them."""
-
-    samples: OrientedPoints
-    tree: cKDTree
-
-    @classmethod
-    def of(cls, samples: OrientedPoints) -> ScanTree:
-        """Build the tree."""
-        return cls(samples, cKDTree(samples.points))
 
 
 @dataclass(frozen=True)
@@ -105,28 +99,28 @@ class Residuals:
         return float(sigma_mm * np.sqrt(weights @ (1 - trust * (1 - near)) / weights.sum()))
 
 
-def residuals(scan: ScanTree, model: OrientedPoints, pose: SimilarPose) -> Residuals:
+def residuals(scan: OrientedPoints, model: OrientedPoints, pose: SimilarPose) -> Residuals:
     """Measure the model samples at a pose against the scan."""
     return _correspond(scan, model, pose)[0]
 
 
 def _correspond(
-    scan: ScanTree, model: OrientedPoints, pose: SimilarPose
+    scan: OrientedPoints, model: OrientedPoints, pose: SimilarPose
 ) -> tuple[Residuals, tuple[FloatArray, FloatArray]]:
     turned = pose.scale * model.points @ pose.rotation.T
     normals = model.normals @ pose.rotation.T
     distance, index = scan.tree.query(turned + pose.translation, distance_upper_bound=_FARTHEST_MM)
-    found = index < len(scan.samples)
+    found = index < len(scan)
     index = np.where(found, index, 0)
-    offset = turned + pose.translation - scan.samples.points[index]
-    target = scan.samples.normals[index]
+    offset = turned + pose.translation - scan.points[index]
+    target = scan.normals[index]
     agreement = np.where(found, np.einsum("ij,ij->i", normals, target), -1.0)
     measured = Residuals(np.einsum("ij,ij->i", offset, target), distance, agreement)
     return measured, (turned, target)
 
 
 def robust_icp(
-    scan: ScanTree,
+    scan: OrientedPoints,
     model: OrientedPoints,
     weights: FloatArray,
     start: SimilarPose,
@@ -143,7 +137,7 @@ def robust_icp(
 
     Parameters
     ----------
-    scan : ScanTree
+    scan : OrientedPoints
     model : OrientedPoints
         (M,) samples.
     weights : (M,) float64
@@ -160,7 +154,7 @@ def robust_icp(
 
 
 def settled_icp(
-    scan: ScanTree,
+    scan: OrientedPoints,
     model: OrientedPoints,
     weights: FloatArray,
     start: SimilarPose,
@@ -183,7 +177,7 @@ def settled_icp(
 
 
 def _stepped(
-    scan: ScanTree, model: OrientedPoints, weights: FloatArray, pose: SimilarPose, sigma_mm: float
+    scan: OrientedPoints, model: OrientedPoints, weights: FloatArray, pose: SimilarPose, sigma_mm: float
 ) -> tuple[SimilarPose, float]:
     """Take one reweighted Gauss-Newton step; also return its length (the larger of degrees and mm)."""
     measured, (turned, target) = _correspond(scan, model, pose)
@@ -206,3 +200,57 @@ def _stepped(
         pose.scale * float(np.exp(np.clip(step[6], -0.05, 0.05))),
     )
     return moved, max(float(np.rad2deg(np.linalg.norm(step[:3]))), float(np.linalg.norm(step[3:6])))
+
+
+@dataclass(frozen=True)
+class Tightened:
+    """The pose of the tight ICP, the scale of its weights, and its last step (degrees or mm)."""
+
+    pose: SimilarPose
+    sigma_mm: float
+    last_step: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether ICP ended on a fixed point."""
+        return self.last_step < _HARDLY_MOVING
+
+
+def tightened(
+    scan: OrientedPoints, template: Template, start: SimilarPose, settling_iterations: int, meter: Meter
+) -> Tightened:
+    """Refine a pose on all samples, weighted to the rigid regions; records the loss at the last scale.
+
+    The last scale follows the surface: where nearly a third of the face lies within the noise (the
+    model is the same person's), the rest is expression and must not pull; between people nothing
+    fits that closely, and a wide scale has one optimum where a narrow one has many. Without budget the pose
+    stays.
+    """
+    if meter.exhausted:
+        return Tightened(start, _WIDEST_MM, float("inf"))
+    samples, weights = template.samples, template.rigidity
+    pose = robust_icp(scan, samples, weights, start, iterations=_FIRST_STEPS, sigma_mm=_FIRST_ROUND_MM)
+    near_mm = residuals(scan, samples, pose).quantile_mm(weights, _RIGID_PART)
+    sigma_mm = float(np.clip(_SIGMAS_ABOVE_NOISE * (near_mm - _NOISE_MM), _TIGHTEST_MM, _WIDEST_MM))
+    meter.count(_FIRST_STEPS)
+    meter.record(residuals(scan, samples, pose).icp_loss_mm(weights, sigma_mm))
+    narrowing_mm = (_FIRST_ROUND_MM[1], sigma_mm)
+    pose = robust_icp(scan, samples, weights, pose, iterations=_NARROWING_STEPS, sigma_mm=narrowing_mm)
+    pose, steps, last = settled_icp(
+        scan, samples, weights, pose, sigma_mm=sigma_mm, iterations=settling_iterations
+    )
+    meter.count(_NARROWING_STEPS + steps)
+    meter.record(residuals(scan, samples, pose).icp_loss_mm(weights, sigma_mm))
+    return Tightened(pose, sigma_mm, last)
+
+
+def rigid_distance_mm(
+    scan: OrientedPoints, template: Template, pose: SimilarPose, sigma_mm: float = 1.0
+) -> float:
+    """Return the robust distance of the model's samples to the scan, weighted to the rigid regions."""
+    return residuals(scan, template.samples, pose).robust_cost(template.rigidity, sigma_mm)
+
+
+def rms_mm(scan: OrientedPoints, template: Template, pose: SimilarPose) -> float:
+    """Return the RMS distance of the model's inlying samples to the scan's tangent planes."""
+    return residuals(scan, template.samples, pose).trimmed_rms_mm(template.samples.areas)

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
-from scan2albedo.registration.face_evidence import FaceImage
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.registration.scoring import FaceImage
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

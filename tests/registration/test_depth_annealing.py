@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.geometry.rigid import rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.depth_annealing import DepthDerivativeObjective, anneal_depth_derivatives
-from scan2albedo.registration.robust_icp import SimilarPose
+from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, rotation_from_vector
+from scan2albedo.registration import RegistrationOptions
+from scan2albedo.registration.depth_annealing import (
+    DepthDerivativeObjective,
+    anneal_depth_derivatives,
+    annealed,
+)
+from scan2albedo.registration.robust_icp import SimilarPose, Tightened, rigid_distance_mm
+from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
 REST = SimilarPose(np.eye(3), np.zeros(3))
@@ -62,3 +68,24 @@ def test_a_budget_ends_it_with_the_best_so_far(template):
     assert not found.converged
     assert meter.evaluations <= 43
     assert found.error <= found.start_error
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("off_deg", [0.0, 1.0, 4.0, 25.0])
+def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, template, seed, off_deg):
+    example = synthetic_scan(seed)
+    scan = prepared_scan(example.scan, 4.0)
+    truth = scan.prepared_from_scan @ invert_rigid(example.model_from_scan)
+    turn = rotation_from_vector(np.radians(off_deg) * np.array([0.6, -0.64, 0.48]))
+    start = SimilarPose(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])
+    meter = Meter("depth_annealing", "objective")
+    unsettled = Tightened(start, 1.0, np.inf)
+    options = RegistrationOptions(force_annealing=True)
+    found = annealed(scan, template, unsettled, options, meter, 0)
+    for sigma_mm in (0.5, 2.0):
+        before, after = (rigid_distance_mm(scan.samples, template, p, sigma_mm) for p in (start, found.pose))
+        assert after <= before
+    kept = np.array_equal(found.pose.rotation, start.rotation)
+    assert ("dropped" in found.note[2]) == kept
+    if off_deg == 4.0:
+        assert np.degrees(rotation_angle_rad(found.pose.rotation.T @ truth[:3, :3])) < 3.9

@@ -1,11 +1,11 @@
-"""The scan's own frame goes with the scan."""
+"""The scan's principal frame goes with the scan."""
 
 import numpy as np
 import pytest
 import trimesh
 
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
-from scan2albedo.registration.own_frame import in_own_frame
+from scan2albedo.registration.scan_preparation import in_principal_frame
 
 
 @pytest.fixture(scope="module")
@@ -22,20 +22,22 @@ def test_any_pose_arrives_at_the_same_coordinates(lump, seed, reach_mm):
     vertices, faces = lump
     rng = np.random.default_rng(seed)
     pose = compose(random_rotation(rng), rng.uniform(-reach_mm, reach_mm, 3))
-    rest, _ = in_own_frame(vertices, faces)
-    moved, own_from_scan = in_own_frame(transform_points(pose, vertices), faces)
+    rest, _ = in_principal_frame(vertices, faces)
+    moved, prepared_from_scan = in_principal_frame(transform_points(pose, vertices), faces)
     np.testing.assert_allclose(moved, rest, atol=1e-14 * reach_mm + 1e-9)
-    np.testing.assert_allclose(own_from_scan[:3, :3] @ own_from_scan[:3, :3].T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(own_from_scan[:3, :3]) == pytest.approx(1)
+    np.testing.assert_allclose(
+        prepared_from_scan[:3, :3] @ prepared_from_scan[:3, :3].T, np.eye(3), atol=1e-12
+    )
+    assert np.linalg.det(prepared_from_scan[:3, :3]) == pytest.approx(1)
 
 
 def test_the_matrix_and_the_points_agree(lump):
     vertices, faces = lump
-    moved, own_from_scan = in_own_frame(vertices, faces)
-    np.testing.assert_allclose(transform_points(own_from_scan, vertices), moved, atol=1e-10)
+    moved, prepared_from_scan = in_principal_frame(vertices, faces)
+    np.testing.assert_allclose(transform_points(prepared_from_scan, vertices), moved, atol=1e-10)
 
 
 def test_a_surface_without_area_is_only_moved():
-    moved, own_from_scan = in_own_frame(np.full((3, 3), 7.0), np.array([[0, 1, 2]]))
+    moved, prepared_from_scan = in_principal_frame(np.full((3, 3), 7.0), np.array([[0, 1, 2]]))
     assert not moved.any()
-    assert own_from_scan[:3, :3].tolist() == np.eye(3).tolist()
+    assert prepared_from_scan[:3, :3].tolist() == np.eye(3).tolist()

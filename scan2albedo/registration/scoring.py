@@ -1,4 +1,4 @@
-"""How much a posed scan looks like a face: local relief correlation of depth images."""
+"""How much a posed scan looks like a face: the relief that scan and model have in common."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image
-from scan2albedo.registration.relief import without_quadratic_trend
+from scan2albedo.registration.grid_icp import NearestGrid
+from scan2albedo.registration.oriented_points import OrientedPoints
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_NEAR_SAMPLE_MM = 15.0
+_LEAST_NORMAL_Z = 0.3
+_FEWEST_SAMPLES = 60
 _SIZE = 72
 _LOOK_THROUGH_MM = 30.0
 _SAME_SURFACE_MM = 20.0
@@ -30,7 +34,7 @@ _CHANCE_SYMMETRY = 0.25
 
 
 @dataclass(frozen=True)
-class FaceEvidence:
+class FaceScores:
     """What the depth images of the posed scan and the model have in common.
 
     Parameters
@@ -67,7 +71,7 @@ class FaceEvidence:
         return self.likeness + max(0.0, _SYMMETRY_GAIN * (self.symmetry - _CHANCE_SYMMETRY))
 
     @property
-    def score(self) -> float:
+    def ranking(self) -> float:
         """Likeness, lessened where little of the face is covered: ranks poses."""
         return self.likeness * min(1.0, self.coverage / 0.6) ** 0.5
 
@@ -91,24 +95,24 @@ class FaceImage:
         relief, _ = self._relief(self.depth, self._inside, 0.0)
         self._weights = self._inside * np.sqrt(gaussian_filter((relief**2).sum(0), _FEATURE_PIXELS))
 
-    def evidence(
+    def scores(
         self,
         vertices: FloatArray,
         faces: NDArray[np.int64],
         model_from_scan: FloatArray,
         rms_mm: float = 0.0,
-    ) -> FaceEvidence:
+    ) -> FaceScores:
         """Judge a scan under a (4, 4) transform into the model's frame (rigid or similarity)."""
         seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
         difference = np.where(self._inside, seen, np.inf) - np.where(self._inside, self.depth, 0.0)
         common = np.abs(difference) < _SAME_SURFACE_MM
         coverage = float(self._weights[common].sum() / self._weights.sum())
         if common.sum() < _FEWEST_PIXELS:
-            return FaceEvidence(coverage, 0.0, 0.0, rms_mm)
+            return FaceScores(coverage, 0.0, 0.0, rms_mm)
         scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
         model, _ = self._relief(self.depth, common, _SMOOTHING_PIXELS)
         correlation = _local_correlation(scan, model, used, self._weights)
-        return FaceEvidence(coverage, correlation, _symmetry(scan, used, self._weights), rms_mm)
+        return FaceScores(coverage, correlation, _symmetry(scan, used, self._weights), rms_mm)
 
     def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
@@ -150,3 +154,62 @@ def _symmetry(relief: FloatArray, used: Mask, weights: FloatArray) -> float:
     """Return the local correlation of slopes (2, S, S) with their mirror image, where both sides are seen."""
     mirrored = relief[:, :, ::-1] * np.array([-1.0, 1.0])[:, None, None]
     return _local_correlation(relief, mirrored, used & used[:, ::-1], weights)
+
+
+def normal_relief(
+    grid: NearestGrid, model: OrientedPoints, rotation: FloatArray, translation: FloatArray
+) -> float:
+    """Return the correlation of model and scan slopes without their quadratic trend, -1 ... 1.
+
+    Slopes come from the normals of the model samples and of the scan samples nearest to them; the
+    result is lessened by the square root of the part of the model that has a near scan sample.
+
+    Parameters
+    ----------
+    grid : NearestGrid
+        Of the scan.
+    model : OrientedPoints
+    rotation, translation : (3, 3) and (3,) float64
+        `scan_from_model`.
+    """
+    placed = model.points @ rotation.T + translation
+    index = grid.nearest_samples(placed)
+    normals = grid.samples.normals[index] @ rotation
+    offset = grid.samples.points[index] - placed
+    near = np.einsum("ij,ij->i", offset, offset) < _NEAR_SAMPLE_MM**2
+    front = model.normals[:, 2] > _LEAST_NORMAL_Z
+    used = front & near & (index >= 0) & (normals[:, 2] > 0)
+    if used.sum() < _FEWEST_SAMPLES:
+        return 0.0
+    position = model.points[used, :2] / np.abs(model.points[:, :2]).max()
+    weights = model.areas[used]
+    slopes = np.concatenate([_slopes(model.normals[used]), _slopes(normals[used])], 1)
+    relief = without_quadratic_trend(slopes, position, weights)
+    alike = correlation(relief[:, :2].ravel(), relief[:, 2:].ravel(), np.repeat(weights, 2))
+    return alike * float(np.sqrt(used.sum() / front.sum()))
+
+
+def _slopes(normals: FloatArray) -> FloatArray:
+    return normals[:, :2] / np.maximum(normals[:, 2:], _LEAST_NORMAL_Z)
+
+
+def without_quadratic_trend(values: FloatArray, position: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return values (N,) or (N, K) minus their weighted least-squares quadratic in position (N, 2).
+
+    Positions should be of the order of 1.
+    """
+    x, y = position.T
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
+    weighted = basis * weights[:, None]
+    ridge = 1e-9 * (weights.sum() + 1e-300) * np.eye(6)
+    return values - basis @ np.linalg.solve(weighted.T @ basis + ridge, weighted.T @ values)
+
+
+def correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
+    """Return sum w a b / sqrt(sum w a^2 sum w b^2), 0 when either vanishes.
+
+    >>> correlation(np.array([1.0, -1.0]), np.array([3.0, -3.0]), np.ones(2))
+    1.0
+    """
+    norm = float(np.sqrt((weights @ (a * a)) * (weights @ (b * b))))
+    return float(weights @ (a * b)) / norm if norm > 0 else 0.0

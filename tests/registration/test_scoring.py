@@ -5,8 +5,7 @@ import pytest
 import trimesh
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.registration.face_evidence import FaceImage
-from scan2albedo.registration.relief import correlation, without_quadratic_trend
+from scan2albedo.registration.scoring import FaceImage, correlation, without_quadratic_trend
 
 
 @pytest.fixture(scope="module")
@@ -15,14 +14,14 @@ def image(model) -> FaceImage:
 
 
 def test_the_model_is_its_own_perfect_face(image, model):
-    evidence = image.evidence(*model.surface(2), np.eye(4))
-    assert evidence.relief_correlation > 0.9
-    assert evidence.coverage > 0.98
+    scores = image.scores(*model.surface(2), np.eye(4))
+    assert scores.relief_correlation > 0.9
+    assert scores.coverage > 0.98
 
 
 def test_depth_along_the_view_does_not_matter(image, model):
     vertices, faces = model.surface(1)
-    near = image.evidence(vertices, faces, compose(np.eye(3), [0, 0, 5.0]))
+    near = image.scores(vertices, faces, compose(np.eye(3), [0, 0, 5.0]))
     assert near.relief_correlation > 0.9
 
 
@@ -32,7 +31,7 @@ def test_depth_along_the_view_does_not_matter(image, model):
 def test_a_wrongly_turned_model_is_no_face(image, model, turn):
     vertices, faces = model.surface(1)
     pose = compose(rotation_from_vector(turn), np.zeros(3))
-    assert image.evidence(vertices, faces, pose).score < 0.5
+    assert image.scores(vertices, faces, pose).ranking < 0.5
 
 
 def test_smooth_bodies_have_no_relief(image, model):
@@ -40,20 +39,20 @@ def test_smooth_bodies_have_no_relief(image, model):
     for mesh in (trimesh.creation.icosphere(5, 90.0), trimesh.creation.cylinder(70, 300, sections=90)):
         body = np.asarray(mesh.vertices)
         pose = compose(np.eye(3), [0, 0, front - body[:, 2].max()])
-        assert image.evidence(body, np.asarray(mesh.faces), pose).relief_correlation < 0.4
+        assert image.scores(body, np.asarray(mesh.faces), pose).relief_correlation < 0.4
 
 
 def test_far_away_there_is_neither_coverage_nor_relief(image, model):
-    evidence = image.evidence(*model.surface(1), compose(np.eye(3), [0, 0, 300.0]))
-    assert (evidence.coverage, evidence.relief_correlation, evidence.score) == (0, 0, 0)
+    scores = image.scores(*model.surface(1), compose(np.eye(3), [0, 0, 300.0]))
+    assert (scores.coverage, scores.relief_correlation, scores.ranking) == (0, 0, 0)
 
 
 def test_half_a_face_scores_nearly_as_a_whole_one(image, model):
     vertices, faces = model.surface(1)
     half = faces[(vertices[faces][..., 0] > 0).all(1)]
-    evidence = image.evidence(vertices, half, np.eye(4))
-    assert 0.4 < evidence.coverage < 0.6
-    assert evidence.score > 0.7
+    scores = image.scores(vertices, half, np.eye(4))
+    assert 0.4 < scores.coverage < 0.6
+    assert scores.ranking > 0.7
 
 
 def test_trend_removal_leaves_nothing_of_a_quadratic():
@@ -73,9 +72,9 @@ def test_correlation_of_nothing_is_zero():
 
 
 def test_the_model_is_symmetric_and_its_symmetry_raises_the_certainty(image, model):
-    evidence = image.evidence(*model.surface(2), np.eye(4))
-    assert evidence.symmetry > 0.85
-    assert evidence.certainty > evidence.likeness + 0.1
+    scores = image.scores(*model.surface(2), np.eye(4))
+    assert scores.symmetry > 0.85
+    assert scores.certainty > scores.likeness + 0.1
 
 
 def test_an_expression_of_one_side_lessens_symmetry_and_half_a_face_loses_no_certainty(image, model):
@@ -83,6 +82,6 @@ def test_an_expression_of_one_side_lessens_symmetry_and_half_a_face_loses_no_cer
     crooked = vertices.copy()
     right = vertices[:, 0] < 0
     crooked[right, 2] += 6 * np.sin(vertices[right, 1] / 6) * np.clip(-vertices[right, 0] / 20, 0, 1)
-    assert image.evidence(crooked, faces, np.eye(4)).symmetry < 0.75
-    half = image.evidence(vertices, faces[(vertices[faces][..., 0] > 0).all(1)], np.eye(4))
+    assert image.scores(crooked, faces, np.eye(4)).symmetry < 0.75
+    half = image.scores(vertices, faces[(vertices[faces][..., 0] > 0).all(1)], np.eye(4))
     assert half.certainty >= half.likeness
