@@ -1,15 +1,104 @@
-"""A textured mesh as one GLB file that any viewer opens."""
+"""Meshes as binary glTF 2.0 files that any viewer opens."""
 
 from __future__ import annotations
 
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
+from scan2albedo.io.images import encode_image
 
 METRES_PER_MM = 1e-3
+
+_VERTEX_DATA, _INDICES = 34962, 34963
+"""What a buffer view is for, in the standard's numbers."""
+_COMPONENT = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_GREY = (200 / 255,) * 3
+
+
+class GlbFile:
+    """A file as it grows: the binary chunk, and the JSON lists that describe it."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, int]] = []
+        self.accessors: list[dict[str, Any]] = []
+        self.meshes: list[dict[str, Any]] = []
+
+    def add_bytes(self, data: bytes, target: int | None = None) -> int:
+        """Append bytes and return the number of their buffer view."""
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
+        self.views.append(view if target is None else {**view, "target": target})
+        self.data += data + b"\0" * (-len(data) % 4)
+        return len(self.views) - 1
+
+    def add_array(
+        self, array: NDArray[Any], kind: str, target: int | None = None, *, bounds: bool = False
+    ) -> int:
+        """Append an array, one element a row, and return the number of its accessor."""
+        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        accessor: dict[str, Any] = {
+            "bufferView": self.add_bytes(little.tobytes(), target),
+            "componentType": _COMPONENT[array.dtype.str[1:]],
+            "count": len(array),
+            "type": kind,
+        }
+        if bounds:
+            accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def add_mesh(
+        self,
+        name: str,
+        vertices_mm: NDArray[np.float64],
+        faces: NDArray[np.int64],
+        material: int = 0,
+        attributes: Mapping[str, tuple[NDArray[Any], str]] | None = None,
+    ) -> int:
+        """Append a mesh with its normals and further attributes (array, kind); return its number."""
+        places = vertices_mm * METRES_PER_MM
+        normals = vertex_normals(places, faces)
+        normals[~normals.any(1)] = (0.0, 0.0, 1.0)
+        stored = {
+            "POSITION": self.add_array(places.astype("f4"), "VEC3", _VERTEX_DATA, bounds=True),
+            "NORMAL": self.add_array(normals.astype("f4"), "VEC3", _VERTEX_DATA),
+        }
+        for key, (array, kind) in (attributes or {}).items():
+            stored[key] = self.add_array(array, kind, _VERTEX_DATA)
+        indices = self.add_array(faces.astype("u4").ravel(), "SCALAR", _INDICES)
+        primitive = {"attributes": stored, "indices": indices, "material": material}
+        self.meshes.append({"name": name, "primitives": [primitive]})
+        return len(self.meshes) - 1
+
+    def write(
+        self, path: str | Path, nodes: list[dict[str, Any]], roots: list[int], **entries: list[dict[str, Any]]
+    ) -> None:
+        """Write the file atomically, with `nodes`, of which `roots` stand in the scene, and further lists."""
+        tree = {
+            "asset": {"version": "2.0", "generator": "scan2albedo"},
+            "scene": 0,
+            "scenes": [{"nodes": roots}],
+            "nodes": nodes,
+            "meshes": self.meshes,
+            **entries,
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{"byteLength": len(self.data)}],
+        }
+        text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        body = struct.pack("<I4s", len(text), b"JSON") + text
+        body += struct.pack("<I4s", len(self.data), b"BIN\0") + self.data
+        write_bytes(path, struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
 
 
 def write_glb(
@@ -21,7 +110,7 @@ def write_glb(
     *,
     emissive: bool = False,
 ) -> None:
-    """Write a mesh with its base colour as binary glTF 2.0, atomically.
+    """Write a mesh with its base colour, atomically.
 
     Parameters
     ----------
@@ -43,10 +132,6 @@ def write_glb(
     ValueError
         For a texture without `uv`, or wrong shapes.
     """
-    import trimesh
-    from trimesh.visual import TextureVisuals
-    from trimesh.visual.material import PBRMaterial
-
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
         raise ValueError(f"vertices {points.shape} and faces {triangles.shape}, expected (V, 3) and (F, 3)")
@@ -54,29 +139,68 @@ def write_glb(
         raise ValueError("a texture needs uv coordinates")
     if uv is not None and np.shape(uv) != (len(points), 2):
         raise ValueError(f"uv has shape {np.shape(uv)}, expected ({len(points)}, 2)")
-    picture = None if texture_srgb is None else _pillow_image(texture_srgb)
-    if emissive:
-        color = {"emissiveTexture": picture, "emissiveFactor": [1.0, 1.0, 1.0]}
-        color["baseColorFactor"] = [0, 0, 0, 255]
-    else:
-        white = [200, 200, 200, 255] if picture is None else [255, 255, 255, 255]
-        color = {"baseColorTexture": picture, "baseColorFactor": white}
-    material = PBRMaterial(name="albedo", metallicFactor=0.0, roughnessFactor=0.9, **color)
-    coordinates = np.zeros((len(points), 2)) if uv is None else np.asarray(uv, np.float64)
-    mesh = trimesh.Trimesh(
-        points * METRES_PER_MM,
-        triangles,
-        visual=TextureVisuals(uv=coordinates, material=material),
-        process=False,
-    )
-    scene = trimesh.Scene()
-    scene.add_geometry(mesh, geom_name="face")
-    write_bytes(path, scene.export(file_type="glb", include_normals=True))
+    file = GlbFile()
+    attributes: dict[str, tuple[NDArray[Any], str]] = {}
+    textures: dict[str, list[dict[str, Any]]] = {}
+    if uv is not None:
+        from_top = np.asarray(uv, np.float64) * (1, -1) + (0, 1)
+        attributes["TEXCOORD_0"] = (from_top.astype("f4"), "VEC2")
+    mesh = file.add_mesh("face", points, triangles, attributes=attributes)
+    color = (*_GREY, 1.0) if texture_srgb is None else (1.0, 1.0, 1.0, 1.0)
+    material = _material("albedo", color, 0.9, double_sided=False)
+    if texture_srgb is not None:
+        view = file.add_bytes(encode_image(np.asarray(texture_srgb, np.uint8), ".png"))
+        textures = {"images": [{"bufferView": view, "mimeType": "image/png"}], "textures": [{"source": 0}]}
+        if emissive:
+            material["pbrMetallicRoughness"]["baseColorFactor"] = [0.0, 0.0, 0.0, 1.0]
+            material |= {"emissiveTexture": {"index": 0}, "emissiveFactor": [1.0, 1.0, 1.0]}
+        else:
+            material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    file.write(path, [{"name": "face", "mesh": mesh}], [0], materials=[material], **textures)
 
 
-def _pillow_image(texture_srgb: NDArray[np.uint8]):  # type: ignore[no-untyped-def]
-    from PIL import Image
+@dataclass(frozen=True)
+class GlbPart:
+    """A mesh of one colour."""
 
-    image = Image.fromarray(np.ascontiguousarray(texture_srgb, np.uint8))
-    image.format = "PNG"
-    return image
+    name: str
+    vertices: ArrayLike
+    """(V, 3) mm."""
+    faces: ArrayLike
+    """(F, 3)"""
+    color_linear: tuple[float, float, float]
+    opacity: float = 1.0
+    roughness: float = 0.6
+
+
+def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
+    """Write meshes of one colour each, opaque or not, atomically; lengths as metres, glTF's unit.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be written.
+    ValueError
+        When there is no part, a part has no faces, or numbers are not finite.
+    """
+    if not parts:
+        raise ValueError("a GLB file needs a mesh")
+    file, materials = GlbFile(), []
+    for number, part in enumerate(parts):
+        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
+        if len(faces) == 0 or not np.isfinite(vertices).all():
+            raise ValueError(f"{part.name!r} needs faces and finite vertices")
+        kept, renumbered = without_unreferenced(vertices, faces)
+        file.add_mesh(part.name, vertices[kept], renumbered, number)
+        color = np.clip([*part.color_linear, part.opacity], 0, 1).tolist()
+        material = _material(part.name, color, part.roughness)
+        materials.append(material if part.opacity >= 1 else {**material, "alphaMode": "BLEND"})
+    nodes = [{"name": part.name, "mesh": number} for number, part in enumerate(parts)]
+    file.write(path, nodes, list(range(len(parts))), materials=materials)
+
+
+def _material(
+    name: str, color: Sequence[float], roughness: float, *, double_sided: bool = True
+) -> dict[str, Any]:
+    surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}
+    return {"name": name, "doubleSided": double_sided, "pbrMetallicRoughness": surface}

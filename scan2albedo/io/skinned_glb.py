@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.io.atomic import write_bytes
-from scan2albedo.io.glb import METRES_PER_MM
-from scan2albedo.io.glb_buffer import INDICES, VERTEX_DATA, GlbBuffer, glb_bytes
+from scan2albedo.io.glb import METRES_PER_MM, GlbFile
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -117,21 +114,15 @@ def write_skinned_glb(
     known = np.flatnonzero(np.isfinite(joints).all(1))
     above = _known_parents(parent, set(known.tolist()))
     order, kept, cut = _largest(shares[:, known], influences)
-    buffer = GlbBuffer()
-    mesh = _mesh(buffer, xyz * METRES_PER_MM, index, order, kept)
-    skin, nodes, roots = _skeleton(buffer, joints * METRES_PER_MM, known, above, names)
-    tree = {
-        "asset": {"version": "2.0", "generator": "scan2albedo"},
-        "scene": 0,
-        "scenes": [{"nodes": [0, 1]}],
-        # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
-        "nodes": [{"name": "frame", "mesh": 0, "skin": 0}, {"name": "skeleton", "children": roots}, *nodes],
-        "meshes": [mesh],
-        "skins": [skin],
-        "materials": [_MATERIAL],
-        **buffer.entries(),
-    }
-    write_bytes(path, glb_bytes(tree, bytes(buffer.data)))
+    file = GlbFile()
+    mesh = file.add_mesh("frame", xyz, index, attributes=_skin_attributes(order, kept))
+    skin, nodes, roots = _skeleton(file, joints * METRES_PER_MM, known, above, names)
+    # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
+    first: list[dict[str, Any]] = [
+        {"name": "frame", "mesh": mesh, "skin": 0},
+        {"name": "skeleton", "children": roots},
+    ]
+    file.write(path, [*first, *nodes], [0, 1], skins=[skin], materials=[_MATERIAL])
     return SkinWritten(_dense(known[order], kept, shares.shape), cut)
 
 
@@ -208,26 +199,18 @@ def _largest(weights: FloatArray, influences: int | None) -> tuple[IntArray, NDA
     return np.pad(order, filling), np.pad(rounded, filling), max(cut, 0.0)
 
 
-def _mesh(
-    buffer: GlbBuffer, vertices: FloatArray, faces: IntArray, joints: IntArray, weights: NDArray[np.float32]
-) -> dict[str, Any]:
-    normals = vertex_normals(vertices, faces)
-    normals[~normals.any(1)] = (0.0, 0.0, 1.0)
-    attributes = {
-        "POSITION": buffer.add(vertices.astype("f4"), "VEC3", VERTEX_DATA, bounds=True),
-        "NORMAL": buffer.add(normals.astype("f4"), "VEC3", VERTEX_DATA),
-    }
+def _skin_attributes(joints: IntArray, weights: NDArray[np.float32]) -> dict[str, tuple[NDArray[Any], str]]:
     kind = "u1" if joints.max() < 256 else "u2"
+    attributes: dict[str, tuple[NDArray[Any], str]] = {}
     for n, start in enumerate(range(0, joints.shape[1], _A_SET)):
         part = slice(start, start + _A_SET)
-        attributes[f"JOINTS_{n}"] = buffer.add(joints[:, part].astype(kind), "VEC4", VERTEX_DATA)
-        attributes[f"WEIGHTS_{n}"] = buffer.add(weights[:, part].astype("f4"), "VEC4", VERTEX_DATA)
-    indices = buffer.add(faces.astype("u4").ravel(), "SCALAR", INDICES)
-    return {"name": "frame", "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
+        attributes[f"JOINTS_{n}"] = (joints[:, part].astype(kind), "VEC4")
+        attributes[f"WEIGHTS_{n}"] = (weights[:, part].astype("f4"), "VEC4")
+    return attributes
 
 
 def _skeleton(
-    buffer: GlbBuffer, keypoints: FloatArray, known: IntArray, above: dict[int, int], names: Sequence[str]
+    file: GlbFile, keypoints: FloatArray, known: IntArray, above: dict[int, int], names: Sequence[str]
 ) -> tuple[dict[str, Any], list[dict[str, Any]], list[int]]:
     """Return the skin, the nodes of the joints, numbered from 2 on, and the numbers of the topmost."""
     number = {int(joint): i + 2 for i, joint in enumerate(known)}
@@ -240,6 +223,6 @@ def _skeleton(
         nodes.append(node)
     inverse = np.tile(np.eye(4), (len(known), 1, 1))
     inverse[:, :3, 3] = -keypoints[known]
-    matrices = buffer.add(inverse.transpose(0, 2, 1).astype("f4"), "MAT4")  # column by column
+    matrices = file.add_array(inverse.transpose(0, 2, 1).astype("f4"), "MAT4")  # column by column
     skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
     return skin, nodes, [number[joint] for joint in number if above[joint] < 0]

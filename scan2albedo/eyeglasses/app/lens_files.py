@@ -15,9 +15,9 @@ from scan2albedo.eyeglasses import InsertedLens, Surface
 from scan2albedo.eyeglasses.app.lens_input import LensInput, file_sha256
 from scan2albedo.eyeglasses.app.lenses import LensView, RenderedLenses
 from scan2albedo.eyeglasses.app.records import FileRecord, LensesRecord, LensRecord, LensViewRecord
+from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
-from scan2albedo.io.parts_glb import GlbPart, write_parts_glb
 from scan2albedo.io.records import installed_versions, listed_files, write_record
 from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_records import InputRecord

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.npz import write_npz
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, write_record
 from scan2albedo.io.result_folder import result_folder
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
@@ -110,13 +111,13 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
     target = Path(folder)
     with result_folder(target, IDENTIFICATION_FILE, obsolete=FILES) as staging:
         write_text(staging / "identification.csv", _table(found))
-        np.savez(
-            staging / "similarities.npz",
-            similarities=found.matches.similarities,
-            persons=np.array(found.matches.persons),
-            probes=np.array(found.probes.labels),
-            probe_persons=np.array([person or "" for person in found.probes.persons]),
-        )
+        similarities = {
+            "similarities": found.matches.similarities,
+            "persons": np.array(found.matches.persons),
+            "probes": np.array(found.probes.labels),
+            "probe_persons": np.array([person or "" for person in found.probes.persons]),
+        }
+        write_npz(staging / "similarities.npz", similarities, what="similarities", compressed=False)
         _write_figures(*curves(found), staging)
         written = sorted(path.name for path in staging.iterdir())
         record = identification_record(found, (*written, IDENTIFICATION_FILE))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan2albedo.io.parts_glb import GlbPart, write_parts_glb
+from scan2albedo.io.glb import GlbPart, write_parts_glb
 
 
 def test_parts_come_back_with_their_colours(tmp_path):
