@@ -9,7 +9,7 @@ from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasse
 from scan2albedo.eyeglasses.files.array_files import Layout, read_arrays, write_arrays
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 
-_LAYOUT: Layout = {
+_CANONICAL_LAYOUT: Layout = {
     "vertices": (float, "V", 3),
     "faces": (int, "F", 3),
     "weights": (float, "V", KEY_POINT_COUNT),
@@ -37,7 +37,7 @@ def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
     OutputError
         When the folder cannot be written.
     """
-    write_arrays(path, frame, _LAYOUT, what="canonical frame")
+    write_arrays(path, frame, _CANONICAL_LAYOUT, what="canonical frame")
 
 
 def read_canonical(path: str | Path) -> CanonicalEyeglasses:
@@ -52,5 +52,5 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
     EyeglassesError
         When the file is missing, damaged or something else; names it.
     """
-    arrays = read_arrays(path, _LAYOUT, what="canonical frame", example="canonical.npz")
+    arrays = read_arrays(path, _CANONICAL_LAYOUT, what="canonical frame", example="canonical.npz")
     return CanonicalEyeglasses(**arrays, plan=Plan())

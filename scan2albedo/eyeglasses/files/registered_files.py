@@ -9,7 +9,7 @@ from scan2albedo.eyeglasses.files.array_files import Layout, read_arrays, write_
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
 
-_LAYOUT: Layout = {
+_REGISTERED_LAYOUT: Layout = {
     "vertices": (float, "V", 3),
     "faces": (int, "F", 3),
     "weights": (float, "V", KEY_POINT_COUNT),
@@ -48,7 +48,7 @@ def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
     OutputError
         When the folder cannot be written.
     """
-    write_arrays(path, frame, _LAYOUT, what="registered frame")
+    write_arrays(path, frame, _REGISTERED_LAYOUT, what="registered frame")
 
 
 def read_registered(path: str | Path) -> RegisteredEyeglasses:
@@ -63,5 +63,5 @@ def read_registered(path: str | Path) -> RegisteredEyeglasses:
     EyeglassesError
         When the file is missing, damaged or something else; names it.
     """
-    arrays = read_arrays(path, _LAYOUT, what="registered frame", example="registered.npz")
+    arrays = read_arrays(path, _REGISTERED_LAYOUT, what="registered frame", example="registered.npz")
     return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
