@@ -36,12 +36,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
-from scan2albedo.eyeglasses.weighting.lattice_weights import solve_lattice
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
-from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
+from scan2albedo.eyeglasses.weighting.lattice import biharmonic_energy
+from scan2albedo.eyeglasses.weighting.weights import solve_lattice, solve_weights
 from scan2albedo.io import load_scan
 
 FloatArray = NDArray[np.float64]

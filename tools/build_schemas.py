@@ -20,9 +20,8 @@ from scan2albedo.eyeglasses.app.records import (
     RegisteredFrameRecord,
 )
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
-from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile
-from scan2albedo.eyeglasses.files.label_files import LabelsFile
-from scan2albedo.eyeglasses.files.start_files import StartFile
+from scan2albedo.eyeglasses.files.frame_files import StartFile
+from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
 from scan2albedo.recognition.app.files import IdentificationRecord

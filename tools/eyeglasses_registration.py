@@ -21,16 +21,16 @@ from scan2albedo.eyeglasses import (
     register_on_face,
 )
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.on_face.registration_descent import descend
-from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
-from scan2albedo.eyeglasses.on_face.registration_report import mark_deviations
-from scan2albedo.eyeglasses.on_face.registration_start import starting_poses
-from scan2albedo.eyeglasses.on_face.registration_terms import (
+from scan2albedo.eyeglasses.on_face.objective import (
     Linearization,
     OutlineSamples,
     RegistrationObjective,
+    descend,
 )
+from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
+from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
+from scan2albedo.eyeglasses.on_face.registration_report import mark_deviations
+from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer
 

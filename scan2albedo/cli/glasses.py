@@ -61,8 +61,12 @@ def canonicalize(
         )
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import EyeglassesError
-    from scan2albedo.eyeglasses.app.canonical_files import write_canonical_files
-    from scan2albedo.eyeglasses.app.canonicalization import FailedFrame, canonicalize_frames, read_frames
+    from scan2albedo.eyeglasses.app.canonicalization import (
+        FailedFrame,
+        canonicalize_frames,
+        read_frames,
+        write_canonical_files,
+    )
     from scan2albedo.io.result_folder import check_writable
 
     carrier, spend = _carrier(handles), _checked_budget(unit, budget)
@@ -155,8 +159,7 @@ def register(
     """
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
-    from scan2albedo.eyeglasses.app.registration import register_frame
-    from scan2albedo.eyeglasses.app.registration_files import write_registration_files
+    from scan2albedo.eyeglasses.app.registration import register_frame, write_registration_files
     from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
     from scan2albedo.io.result_folder import check_writable
 
@@ -257,8 +260,8 @@ def lenses(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions
+    from scan2albedo.eyeglasses.app.lens_files import run_lenses
     from scan2albedo.eyeglasses.app.lens_input import check_unit, material_pair, read_lens_input
-    from scan2albedo.eyeglasses.app.lens_run import run_lenses
     from scan2albedo.io.result_folder import check_writable
 
     try:

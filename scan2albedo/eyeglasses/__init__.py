@@ -6,22 +6,31 @@ from scan2albedo.eyeglasses.canonical.canonicalization import (
     CanonicalSet,
     canonicalize,
 )
-from scan2albedo.eyeglasses.files.camera_files import Camera, read_cameras, write_cameras
-from scan2albedo.eyeglasses.files.canonical_files import read_canonical, write_canonical
-from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints, write_keypoints
-from scan2albedo.eyeglasses.files.label_files import ViewLabels, read_labels, write_labels
-from scan2albedo.eyeglasses.files.mask_files import read_masks, write_masks
-from scan2albedo.eyeglasses.files.registered_files import read_registered, write_registered
-from scan2albedo.eyeglasses.files.start_files import read_start, write_start
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
-from scan2albedo.eyeglasses.lenses.environment_lights import (
-    DistantLights,
-    distant_directions,
-    environment_weights,
+from scan2albedo.eyeglasses.files.camera_files import (
+    Camera,
+    read_cameras,
+    read_masks,
+    write_cameras,
+    write_masks,
 )
-from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
+from scan2albedo.eyeglasses.files.frame_files import (
+    read_canonical,
+    read_registered,
+    read_start,
+    write_canonical,
+    write_registered,
+    write_start,
+)
+from scan2albedo.eyeglasses.files.keypoint_files import (
+    ViewLabels,
+    read_keypoints,
+    read_labels,
+    write_keypoints,
+    write_labels,
+)
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
+from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, lens_mesh
 from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial, LensPictureOptions
-from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
 from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, insert_lenses
 from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim
 from scan2albedo.eyeglasses.lenses.lens_scene import Surface
@@ -32,16 +41,20 @@ from scan2albedo.eyeglasses.lenses.lens_shading import (
     mirror_on_sphere,
 )
 from scan2albedo.eyeglasses.lenses.refraction import RefractedRays, ThinLens, refract
+from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
-from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
-from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.triangulation import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.skinning import skin
-from scan2albedo.eyeglasses.triangulation import TriangulatedPoints, triangulate
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
+from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import (
     BoundedBiharmonicWeights,
     bounded_biharmonic_weights,
     solve_weights,
+)
+from scan2albedo.lighting.environment import (
+    DistantLights,
+    distant_directions,
+    environment_weights,
 )
 
 __all__ = [

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.handle_transforms import translations, turned_translations
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.skinning import translations, turned_translations
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 

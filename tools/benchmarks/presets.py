@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.sweep import Setting
 from scan2albedo.eyeglasses import FaceRegistrationOptions
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
+from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.geometry_image import LookupOptions
 from scan2albedo.pipeline.quality import PRESETS
 

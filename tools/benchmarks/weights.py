@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from benchmarks.presets import SpacingOptions, preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.eyeglasses import solve_weights
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
+from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
 from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
 from scan2albedo.synthetic import GlassesBend, SyntheticEyeglasses, eyeglasses
 
 FloatArray = NDArray[np.float64]

@@ -1,22 +1,43 @@
-"""Frames of eyeglasses from files to canonical space; one that cannot be done leaves the others alone."""
+"""Frames of eyeglasses from files to canonical space, and the files of the result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.core import Budget, Plan, ProgressCallback
+from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
-from scan2albedo.eyeglasses import CanonicalizationOptions, CanonicalSet, canonicalize
+from scan2albedo.eyeglasses import (
+    KEY_POINT_NAMES,
+    CanonicalEyeglasses,
+    CanonicalizationOptions,
+    CanonicalSet,
+    canonicalize,
+    skin,
+    write_canonical,
+    write_keypoints,
+)
 from scan2albedo.eyeglasses.app.input import GlassesFrame, read_frame
+from scan2albedo.eyeglasses.app.records import CanonicalFrameRecord, CanonicalSetRecord, FailedFrameRecord
 from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
+from scan2albedo.eyeglasses.keypoints import PARENTS
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.records import installed_versions, plain_json, write_record
+from scan2albedo.io.result_folder import result_folder
+from scan2albedo.io.result_records import InputRecord, PlanRecord
+from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.units import MM_PER_UNIT
+from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
+from scan2albedo.report.overview import overview_figure
 
 FloatArray = NDArray[np.float64]
 
@@ -109,3 +130,122 @@ def _mean_mm(path: Path) -> FloatArray:
     if mean.unit == "unknown":
         raise EyeglassesError(f"key points {path} do not say their unit; a mean needs one: mm, cm or m")
     return mean.points * MM_PER_UNIT[mean.unit]
+
+
+FRAME_RECORD, SET_RECORD = "result.json", "set.json"
+"""They come last: a folder that has one is whole."""
+
+
+def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:
+    """Write the files of every frame into ``out / <name>`` and those of the set into `out`.
+
+    They are made in a hidden folder and renamed into place, so that a run that is killed while they are
+    made leaves older ones as they were.
+
+    Returns
+    -------
+    dict
+        Figures of each frame by name, as in its `result.json`.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder and the cause.
+    """
+    with result_folder(out, SET_RECORD, FRAME_RECORD) as staging:
+        figures = {
+            frame.name: _write_frame(frame, canonical, make_folder(staging / frame.name))
+            for frame, canonical in zip(done.frames, done.result.frames, strict=True)
+        }
+        _write_set(done, staging)
+    return figures
+
+
+def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Path) -> dict[str, Any]:
+    written = write_skinned_glb(
+        folder / "canonical.glb",
+        canonical.vertices,
+        canonical.faces,
+        canonical.keypoints,
+        canonical.weights,
+        KEY_POINT_NAMES,
+        parents=PARENTS,
+    )
+    write_canonical(folder / "canonical.npz", canonical)
+    write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
+    figures = frame_figures(frame, canonical, written)
+    missing = np.flatnonzero(~np.isfinite(frame.keypoints).all(1))
+    files = sorted(path.name for path in folder.iterdir())
+    record = CanonicalFrameRecord(
+        scan2albedo_version=VERSION,
+        versions=installed_versions(),
+        name=frame.name,
+        input=InputRecord(
+            file=str(frame.mesh_file),
+            sha256=input_sha256(frame.mesh_file),
+            vertices=len(frame.scan.vertices),
+            faces=len(frame.scan.faces),
+            texture_size=None,
+        ),
+        keypoints_file=str(frame.keypoints_file),
+        keypoints_sha256=frame.keypoints_sha256,
+        mm_per_unit=frame.mm_per_unit,
+        scale=canonical.scale,
+        canonical_from_frame=plain_json(canonical.canonical_from_frame),
+        converged=canonical.converged,
+        missing_key_points=tuple(KEY_POINT_NAMES[k] for k in missing),
+        plan=_plan_records(canonical.plan),
+        metrics=figures,
+        notes=frame.scan.notes,
+        files=(*files, FRAME_RECORD),
+    )
+    write_record(folder / FRAME_RECORD, record)
+    return figures
+
+
+def frame_figures(
+    frame: GlassesFrame, canonical: CanonicalEyeglasses, written: SkinWritten
+) -> dict[str, Any]:
+    """Return how bent a frame was, and what the GLB's cut to four joints a vertex costs."""
+    rigid = transform_points(canonical.canonical_from_frame, canonical.scale * frame.scan.vertices)
+    moved = np.linalg.norm(canonical.vertices - rigid, axis=1)
+    cut = skin(frame.scan.vertices, written.weights, canonical.handle_transforms) - canonical.vertices
+    return {
+        "key_point_residual_mm": canonical.residual,
+        "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
+        "moved_max_mm": float(moved.max()),
+        "glb_weight_cut": written.cut,
+        "glb_moved_max_mm": float(np.linalg.norm(cut, axis=1).max()),
+    }
+
+
+def _write_set(done: CanonicalFiles, folder: Path) -> None:
+    result = done.result
+    write_keypoints(folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
+    result.trace.to_csv(folder / "trace.csv")
+    result.trace.plot().savefig(folder / "error_vs_time.png", dpi=110)
+    drawn = [
+        DrawnFrame(f.name, f.scan.vertices, f.keypoints, c)
+        for f, c in zip(done.frames, result.frames, strict=True)
+    ]
+    panels = glasses_panels(drawn, result.mean_keypoints)
+    title = f"{len(drawn)} frames" if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {len(drawn)} frames"
+    overview_figure(title, panels, CANONICAL_COLUMNS).savefig(folder / "overview.png")
+    files = sorted(path.name for path in folder.iterdir() if path.is_file())
+    record = CanonicalSetRecord(
+        scan2albedo_version=VERSION,
+        versions=installed_versions(),
+        options=dict(done.options),
+        frames=tuple(frame.name for frame in done.frames),
+        failures=tuple(FailedFrameRecord(file=str(f.file), reason=f.reason) for f in done.failures),
+        converged=result.converged,
+        iterations=result.iterations,
+        seconds=done.seconds,
+        plan=_plan_records(result.plan),
+        files=(*files, SET_RECORD),
+    )
+    write_record(folder / SET_RECORD, record)
+
+
+def _plan_records(plan: Plan) -> tuple[PlanRecord, ...]:
+    return tuple(PlanRecord(**asdict(step)) for step in plan)

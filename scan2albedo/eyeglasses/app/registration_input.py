@@ -22,7 +22,7 @@ from scan2albedo.eyeglasses import (
     read_start,
 )
 from scan2albedo.eyeglasses.app.input import read_frame
-from scan2albedo.eyeglasses.files.mask_files import mask_path
+from scan2albedo.eyeglasses.files.camera_files import mask_path
 from scan2albedo.io import load_scan
 from scan2albedo.io.input_hash import input_sha256
 

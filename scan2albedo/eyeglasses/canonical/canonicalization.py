@@ -20,9 +20,8 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     require_posable,
     unit_factors,
 )
-from scan2albedo.eyeglasses.handle_transforms import translations, turned_translations
-from scan2albedo.eyeglasses.skinning import skin
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
+from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
+from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.geometry.rigid import transform_points
 
 FloatArray = NDArray[np.float64]

@@ -13,7 +13,7 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import fullest, require_posable
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
+from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import STAGE, UNIT, metered_weights
 
 FloatArray = NDArray[np.float64]

@@ -1,8 +1,8 @@
-"""Key points as JSON files, by name."""
+"""Key points, and their labels in pictures, as JSON files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,13 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.files.camera_files import CameraName, refuse_equal_names
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.records import read_record, write_record
 
 FloatArray = NDArray[np.float64]
 
+
 _Coordinate = Annotated[float, Field(allow_inf_nan=False)]
 _Point = tuple[_Coordinate, _Coordinate, _Coordinate]
+_Pixel = tuple[_Coordinate, _Coordinate]
 
 
 class KeyPointsFile(BaseModel):
@@ -113,3 +116,121 @@ def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
     nothing = (np.nan, np.nan, np.nan)
     points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
     return KeyPoints(points, entry.unit)
+
+
+@dataclass(frozen=True)
+class ViewLabels:
+    """Labels of C views."""
+
+    camera_names: tuple[str, ...]
+    """Of the C views."""
+    pixels: FloatArray
+    """(C, 20, 2) column and row, centres of pixels at integers; NaN where a key point is not labelled."""
+
+    def of_cameras(self, names: Sequence[str]) -> FloatArray:
+        """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.
+
+        Raises
+        ------
+        EyeglassesError
+            When there are labels of a camera that is not among them.
+        """
+        if strange := sorted(set(self.camera_names) - set(names)):
+            raise EyeglassesError(
+                f"there are labels of a camera {strange[0]!r}, but the cameras are {', '.join(names)}; "
+                "add it to them, or take its labels out"
+            )
+        at = {name: i for i, name in enumerate(self.camera_names)}
+        nothing = np.full((KEY_POINT_COUNT, 2), np.nan)
+        return np.array([self.pixels[at[name]] if name in at else nothing for name in names])
+
+
+class LabelsFile(BaseModel):
+    """The content of a label file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["scan2albedo eyeglasses labels"] = "scan2albedo eyeglasses labels"
+    format_version: Literal[1] = 1
+    views: dict[CameraName, dict[str, _Pixel | None]] = Field(
+        description="Pixels (column, row) by camera and key point, centres of pixels at integers; null, or "
+        "no entry, where a key point is not labelled.",
+        json_schema_extra={
+            "additionalProperties": {
+                "type": "object",
+                "propertyNames": {"enum": list(KEY_POINT_NAMES)},
+                "additionalProperties": {
+                    "anyOf": [
+                        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+                        {"type": "null"},
+                    ]
+                },
+            }
+        },
+    )
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> LabelsFile:
+        refuse_equal_names(self.views)
+        for labels in self.views.values():
+            refuse_strange_names(labels)
+        return self
+
+
+def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str]) -> None:
+    """Write labels (C, 20, 2) of C cameras as JSON; NaN as null.
+
+    Parameters
+    ----------
+    path : str or Path
+    labels : (C, 20, 2) array_like of float
+        Column and row in pixels, in the order of `KEY_POINT_NAMES`.
+    camera_names : sequence of C str
+
+    Raises
+    ------
+    ValueError
+        When the shape is another, or two cameras share a name.
+    OutputError
+        When the file cannot be written.
+    """
+    pixels = np.asarray(labels, np.float64)
+    if pixels.shape != (len(camera_names), KEY_POINT_COUNT, 2):
+        raise ValueError(
+            f"labels must have shape ({len(camera_names)}, {KEY_POINT_COUNT}, 2) for {len(camera_names)} "
+            f"cameras, got {pixels.shape}"
+        )
+    refuse_equal_names(camera_names)
+    views = {
+        name: {
+            key_point: (float(p[0]), float(p[1])) if np.isfinite(p).all() else None
+            for key_point, p in zip(KEY_POINT_NAMES, view, strict=True)
+        }
+        for name, view in zip(camera_names, pixels, strict=True)
+    }
+    write_record(path, LabelsFile(views=views))
+
+
+def read_labels(path: str | Path) -> ViewLabels:
+    """Return the labels of a file, NaN where one is missing.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    EyeglassesError
+        When the file cannot be read or is no label file; names the file and its first fault.
+    """
+    content = read_record(
+        path,
+        LabelsFile,
+        what="labels",
+        advice="give a file that write_labels wrote (data_schemas/eyeglasses_labels.schema.json)",
+        error=EyeglassesError,
+    )
+    nothing = (np.nan, np.nan)
+    pixels = [[view.get(name) or nothing for name in KEY_POINT_NAMES] for view in content.views.values()]
+    shape = (len(content.views), KEY_POINT_COUNT, 2)
+    return ViewLabels(tuple(content.views), np.array(pixels, np.float64).reshape(shape))

@@ -1,23 +1,26 @@
-"""Lenses that fill the rims of a frame."""
+"""Lenses that fill the rims of a frame, and the glass of its own that makes room for them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial
-from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
-from scan2albedo.eyeglasses.lenses.lens_plane import LensPlane, fit_normal
-from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim, is_covered, pane_faces
+from scan2albedo.eyeglasses.lenses.lens_scene import Surface
 from scan2albedo.eyeglasses.lenses.refraction import ThinLens
+from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
+from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.rays import RayCaster
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
 
 SIDES = ("left", "right")
 _BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
@@ -161,3 +164,100 @@ def _seated(rim: LensRim, seat_mm: float) -> FloatArray:
     plane = LensPlane.at(rim.center, rim.normal)
     outward = plane.directions(plane.angles(rim.points))
     return np.asarray(rim.points + seat_mm * rim.measured[:, None] * outward)
+
+
+def lens_mesh(
+    center: ArrayLike, rim: ArrayLike, normal: ArrayLike | None = None
+) -> tuple[FloatArray, IntArray]:
+    """Return vertices (R + 1, 3) and faces (R, 3) of a fan from the centre to the rim.
+
+    Normals point to the side from which the rim runs counterclockwise, the viewer's for
+    `LensRim.points`; with `normal` the fan is turned so that they point along it.
+
+    Parameters
+    ----------
+    center : (3,) array_like of float
+        Becomes vertex 0.
+    rim : (R, 3) array_like of float
+        Points in order around the lens, R >= 3.
+    normal : (3,) array_like of float, optional
+
+    Raises
+    ------
+    EyeglassesError
+        When the rim does not go around the centre once, so that the fan would fold.
+    ValueError
+        When an array has the wrong shape or is not finite.
+
+    Examples
+    --------
+    >>> vertices, faces = lens_mesh([0, 0, 0], [[1, 0, 0], [0, 1, 0], [-1, -1, 0]])
+    >>> vertices.shape, faces.tolist()
+    ((4, 3), [[0, 1, 2], [0, 2, 3], [0, 3, 1]])
+    """
+    middle, outline = np.asarray(center, np.float64), np.asarray(rim, np.float64)
+    if middle.shape != (3,) or outline.ndim != 2 or outline.shape[1] != 3 or len(outline) < 3:
+        raise ValueError(f"center and rim must be (3,) and (R, 3), got {middle.shape}, {outline.shape}")
+    vertices = np.concatenate([middle[None], outline])
+    if not np.isfinite(vertices).all():
+        raise ValueError("center and rim must be finite")
+    numbers = np.arange(1, len(vertices))
+    faces = np.stack([np.zeros_like(numbers), numbers, np.roll(numbers, -1)], 1)
+    # Taken around the centre: far from the origin the cross products would lose their digits.
+    cross = face_cross_products(vertices - middle, faces)
+    axis = cross.sum(0)
+    if normal is not None and np.asarray(normal, np.float64) @ axis < 0:
+        faces, cross, axis = faces[:, [0, 2, 1]], -cross, -axis
+    folded = ~(cross @ axis > 0)
+    if folded.any():
+        raise EyeglassesError(
+            f"the rim does not go around the lens centre once: {int(folded.sum())} of {len(faces)} triangles "
+            "fold; move the centre inside, or put the points in order"
+        )
+    return vertices, faces
+
+
+@dataclass(frozen=True)
+class BareFrame:
+    """A frame without glass where lenses go."""
+
+    surface: Surface
+    kept: NDArray[np.bool_]
+    """(F,) which faces of the frame are left."""
+    notes: tuple[str, ...]
+    """What was left out, and what still covers a lens."""
+
+
+def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray) -> BareFrame:
+    """Take the parts out of a frame that lie across a lens, as `find_lens_rim` looks through them.
+
+    Glass of one piece with the rim stays, and a note tells it.
+    """
+    vertices, faces = np.asarray(frame.vertices), np.asarray(frame.faces)
+    kept, notes = np.ones(len(faces), bool), []
+    for lens in lenses:
+        plane = LensPlane.at(lens.rim.center, lens.rim.normal)
+        marks = rim_key_points(keypoints, lens.side)
+        panes = pane_faces(vertices, faces[kept], plane, marks)
+        if panes.any():
+            kept[np.flatnonzero(kept)[panes]] = False
+            notes.append(
+                f"the {lens.name}: the frame's own glass there, {int(panes.sum())} faces, is left out"
+            )
+        if is_covered(vertices, faces[kept], plane, marks):
+            notes.append(
+                f"the {lens.name}: the frame covers it, it seems by glass of one piece with the rim, which "
+                "may have been taken for the rim; cut it out of the mesh"
+            )
+    return BareFrame(_with_faces(frame, kept), kept, tuple(notes))
+
+
+def _with_faces(surface: Surface, kept: NDArray[np.bool_]) -> Surface:
+    if kept.all():
+        return surface
+    uv = None if surface.uv is None else np.asarray(surface.uv)
+    return replace(
+        surface,
+        faces=np.asarray(surface.faces)[kept],
+        uv=uv[kept] if uv is not None and uv.ndim == 3 else uv,
+    )

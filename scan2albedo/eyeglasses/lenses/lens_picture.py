@@ -10,17 +10,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
-from scan2albedo.eyeglasses.lenses.environment_lights import DistantLights
-from scan2albedo.eyeglasses.lenses.frame_glass import without_glass
-from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens
+from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens, without_glass
 from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial, LensPictureOptions
-from scan2albedo.eyeglasses.lenses.lens_relighting import LensRelighting, checked_image, pasted, without_dark
-from scan2albedo.eyeglasses.lenses.lens_rendering import LensRenderer, PixelRegion, Rendering
+from scan2albedo.eyeglasses.lenses.lens_rendering import (
+    LensRelighting,
+    LensRenderer,
+    PixelRegion,
+    Rendering,
+    checked_image,
+    pasted,
+    without_dark,
+)
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
 from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
 from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
-from scan2albedo.eyeglasses.lenses.scene_rays import Illumination, SceneColors
+from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneColors
 from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.lighting.environment import DistantLights
 
 FloatArray = NDArray[np.float64]
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, SeenPoints
 from scan2albedo.eyeglasses.lenses.light_kernels import shade
-from scan2albedo.eyeglasses.lenses.light_paths import light_paths
-from scan2albedo.eyeglasses.lenses.scene_rays import Illumination, RayColors, SceneRays, Surroundings
-from scan2albedo.eyeglasses.lenses.shadow_stages import PointStage, all_at_once, pixel_stages
+from scan2albedo.eyeglasses.lenses.light_paths import PointStage, all_at_once, light_paths, pixel_stages
+from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, RayColors, SceneRays, Surroundings
 from scan2albedo.geometry.blocks import blocks, each_block
 
 FloatArray = NDArray[np.float64]

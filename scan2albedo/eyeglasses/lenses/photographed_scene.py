@@ -11,7 +11,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, SeenPoints
-from scan2albedo.eyeglasses.lenses.scene_rays import KnownSamples, SceneRays, Surroundings
+from scan2albedo.eyeglasses.lenses.traced_rays import KnownSamples, SceneRays, Surroundings
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 
 FloatArray = NDArray[np.float64]

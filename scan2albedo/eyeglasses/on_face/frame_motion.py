@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.eyeglasses.handle_transforms import PRIOR, known_bones, turned_translations
-from scan2albedo.eyeglasses.motion_kernels import blend_positions, normal_sums, point_covariances
+from scan2albedo.eyeglasses.on_face.motion_kernels import blend_positions, normal_sums, point_covariances
+from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 

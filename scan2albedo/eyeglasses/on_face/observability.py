@@ -1,4 +1,4 @@
-"""How well the pictures fix a frame, point by point."""
+"""How well the pictures fix a frame, and where they contradict it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.registration_terms import Linearization
+from scan2albedo.eyeglasses.on_face.objective import Linearization, ObservedView
+from scan2albedo.eyeglasses.on_face.outline_samples import OutlineSampler
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import project
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
 
 _RIDGE = 1e-12
 """Least eigenvalue of the scaled matrix, as a part of the largest: open directions stay finite."""
@@ -70,3 +74,68 @@ def deviation_along(covariances: FloatArray, directions: FloatArray) -> FloatArr
     """Return (N,) standard deviations along directions (N, 3)."""
     heading = normalized(directions)
     return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", heading, covariances, heading), 0.0))
+
+
+_NEAR_PX, _NEAR = 3.0, 4.0
+"""Pixels of one mask this near to the other agree with it: at least, and in deviations of outlines."""
+_PATCH_PX = 25.0
+"""Pixels by which a key point's surroundings may differ: a patch as wide as a temple is more."""
+
+
+@dataclass(frozen=True)
+class MaskAgreement:
+    """How a view's mask and the frame's own compare."""
+
+    iou: float
+    differing: FloatArray
+    """(K,) pixels of either mask away from the other, by the key point they belong to."""
+
+
+def compare_masks(
+    sampler: OutlineSampler, motion: FrameMotion, view: ObservedView, mask: BoolArray, noise_px: float
+) -> MaskAgreement:
+    """Return how a view's mask (H, W) agrees with what the frame covers of it, the head in front.
+
+    A pixel of the mask that the frame is not near to belongs to the vertex that is nearest in the picture.
+    """
+    import cv2
+    from scipy.spatial import cKDTree
+
+    vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
+    own, face = sampler.mask(motion, view)
+    union = own | mask
+    if not union.any():
+        return MaskAgreement(0.0, np.zeros(weights.shape[1]))
+    box, corner = _box_around(union)
+    limit = max(_NEAR_PX, _NEAR * noise_px)
+    differing = np.zeros(weights.shape[1])
+    for here, there in ((mask, own), (own, mask)):
+        # Distances in the box around both masks are those of the whole picture.
+        away = cv2.distanceTransform((~there[box]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        rows, columns = np.nonzero(here[box] & (away > limit)) + corner[:, None]
+        if not len(rows):
+            continue
+        if here is own:
+            owner = sampler.mesh.faces[face[rows, columns], 0]
+        else:
+            # Vertices that the head should hide too: the mask may be what shows that it does not.
+            pixels, depth = project(view.camera, vertices)
+            front = np.flatnonzero(depth > 0)
+            if not len(front):
+                continue
+            owner = front[cKDTree(pixels[front]).query(np.stack([columns, rows], 1))[1]]
+        differing += weights[owner].sum(0)
+    return MaskAgreement(float((own & mask).sum() / max(union.sum(), 1)), differing)
+
+
+def _box_around(mask: BoolArray) -> tuple[tuple[slice, slice], NDArray[np.int64]]:
+    """Return the smallest box that holds a mask, which is not empty, and its first row and column."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return box, np.array([rows[0], columns[0]])
+
+
+def contradicted(agreements: list[MaskAgreement], count: int) -> BoolArray:
+    """Return (K,) True for key points whose surroundings a view's mask shows elsewhere, or not at all."""
+    worst = np.max([a.differing for a in agreements], axis=0) if agreements else np.zeros(count)
+    return np.asarray(worst > _PATCH_PX)

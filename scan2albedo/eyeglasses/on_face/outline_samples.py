@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.mask_distance import search_edges
+from scan2albedo.eyeglasses.on_face.objective import ObservedView, OutlineSamples
 from scan2albedo.eyeglasses.on_face.outline import Outline, cover, covered_points, trace_outline
-from scan2albedo.eyeglasses.on_face.outline_search import search_edges
-from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
-from scan2albedo.eyeglasses.on_face.registration_terms import ObservedView, OutlineSamples
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster

@@ -14,7 +14,7 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
-from scan2albedo.eyeglasses.on_face.registration_terms import ObservedView
+from scan2albedo.eyeglasses.on_face.objective import ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 
 FloatArray = NDArray[np.float64]

@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.mask_agreement import compare_masks, contradicted
+from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.objective import (
+    Linearization,
+    ObservedView,
+    OutlineSamples,
+    RegistrationObjective,
+)
 from scan2albedo.eyeglasses.on_face.observability import (
     Noise,
     PointDeviations,
+    compare_masks,
+    contradicted,
     deviation_along,
     measured_noise,
     worst_deviation,
 )
 from scan2albedo.eyeglasses.on_face.outline_samples import OutlineSampler, hidden_by
 from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs
-from scan2albedo.eyeglasses.on_face.registration_options import FaceRegistrationOptions
-from scan2albedo.eyeglasses.on_face.registration_result import RegisteredEyeglasses
-from scan2albedo.eyeglasses.on_face.registration_terms import (
-    Linearization,
-    ObservedView,
-    OutlineSamples,
-    RegistrationObjective,
-)
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project
 

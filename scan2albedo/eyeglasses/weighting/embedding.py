@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,20 +10,141 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist, squareform
 
 from scan2albedo.core import Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.weighting.bridges import join_parts
-from scan2albedo.eyeglasses.weighting.handle_cells import cells_of_handles, closest_spacing
-from scan2albedo.eyeglasses.weighting.lattice import Lattice
-from scan2albedo.eyeglasses.weighting.options import WeightOptions
-from scan2albedo.eyeglasses.weighting.spacing import spacing_wanted
+from scan2albedo.eyeglasses.weighting.lattice import Lattice, join_parts
 from scan2albedo.eyeglasses.weighting.voxelization import enclosed_cells, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import vertex_components
+from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_components
+from scan2albedo.geometry.rays import RayCaster
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class WeightOptions:
+    """Settings of `solve_weights`."""
+
+    max_nodes: int = 10_000
+    """Lattice nodes that the automatic spacing may use; time and memory grow a little faster than they do.
+    A given spacing may use ten times as many."""
+    finest: float = 1 / 150
+    """Least automatic spacing as a part of the size (the diagonal of the key points' box, or the mesh's for a
+    single one): a finer lattice changes deformations less than a scan's noise."""
+    coarsest: float = 1 / 40
+    """Greatest automatic spacing as a part of the size."""
+    thin_part: float = 0.1
+    """Part of the surface that may be thinner than the automatic spacing."""
+    reach: float = 0.05
+    """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
+    tolerance: float = 1e-7
+    """Scaled residual of the optimality conditions at which a handle's weights are done."""
+    max_steps: int = 60
+    """Newton steps a handle on one lattice."""
+    coarse_nodes: int = 1500
+    """Lattices of more nodes start from the weights of a lattice of twice the spacing."""
+
+
+_COINCIDENT = 1e-6
+"""Part of the size below which two key points are one."""
+
+
+def closest_spacing(handles: FloatArray, size: float, names: Sequence[str]) -> float:
+    """Return the spacing (in the mesh's unit) at which no two of the (K, 3) key points share a node.
+
+    `names` (K,) are for messages.
+
+    Raises
+    ------
+    EyeglassesError
+        When two key points coincide.
+    """
+    if len(handles) < 2:
+        return np.inf
+    apart = squareform(pdist(handles, "chebyshev"))
+    np.fill_diagonal(apart, np.inf)
+    a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    if not apart[a, b] > _COINCIDENT * size:
+        raise EyeglassesError(
+            f"key points {_pair(names, a, b)} coincide at {np.round(handles[a], 6).tolist()}; each "
+            "needs a place of its own: leave one of them out"
+        )
+    # Places two spacings apart along one axis lie in cells with another cell between them.
+    return float(apart[a, b]) / 2
+
+
+def cells_of_handles(local: FloatArray, spacing: float, names: Sequence[str]) -> IntArray:
+    """Return (K, 3) the cells of key points `local` (K, 3), given in units of the spacing.
+
+    Raises
+    ------
+    EyeglassesError
+        When two key points share a node.
+    """
+    cells = np.floor(local).astype(np.int64)
+    steps = squareform(pdist(cells.astype(float), "chebyshev")) if len(cells) > 1 else np.full((1, 1), np.inf)
+    np.fill_diagonal(steps, np.inf)
+    a, b = np.unravel_index(int(np.argmin(steps)), steps.shape)
+    if steps[a, b] < 2:
+        apart = spacing * float(np.abs(local[a] - local[b]).max())
+        raise EyeglassesError(
+            f"key points {_pair(names, a, b)} are {apart:.4g} apart along the axes, too close for a lattice "
+            f"of spacing {spacing:.4g}; give a spacing of {apart / 2:.4g} or less, or raise max_nodes"
+        )
+    return cells
+
+
+def _pair(names: Sequence[str], a: np.intp, b: np.intp) -> str:
+    return f"{names[int(min(a, b))]} and {names[int(max(a, b))]}"
+
+
+_SAMPLES = 2000
+_SKIN = 1e-5
+"""Rays start this part of the size off the surface, so that float32 does not find the face itself."""
+
+
+def thickness(vertices: FloatArray, faces: IntArray, part: float) -> float:
+    """Return the thickness, in the mesh's unit, that `part` of the surface's area stays below.
+
+    Measured across the faces at 2,000 places spread evenly over the area, on the side where the mesh is
+    met first: winding does not matter, and a narrow gap counts like a thin part. Infinite where no ray meets
+    anything.
+    """
+    area = np.cumsum(face_areas(vertices, faces))
+    if not area[-1] > 0:
+        return math.inf
+    chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
+    caster = RayCaster(vertices, faces)
+    center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
+    skin = _SKIN * caster.size
+    sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
+    return float(np.quantile(np.minimum(*sides), part, method="lower"))
+
+
+def spacing_wanted(
+    vertices: FloatArray, faces: IntArray, size: float, closest: float, options: WeightOptions
+) -> tuple[int, str]:
+    """Return into how many parts the size is to be divided, and why.
+
+    A whole number of parts, so that rounding in another unit does not change the lattice.
+
+    Parameters
+    ----------
+    size : float
+        In the mesh's unit.
+    closest : float
+        Least spacing that two key points ask for, in the mesh's unit: they must not share a node.
+    """
+    thin = thickness(vertices, faces, options.thin_part)
+    spacing = float(np.clip(thin, options.finest * size, options.coarsest * size))
+    reason = f"the mesh's thin parts measure {thin:.4g}"
+    if closest < spacing:
+        spacing, reason = closest, "two key points are close together"
+    return math.ceil(size / spacing * (1 - 1e-9)), reason
+
 
 _OFFSET = 0.3819660112501051
 """Cells between the mesh's lowest corner and a lattice plane (2 - golden ratio): flat sides and regular grids

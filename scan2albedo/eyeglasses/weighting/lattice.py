@@ -1,4 +1,4 @@
-"""A set of lattice cells with the nodes at their corners, and trilinear interpolation between them."""
+"""Lattice cells and their nodes: interpolation, the Laplacian, and bridges between parts."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.int64)
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
@@ -87,3 +90,76 @@ class Lattice:
         rows = np.repeat(np.arange(len(points)), 8)
         shape = (len(points), len(self.nodes))
         return sparse.csr_matrix((shares.ravel(), (rows, self.corners[cell].ravel())), shape=shape)
+
+
+_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
+"""The 12 edges of a cell as pairs of its corners."""
+
+
+def node_volumes(lattice: Lattice) -> FloatArray:
+    """Return (N,) volumes in cells: an eighth of each cell around a node."""
+    return np.bincount(lattice.corners.ravel(), minlength=len(lattice.nodes)) / 8.0
+
+
+def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
+    """Return the symmetric positive semi-definite (N, N) Laplacian L in units of the spacing.
+
+    (L u)_p = sum over neighbours q of a_pq (u_p - u_q), where a_pq is the part of the dual face between
+    p and q that lies in cells: a quarter for each cell around the edge, 1 inside. This is the seven-point
+    stencil with the natural boundary condition; every off-diagonal entry is <= 0.
+    """
+    ends = lattice.corners[:, np.array(_EDGES)].reshape(-1, 2)
+    count = len(lattice.nodes)
+    shape = (count, count)
+    half = sparse.csr_matrix((np.full(len(ends), 0.25), (ends[:, 0], ends[:, 1])), shape=shape)
+    links = half + half.T
+    return (sparse.diags(np.asarray(links.sum(1)).ravel()) - links).tocsr()
+
+
+def biharmonic_energy(lattice: Lattice) -> sparse.csr_matrix:
+    """Return A = L M^-1 L (N, N), with u^T A u the integral of (Laplacian u)^2; M holds the volumes."""
+    laplacian = lattice_laplacian(lattice)
+    return (laplacian @ sparse.diags(1 / node_volumes(lattice)) @ laplacian).tocsr()
+
+
+def join_parts(cells: IntArray, reach: float) -> IntArray:
+    """Return `cells` (C, 3) with the gaps of at most `reach` (in cells) between its parts bridged.
+
+    Parts are bridged along the minimum spanning forest of their distances, each by one straight chain of
+    cells between the nearest two. Parts farther away from all others stay apart.
+    """
+    label = Lattice.of_cells(cells).cell_components
+    sizes = np.bincount(label)
+    added = [cells]
+    gap, partner = np.full(len(cells), np.inf), np.full(len(cells), -1)
+    waiting = np.ones(len(cells), bool)
+    # Prim's algorithm; where nothing is in reach any more the largest part left starts the next tree.
+    while waiting.any():
+        rest = np.flatnonzero(waiting)
+        nearest = rest[np.argmin(gap[rest])]
+        if gap[nearest] <= reach:
+            part = label[nearest]
+            added.append(_chain(cells[partner[nearest]], cells[nearest]))
+        else:
+            part = label[rest[np.argmax(sizes[label[rest]])]]
+        joined = np.flatnonzero(label == part)
+        waiting[joined] = False
+        rest = np.flatnonzero(waiting)
+        if len(rest):
+            distance, index = cKDTree(cells[joined]).query(cells[rest], distance_upper_bound=reach + 1e-9)
+            closer = distance < gap[rest]
+            gap[rest[closer]], partner[rest[closer]] = distance[closer], joined[index[closer]]
+    return unique_cells(np.concatenate(added)) if len(added) > 1 else cells
+
+
+def _chain(start: IntArray, end: IntArray) -> IntArray:
+    """Return the cells (n, 3) of a straight walk from `start` to `end` through shared faces."""
+    here, total = start.copy(), np.abs(end - start)
+    walked, cells = np.zeros(3, np.int64), [start.copy()]
+    while (walked < total).any():
+        # The axis that lags most behind the straight line goes next.
+        axis = int(np.argmax(np.where(walked < total, total - walked, 0) / np.maximum(total, 1)))
+        here[axis] += np.sign(end - start)[axis]
+        walked[axis] += 1
+        cells.append(here.copy())
+    return np.array(cells)

@@ -12,8 +12,7 @@ from scan2albedo.cli import glasses as glasses_cli
 from scan2albedo.cli.commands import app
 from scan2albedo.eyeglasses import read_registered
 from scan2albedo.eyeglasses.app import demo as glasses_demo
-from scan2albedo.eyeglasses.app.demo import fitted_face, run_glasses_demo
-from scan2albedo.eyeglasses.app.demo_report import compare_with_wearer
+from scan2albedo.eyeglasses.app.demo import compare_with_wearer, fitted_face, run_glasses_demo
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.synthetic import WearerOptions, wearer

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.lenses.environment_lights import (
+from scan2albedo.eyeglasses.lenses.lens_shading import environment_radiance
+from scan2albedo.lighting.environment import (
     DistantLights,
     distant_directions,
     environment_weights,
 )
-from scan2albedo.eyeglasses.lenses.lens_shading import environment_radiance
 
 
 def solid_angles(rows, columns):

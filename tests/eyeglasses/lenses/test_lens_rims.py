@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lenses.lens_mesh import lens_mesh
-from scan2albedo.eyeglasses.lenses.lens_plane import LensPlane, fit_normal
+from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.eyeglasses.lenses.lens_rims import find_lens_rim
-from scan2albedo.eyeglasses.lenses.rim_subdivision import subdivide_rim
+from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal, subdivide_rim
 from scan2albedo.geometry.mesh import face_cross_products, face_normals
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.synthetic import GlassesBend, eyeglasses

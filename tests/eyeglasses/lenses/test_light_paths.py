@@ -7,8 +7,7 @@ from scan2albedo.eyeglasses import LensMaterial, Surface, distant_directions
 from scan2albedo.eyeglasses.lenses.inserted_lenses import insert_lens
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene
 from scan2albedo.eyeglasses.lenses.light_kernels import AWAY, DARK
-from scan2albedo.eyeglasses.lenses.light_paths import light_paths
-from scan2albedo.eyeglasses.lenses.shadow_stages import all_at_once, pixel_stages
+from scan2albedo.eyeglasses.lenses.light_paths import all_at_once, light_paths, pixel_stages
 from scan2albedo.geometry.pinhole import (
     camera_centers,
     look_at,

@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface, bilinear
 from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
-from scan2albedo.eyeglasses.lenses.scene_rays import SceneRays
+from scan2albedo.eyeglasses.lenses.traced_rays import SceneRays
 from scan2albedo.geometry.pinhole import look_at, project
 
 SHAPE = (120, 160)

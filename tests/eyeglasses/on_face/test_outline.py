@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
+from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance, search_edges
 from scan2albedo.eyeglasses.on_face.outline import Outline, cover, covered_points, trace_outline
-from scan2albedo.eyeglasses.on_face.outline_search import search_edges
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import rasterize
 from scan2albedo.synthetic import eyeglasses

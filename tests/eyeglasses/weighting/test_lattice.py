@@ -1,9 +1,13 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.weighting.biharmonic import biharmonic_energy, lattice_laplacian, node_volumes
-from scan2albedo.eyeglasses.weighting.bridges import join_parts
-from scan2albedo.eyeglasses.weighting.lattice import Lattice
+from scan2albedo.eyeglasses.weighting.lattice import (
+    Lattice,
+    biharmonic_energy,
+    join_parts,
+    lattice_laplacian,
+    node_volumes,
+)
 from scan2albedo.eyeglasses.weighting.voxelization import enclosed_cells, surface_cells, unique_cells
 
 

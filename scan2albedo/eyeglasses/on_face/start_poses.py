@@ -1,17 +1,31 @@
-"""First poses of a frame: from triangulated key points, from each view alone, or given."""
+"""First poses of a frame, and whether left and right are exchanged."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import Meter
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
-from scan2albedo.eyeglasses.on_face.registration_terms import ObservedView
-from scan2albedo.eyeglasses.triangulation import triangulate
+from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.objective import (
+    ENOUGH,
+    ObservedView,
+    RegistrationObjective,
+    descend,
+    median_label_px,
+)
+from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs
+from scan2albedo.eyeglasses.on_face.triangulation import triangulate
 from scan2albedo.geometry.rigid import compose, procrustes
 
 FloatArray = NDArray[np.float64]
+
 
 _FEWEST = 4
 """Labels of one view that fix a pose."""
@@ -123,3 +137,41 @@ def _factors(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     intrinsic, rotation = rq(matrix)
     signs = np.sign(np.diag(intrinsic))
     return intrinsic * signs, signs[:, None] * rotation
+
+
+_MIRRORED = 0.5
+"""Part of the labels' error below which exchanging left and right explains them."""
+
+
+def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, here_px: float) -> None:
+    """Raise where the labels fit far better with left and right exchanged.
+
+    Parameters
+    ----------
+    given : RegistrationInputs
+    options : FaceRegistrationOptions
+    here_px : float
+        Error of the labels as they are, at the best pose.
+
+    Raises
+    ------
+    EyeglassesError
+        When exchanging them explains the labels.
+    """
+    views = tuple(replace(view, labels=view.labels[list(MIRROR)]) for view in given.views)
+    objective = RegistrationObjective(given.keypoints, views, options)
+    rigid = partial(objective.linearize, samples=None, rigid=True)
+    try:
+        starts = starting_poses(given.keypoints, views, options.label_noise_px, None)
+    except EyeglassesError:
+        return
+    first = min(starts, key=lambda state: rigid(state).cost)
+    found = descend(
+        rigid, first, Meter("mirrored", "px"), steps=options.steps, enough=ENOUGH, error=median_label_px
+    )
+    there_px = median_label_px(found.at)
+    if there_px < _MIRRORED * here_px:
+        raise EyeglassesError(
+            "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "
+            f"fits to {there_px:.1f} px with them swapped, to {here_px:.1f} px as they are"
+        )

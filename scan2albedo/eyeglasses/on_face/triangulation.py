@@ -14,6 +14,7 @@ from scan2albedo.geometry.pinhole import normalized_cameras
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+
 _STEPS = 50
 """Most steps a point."""
 _DAMPING = 1e-6

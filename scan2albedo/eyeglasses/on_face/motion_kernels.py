@@ -1,4 +1,4 @@
-"""Compiled loops of a moving frame: its points, and the sums of squares of what is measured at them."""
+"""Compiled loops over the points of a moving frame: places, and sums of squares of what is measured there."""
 
 from __future__ import annotations
 
@@ -155,79 +155,3 @@ def normal_sums(  # type: ignore[no-untyped-def]
             matrix[a, b] = total
             matrix[b, a] = total
     return gradient, matrix
-
-
-@njit(cache=True, nogil=True)
-def settle_rotations(turns, share, rotations, sweeps, tolerance):  # type: ignore[no-untyped-def]
-    """Return (K, 3, 3) rotations R_k nearest to turns_k + sum over j of share_kj R_j, settled together.
-
-    Newton's step on the condition that P = M R^T be symmetric, (tr P - P) w = 2 axial(P), where it is uphill;
-    a singular value decomposition elsewhere.
-    """
-    count = turns.shape[0]
-    result = rotations.copy()
-    target = np.empty((3, 3))
-    for _ in range(sweeps):
-        largest = 0.0
-        for k in range(count):
-            target[:] = turns[k]
-            for j in range(count):
-                if share[k, j] != 0.0:
-                    for a in range(3):
-                        for b in range(3):
-                            target[a, b] += share[k, j] * result[j, a, b]
-            largest = max(largest, _turn_towards(target, result[k]))
-        if largest <= tolerance:
-            break
-    return result
-
-
-@njit(cache=True, nogil=True)
-def _turn_towards(m, r):  # type: ignore[no-untyped-def]
-    """Turn r (3, 3) in place to the rotation nearest to m, or a step that way; return by how much."""
-    p00 = m[0, 0] * r[0, 0] + m[0, 1] * r[0, 1] + m[0, 2] * r[0, 2]
-    p01 = m[0, 0] * r[1, 0] + m[0, 1] * r[1, 1] + m[0, 2] * r[1, 2]
-    p02 = m[0, 0] * r[2, 0] + m[0, 1] * r[2, 1] + m[0, 2] * r[2, 2]
-    p10 = m[1, 0] * r[0, 0] + m[1, 1] * r[0, 1] + m[1, 2] * r[0, 2]
-    p11 = m[1, 0] * r[1, 0] + m[1, 1] * r[1, 1] + m[1, 2] * r[1, 2]
-    p12 = m[1, 0] * r[2, 0] + m[1, 1] * r[2, 1] + m[1, 2] * r[2, 2]
-    p20 = m[2, 0] * r[0, 0] + m[2, 1] * r[0, 1] + m[2, 2] * r[0, 2]
-    p21 = m[2, 0] * r[1, 0] + m[2, 1] * r[1, 1] + m[2, 2] * r[1, 2]
-    p22 = m[2, 0] * r[2, 0] + m[2, 1] * r[2, 1] + m[2, 2] * r[2, 2]
-    wx, wy, wz = p21 - p12, p02 - p20, p10 - p01
-    a, b, c = p11 + p22, p00 + p22, p00 + p11
-    d, e, f = -0.5 * (p01 + p10), -0.5 * (p02 + p20), -0.5 * (p12 + p21)
-    # Cofactors of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]].
-    caa, cad, cae = b * c - f * f, e * f - d * c, d * f - b * e
-    cbb, cbf, ccc = a * c - e * e, d * e - a * f, a * b - d * d
-    determinant = a * caa + d * cad + e * cae
-    scale = max(abs(a), abs(b), abs(c))
-    if a > 1e-3 * scale and ccc > 1e-4 * scale**2 and determinant > 1e-5 * scale**3:
-        x = (caa * wx + cad * wy + cae * wz) / determinant
-        y = (cad * wx + cbb * wy + cbf * wz) / determinant
-        z = (cae * wx + cbf * wy + ccc * wz) / determinant
-        angle = np.sqrt(x * x + y * y + z * z)
-        if angle < 0.3:
-            if angle > 0.0:
-                _turn(r, x / angle, y / angle, z / angle, angle)
-            return angle
-    u, _, vt = np.linalg.svd(m)
-    if np.linalg.det(u @ vt) < 0:
-        u[:, 2] = -u[:, 2]
-    nearest = u @ vt
-    change = np.abs(nearest - r).max()
-    r[:] = nearest
-    return change
-
-
-@njit(cache=True, nogil=True)
-def _turn(r, x, y, z, angle):  # type: ignore[no-untyped-def]
-    """Turn r (3, 3) in place about a unit axis."""
-    s, c = np.sin(angle), np.cos(angle)
-    t = 1 - c
-    for j in range(3):
-        a, b, d = r[0, j], r[1, j], r[2, j]
-        along = x * a + y * b + z * d
-        r[0, j] = c * a + s * (y * d - z * b) + t * along * x
-        r[1, j] = c * b + s * (z * a - x * d) + t * along * y
-        r[2, j] = c * d + s * (x * b - y * a) + t * along * z

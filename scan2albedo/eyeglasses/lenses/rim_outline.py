@@ -1,15 +1,90 @@
-"""The inner edge of a rim, found by shooting rays outward from the lens centre."""
+"""The inner edge of a rim around a lens centre: by rays outward, or by subdivision of its key points."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from scan2albedo.eyeglasses.lenses.lens_plane import LensPlane, RimProfile
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+_FLAT = 0.05
+"""Spread of rim points across their longest direction below which they are a line and hold no plane."""
+
+
+@dataclass(frozen=True)
+class RimProfile:
+    """An outline around a lens centre: (R,) radius and height over the plane at given angles."""
+
+    radius: FloatArray
+    height: FloatArray
+
+
+@dataclass(frozen=True)
+class LensPlane:
+    """A plane through a lens centre; angles run from `across` to `up`, counterclockwise for the viewer."""
+
+    center: FloatArray
+    """(3,)"""
+    across: FloatArray
+    """(3,) unit."""
+    up: FloatArray
+    """(3,) unit."""
+    normal: FloatArray
+    """(3,) unit, towards the viewer."""
+
+    @classmethod
+    def at(cls, center: FloatArray, normal: FloatArray) -> LensPlane:
+        """Return the plane across `normal` (3,) of any length."""
+        axis = normalized(normal)
+        if not np.isfinite(axis).all() or not axis.any():
+            raise EyeglassesError(f"a lens plane needs a finite normal, not zero, got {normal.tolist()}")
+        across = normalized(np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis))
+        return cls(center, across, np.cross(axis, across), axis)
+
+    def directions(self, angles: FloatArray) -> FloatArray:
+        """Return (N, 3) unit vectors in the plane."""
+        return np.cos(angles)[:, None] * self.across + np.sin(angles)[:, None] * self.up
+
+    def points(self, angles: FloatArray, profile: RimProfile) -> FloatArray:
+        """Return (N, 3) points of an outline."""
+        return (
+            self.center
+            + profile.radius[:, None] * self.directions(angles)
+            + profile.height[:, None] * self.normal
+        )
+
+    def angles(self, points: FloatArray) -> FloatArray:
+        """Return (N,) rad."""
+        offset = points - self.center
+        return np.arctan2(offset @ self.up, offset @ self.across)
+
+    def profile(self, points: FloatArray) -> RimProfile:
+        """Return radius and height of points (N, 3)."""
+        offset = points - self.center
+        return RimProfile(np.hypot(offset @ self.across, offset @ self.up), offset @ self.normal)
+
+
+def fit_normal(rim_points: FloatArray, vertices: FloatArray) -> FloatArray:
+    """Return the unit normal (3,) of the plane nearest to rim points (K, 3), away from most of the frame.
+
+    Behind the lenses are the temples, so the side that holds less of the frame is the viewer's.
+    """
+    offset = rim_points - rim_points.mean(0)
+    _, spread, axes = np.linalg.svd(offset, full_matrices=False)
+    if len(rim_points) < 3 or spread[1] <= _FLAT * spread[0]:
+        raise EyeglassesError("rim points on one line hold no lens plane; give three or more around the lens")
+    behind = (vertices - rim_points.mean(0)) @ axes[2]
+    return -axes[2] if behind.mean() > 0 else axes[2]
+
 
 _REACH = 0.16
 """Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
@@ -140,3 +215,50 @@ def _local_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
 
 def _half_window(count: int) -> int:
     return max(1, round(_WINDOW_RAD * count / (2 * np.pi)))
+
+
+_LEVELS = 5
+_PULL = 0.25
+"""Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
+
+
+def subdivide_rim(
+    vertices: FloatArray, plane: LensPlane, rim_points: FloatArray, angles: FloatArray
+) -> RimProfile:
+    """Return an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
+
+    Each level puts a point into the middle of every edge, by the four-point rule
+    (9 (b + c) - a - d) / 16 [1]_, and moves it to the closest vertex of the frame if there is one near.
+    Where the frame is open the curve stays round.
+
+    Notes
+    -----
+    It ends on whichever side of the rim's tube the vertices lie, the outer edge too: up to 4.5 mm off on
+    synthetic frames. Rays are better wherever they hit.
+
+    References
+    ----------
+    .. [1] N. Dyn, D. Levin, J. A. Gregory, "A 4-point interpolatory subdivision scheme for curve design",
+       Computer Aided Geometric Design 4, 1987, equation 1.2 with w = 1/16.
+    """
+    outline = rim_points[np.argsort(plane.angles(rim_points))]
+    tree = cKDTree(vertices)
+    for _ in range(_LEVELS):
+        following = np.roll(outline, -1, 0)
+        middle = (9 * (outline + following) - np.roll(outline, 1, 0) - np.roll(outline, -2, 0)) / 16
+        distance, nearest = tree.query(middle)
+        pulled = distance <= _PULL * np.linalg.norm(following - outline, axis=1)
+        middle[pulled] = vertices[nearest[pulled]]
+        outline = np.stack([outline, middle], 1).reshape(-1, 3)
+        # Two middles drawn to one vertex would leave an edge without length.
+        outline = outline[np.linalg.norm(outline - np.roll(outline, 1, 0), axis=1) > 0]
+    return _resampled(plane, outline, angles)
+
+
+def _resampled(plane: LensPlane, outline: FloatArray, angles: FloatArray) -> RimProfile:
+    """Return the outline at the angles asked for, seen from the centre."""
+    at, own = plane.angles(outline), plane.profile(outline)
+    return RimProfile(
+        np.interp(angles, at, own.radius, period=2 * np.pi),
+        np.interp(angles, at, own.height, period=2 * np.pi),
+    )

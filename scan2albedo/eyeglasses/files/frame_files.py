@@ -1,0 +1,267 @@
+"""Canonical frames and registered ones as NPZ files, and poses to start from as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from scan2albedo.core import Plan, Trace
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
+from scan2albedo.eyeglasses.on_face.interface import RegisteredEyeglasses
+from scan2albedo.io.npz import read_npz, write_npz
+from scan2albedo.io.records import Matrix, plain_json, read_record, write_record
+from scan2albedo.io.units import MM_PER_UNIT
+
+FloatArray = NDArray[np.float64]
+
+
+Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
+"""Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
+
+
+def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) -> None:
+    """Write the attributes of `source` that `layout` names, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        When the name does not end in .npz; `what` is written, in words.
+    OutputError
+        When the folder cannot be written.
+    """
+    arrays = {name: np.asarray(getattr(source, name)) for name in layout}
+    write_npz(path, arrays, what=what, compressed=True)
+
+
+def read_arrays(path: str | Path, layout: Layout, *, what: str, example: str) -> dict[str, Any]:
+    """Return the arrays of a file in their types; what has no sides as a number of Python's.
+
+    Parameters
+    ----------
+    path : str or Path
+    layout : mapping of str to tuple
+        Of all arrays that must be there. Those of "vertices" and "faces" make a mesh.
+    what : str
+        The thing in the file, for messages, such as "canonical frame".
+    example : str
+        The usual name of such a file.
+
+    Raises
+    ------
+    EyeglassesError
+        When the file is missing, damaged or something else; names it.
+    """
+    arrays = read_npz(path, layout, what=what, advice=f"give a {example}", error=EyeglassesError)
+    lengths: dict[str, int] = {}
+    for name, (_, *shape) in layout.items():
+        got = arrays[name].shape
+        wanted = tuple(
+            lengths.setdefault(side, got[k]) if isinstance(side, str) and k < len(got) else side
+            for k, side in enumerate(shape)
+        )
+        if got != wanted or arrays[name].dtype.kind not in "biuf":
+            raise EyeglassesError(
+                f"{what} {path}: {name} has shape {got} of {arrays[name].dtype}, expected numbers of shape "
+                f"({', '.join(map(str, wanted))}); write it again"
+            )
+    _check_mesh(arrays["vertices"], arrays["faces"], f"{what} {path}")
+    return {name: _typed(arrays[name], kind) for name, (kind, *_) in layout.items()}
+
+
+def _typed(array: NDArray[Any], kind: type) -> Any:
+    typed: NDArray[Any] = array.astype(kind, copy=False)
+    return typed if typed.ndim else typed.item()
+
+
+def _check_mesh(vertices: NDArray[Any], faces: NDArray[Any], place: str) -> None:
+    if not np.isfinite(vertices).all():
+        raise EyeglassesError(f"{place}: vertices are not finite; write it again")
+    if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise EyeglassesError(f"{place}: faces are not those of its vertices; write it again")
+
+
+_CANONICAL_LAYOUT: Layout = {
+    "vertices": (float, "V", 3),
+    "faces": (int, "F", 3),
+    "weights": (float, "V", KEY_POINT_COUNT),
+    "keypoints": (float, KEY_POINT_COUNT, 3),
+    "canonical_from_frame": (float, 4, 4),
+    "scale": (float,),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "residual": (float,),
+    "converged": (bool,),
+}
+
+
+def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
+    """Write a frame that `canonicalize` made, all but its plan, atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    frame : CanonicalEyeglasses
+
+    Raises
+    ------
+    ValueError
+        When the name does not end in .npz.
+    OutputError
+        When the folder cannot be written.
+    """
+    write_arrays(path, frame, _CANONICAL_LAYOUT, what="canonical frame")
+
+
+def read_canonical(path: str | Path) -> CanonicalEyeglasses:
+    """Return a frame that `write_canonical` wrote; its plan is empty.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    EyeglassesError
+        When the file is missing, damaged or something else; names it.
+    """
+    arrays = read_arrays(path, _CANONICAL_LAYOUT, what="canonical frame", example="canonical.npz")
+    return CanonicalEyeglasses(**arrays, plan=Plan())
+
+
+_REGISTERED_LAYOUT: Layout = {
+    "vertices": (float, "V", 3),
+    "faces": (int, "F", 3),
+    "weights": (float, "V", KEY_POINT_COUNT),
+    "keypoints": (float, KEY_POINT_COUNT, 3),
+    "world_from_glasses": (float, 4, 4),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "bend": (float, KEY_POINT_COUNT, 3),
+    "visible": (bool, "C", "V"),
+    "deviation": (float, "V"),
+    "observed": (bool, "V"),
+    "keypoint_deviation": (float, KEY_POINT_COUNT),
+    "keypoints_observed": (bool, KEY_POINT_COUNT),
+    "depth_deviation": (float,),
+    "depth_observed": (bool,),
+    "label_errors_px": (float, "C", KEY_POINT_COUNT),
+    "inliers": (bool, "C", KEY_POINT_COUNT),
+    "outline_rms_px": (float, "C"),
+    "iou": (float, "C"),
+    "converged": (bool,),
+    "iterations": (int,),
+}
+
+
+def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
+    """Write a frame that `register_on_face` placed, all but its plan and trace, atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    frame : RegisteredEyeglasses
+
+    Raises
+    ------
+    ValueError
+        When the name does not end in .npz.
+    OutputError
+        When the folder cannot be written.
+    """
+    write_arrays(path, frame, _REGISTERED_LAYOUT, what="registered frame")
+
+
+def read_registered(path: str | Path) -> RegisteredEyeglasses:
+    """Return a frame that `write_registered` wrote; its plan and trace are empty.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    EyeglassesError
+        When the file is missing, damaged or something else; names it.
+    """
+    arrays = read_arrays(path, _REGISTERED_LAYOUT, what="registered frame", example="registered.npz")
+    return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
+
+
+_ROUNDED = 1e-6
+"""How far from a rotation the left 3x3 part may be."""
+
+
+class StartFile(BaseModel):
+    """The content of a file with a pose."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    format: Literal["scan2albedo eyeglasses start"] = "scan2albedo eyeglasses start"
+    format_version: Literal[1] = 1
+    unit: Literal["mm", "cm", "m"] = Field(description="Of the translation.")
+    world_from_glasses: Matrix = Field(
+        description="Row-major 4x4 acting on column vectors: the frame's own coordinates into the cameras' "
+        "world; rigid."
+    )
+
+    @model_validator(mode="after")
+    def _rigid(self) -> StartFile:
+        matrix = np.array(self.world_from_glasses)
+        rotation = matrix[:3, :3]
+        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if not (off <= _ROUNDED and np.linalg.det(rotation) > 0 and (matrix[3] == [0, 0, 0, 1]).all()):
+            raise ValueError("world_from_glasses must be a rotation and a translation over the row 0 0 0 1")
+        return self
+
+
+def write_start(
+    path: str | Path, world_from_glasses: ArrayLike, unit: Literal["mm", "cm", "m"] = "mm"
+) -> None:
+    """Write a pose (4, 4) as JSON, atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    world_from_glasses : (4, 4) array_like of float
+        Rigid.
+    unit : {"mm", "cm", "m"}
+        Of the translation; only told in the file.
+
+    Raises
+    ------
+    ValueError
+        When it is no rigid transform.
+    OutputError
+        When the file cannot be written.
+    """
+    content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, np.float64)))
+    write_record(path, content)
+
+
+def read_start(path: str | Path) -> FloatArray:
+    """Return the pose (4, 4) of a file, its translation in mm.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    EyeglassesError
+        When the file cannot be read or holds no rigid transform; names it.
+    """
+    content = read_record(
+        path,
+        StartFile,
+        what="start",
+        advice="give a file that write_start wrote (data_schemas/eyeglasses_start.schema.json)",
+        error=EyeglassesError,
+    )
+    pose = np.array(content.world_from_glasses)
+    pose[:3, 3] *= MM_PER_UNIT[content.unit]
+    return pose
