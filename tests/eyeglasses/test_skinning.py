@@ -1,9 +1,16 @@
+"""Skinning, and transforms of key points: exact for rigid motions, of the whole or of one side."""
+
 import numpy as np
 import pytest
 
 from scan2albedo.eyeglasses import skin
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.skinning import translations, turned_translations
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
+from scan2albedo.synthetic import GlassesBend, eyeglasses
+
+POINTS = eyeglasses(0).keypoints
 
 
 @pytest.fixture
@@ -72,3 +79,56 @@ def test_shapes_that_do_not_fit_are_named(points, shares):
         skin(points, shares, maps[:2])
     with pytest.raises(ValueError, match="normals must have shape"):
         skin(points, shares, maps, points[:5])
+
+
+def carried(transforms, points):
+    return np.einsum("kij,kj->ki", transforms[:, :3, :3], points) + transforms[:, :3, 3]
+
+
+@pytest.mark.parametrize("make", [translations, turned_translations])
+def test_key_points_meet_their_targets(make):
+    target = eyeglasses(3, bend=GlassesBend(20, 5, 5)).keypoints
+    np.testing.assert_allclose(carried(make(POINTS, target), POINTS), target, atol=1e-11)
+
+
+def test_rotations_are_proper():
+    target = POINTS + np.random.default_rng(0).normal(0, 5, (20, 3))
+    rotations = turned_translations(POINTS, target)[:, :3, :3]
+    np.testing.assert_allclose(
+        rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.det(rotations), 1)
+
+
+def test_a_turn_of_one_side_turns_its_key_points():
+    turn = rotation_from_vector([0.05, -0.1, 0.02])
+    left = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
+    target = np.where(left[:, None], POINTS @ turn.T, POINTS)
+    found = turned_translations(POINTS, target)
+    for name in ("left_temple_tip", "left_ear_bend", "left_rim_outer", "left_rim_top"):
+        np.testing.assert_allclose(found[KEY_POINT_NAMES.index(name), :3, :3], turn, atol=5e-3)
+    np.testing.assert_allclose(found[KEY_POINT_NAMES.index("right_rim_top"), :3, :3], np.eye(3), atol=5e-3)
+
+
+def test_a_moderate_rigid_motion_is_met():
+    motion = compose(rotation_from_vector([0.2, -0.3, 0.1]), [5.0, 6, 7])
+    found = turned_translations(POINTS, transform_points(motion, POINTS))
+    np.testing.assert_allclose(found, np.tile(motion, (20, 1, 1)), atol=1e-6)
+
+
+def test_turns_go_with_the_frames_of_reference():
+    """Both sides turned alike: the same turns, seen from there."""
+    target = eyeglasses(0, bend=GlassesBend(8, 2)).keypoints
+    plain = turned_translations(POINTS, target)[:, :3, :3]
+    world = random_rotation(np.random.default_rng(4))
+    turned = turned_translations(POINTS @ world.T, target @ world.T)[:, :3, :3]
+    np.testing.assert_allclose(turned, world @ plain @ world.T, atol=1e-10)
+
+
+def test_bones_with_missing_ends_do_not_count():
+    target = POINTS + [1.0, 2, 3]
+    target[[4, 11]] = np.nan
+    found = turned_translations(POINTS, target)
+    kept = np.isfinite(target).all(1)
+    np.testing.assert_allclose(found[kept, :3, :3], np.tile(np.eye(3), (18, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(carried(found, POINTS)[kept], target[kept], atol=1e-12)

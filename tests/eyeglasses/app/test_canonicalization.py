@@ -19,7 +19,7 @@ from scan2albedo.eyeglasses import (
     write_canonical,
     write_keypoints,
 )
-from scan2albedo.eyeglasses.app import canonical_files as glasses_files
+from scan2albedo.eyeglasses.app import canonicalization as glasses_files
 from scan2albedo.eyeglasses.app.canonicalization import canonicalize_frames
 from scan2albedo.eyeglasses.app.input import read_frame
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
