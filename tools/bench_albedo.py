@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.albedo_peers import homomorphic, robust_harmonics
+from light_normalization import multi_scale_retinex
 from mitsuba_set import load_scenes
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions, albedo_error
-from scan2albedo.recognition.light_normalization import multi_scale_retinex
 from scan2albedo.synthetic import (
     Material,
     SyntheticScene,

@@ -7,13 +7,13 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from light_normalization import multi_scale_retinex
 from numpy.typing import NDArray
 
 from benchmarks.albedo_peers import homomorphic, robust_harmonics
 from benchmarks.presets import preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, albedo_error, estimate_albedo
-from scan2albedo.recognition.light_normalization import multi_scale_retinex
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
 
 FloatArray = NDArray[np.float64]

@@ -6,10 +6,10 @@ All take and return V (H, W) of a geometry image; scale is unknown to all of the
 from __future__ import annotations
 
 import numpy as np
+from light_normalization import DARKEST, blurred_inside
 from numpy.typing import NDArray
 
 from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis
-from scan2albedo.recognition.light_normalization import DARKEST, blurred_inside
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from light_normalization import histogram_equalized, multi_scale_retinex
 from numpy.typing import NDArray
 
 from recognition_experiment.options import RecognitionExperimentOptions
 from recognition_experiment.sessions import TEXTURE, Session
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.recognition import Templates, albedo_templates
-from scan2albedo.recognition.light_normalization import histogram_equalized, multi_scale_retinex
 from scan2albedo.recognition.preparation import one_channel
 
 FloatArray = NDArray[np.float64]
