@@ -269,6 +269,10 @@ def write_face(
     options : mapping, optional
         Of the application, for the record.
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     OutputError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +11,6 @@ from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.identification import Identification
 
 FloatArray = NDArray[np.float64]
-Interval = Literal["clopper-pearson", "wilson"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class CmcCurve:
         Bounds of its interval.
     probes : int
     confidence : float
-    interval : {"clopper-pearson", "wilson"}
+        Of the intervals.
     """
 
     rank: NDArray[np.int64]
@@ -38,37 +36,28 @@ class CmcCurve:
     high: FloatArray
     probes: int
     confidence: float
-    interval: Interval
 
 
-def cmc_curve(
-    identification: Identification, *, confidence: float = 0.95, interval: Interval = "clopper-pearson"
-) -> CmcCurve:
-    """Return the cumulative match characteristic of an identification, with an interval at each rank.
+def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> CmcCurve:
+    """Return the cumulative match characteristic of an identification, with Clopper and Pearson's intervals.
+
+    They take the probes as independent; of several probes of one person they are too short.
 
     Parameters
     ----------
     identification : Identification
     confidence : float
         Of the two-sided intervals, within (0, 1).
-    interval : {"clopper-pearson", "wilson"}
-        Exact, which covers the truth at least that often, or Wilson's score interval, which is shorter and
-        does so on average.
 
     Raises
     ------
     ValueError
-        When a choice is unknown or out of range.
-
-    Notes
-    -----
-    Both take probes as independent. Several probes of a person are less than that, so intervals are too
-    short then.
+        When the confidence is out of range.
 
     References
     ----------
-    Clopper, Pearson, Biometrika 26(4), 1934; Wilson, JASA 22(158), 1927; Phillips et al., "The FERET
-    evaluation methodology for face-recognition algorithms", IEEE PAMI 22(10), 2000 (the curve).
+    Clopper, Pearson, Biometrika 26(4), 1934; Phillips et al., "The FERET evaluation methodology for
+    face-recognition algorithms", IEEE PAMI 22(10), 2000 (the curve).
 
     Examples
     --------
@@ -83,34 +72,18 @@ def cmc_curve(
     rank = np.arange(1, len(identification.persons) + 1)
     hits = (identification.ranks[:, None] <= rank).sum(axis=0)
     probes = len(identification.ranks)
-    low, high = rate_interval(hits, probes, confidence=confidence, interval=interval)
-    return CmcCurve(rank, hits / probes, low, high, probes, confidence, interval)
+    low, high = _rate_interval(hits, probes, confidence)
+    return CmcCurve(rank, hits / probes, low, high, probes, confidence)
 
 
-def rate_interval(
-    hits: NDArray[np.int64], trials: int, *, confidence: float, interval: Interval
-) -> tuple[FloatArray, FloatArray]:
-    """Return the bounds of the rate of `hits` in `trials`, elementwise; see `cmc_curve`.
-
-    Raises
-    ------
-    ValueError
-        When `interval` is unknown.
-    """
-    from scipy.special import betaincinv, ndtri
+def _rate_interval(hits: NDArray[np.int64], trials: int, confidence: float) -> tuple[FloatArray, FloatArray]:
+    """Return Clopper and Pearson's bounds of the rate of `hits` in `trials`, elementwise."""
+    from scipy.special import betaincinv
 
     tail = (1 - confidence) / 2
-    if interval == "clopper-pearson":
-        low = np.where(hits == 0, 0.0, betaincinv(np.maximum(hits, 1), trials - hits + 1, tail))
-        high = np.where(hits == trials, 1.0, betaincinv(hits + 1, np.maximum(trials - hits, 1), 1 - tail))
-        return low, high
-    if interval == "wilson":
-        z2 = float(ndtri(1 - tail)) ** 2
-        rate = hits / trials
-        centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
-        half = np.sqrt(z2 * (rate * (1 - rate) + z2 / (4 * trials)) / trials) / (1 + z2 / trials)
-        return np.clip(centre - half, 0, 1), np.clip(centre + half, 0, 1)
-    raise ValueError(f"interval is {interval!r}, expected 'clopper-pearson' or 'wilson'")
+    low = np.where(hits == 0, 0.0, betaincinv(np.maximum(hits, 1), trials - hits + 1, tail))
+    high = np.where(hits == trials, 1.0, betaincinv(hits + 1, np.maximum(trials - hits, 1), 1 - tail))
+    return low, high
 
 
 DEFAULT_FALSE_ACCEPT_RATES = tuple(float(rate) for rate in np.geomspace(1e-3, 1.0, 61))
@@ -118,7 +91,7 @@ DEFAULT_FALSE_ACCEPT_RATES = tuple(float(rate) for rate in np.geomspace(1e-3, 1.
 
 @dataclass(frozen=True)
 class RocCurve:
-    """Verification rates, with intervals that a bootstrap over persons gives.
+    """Verification rates, with intervals by a bootstrap over persons.
 
     Parameters
     ----------
@@ -128,8 +101,10 @@ class RocCurve:
         Largest share of genuine claims accepted within that bound.
     low, high : (F,) float64
         Bounds of its interval.
-    area, equal_error_rate : float
-        Under the curve; and where as many are falsely accepted as falsely refused.
+    area : float
+        Under the curve.
+    equal_error_rate : float
+        Where the rates of false accepts and of false rejects are equal.
     area_interval, equal_error_interval : (2,) tuple of float
     genuine, impostors : int
         Claims.
@@ -173,13 +148,13 @@ def roc_curve(
     confidence : float
         Of the two-sided intervals, within (0, 1).
     resamples : int
-        0 leaves the intervals out: their bounds are the values.
+        With 0 the bounds of the intervals are the values themselves.
     seed : int or numpy.random.Generator
 
     Raises
     ------
     ValueError
-        When a choice is out of range.
+        When an option is out of range.
     RecognitionError
         When the gallery has one person only: then nobody is an impostor.
 

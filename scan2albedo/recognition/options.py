@@ -1,4 +1,4 @@
-"""Choices of templates and of their comparison."""
+"""Options of templates and of their comparison."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ class TemplateOptions:
     Parameters
     ----------
     size : int or None
-        Side in pixels that square images are averaged down to; None keeps each image as it is. 256 tells
-        persons apart better than 128 where charts slip by less than half a per cent of their side, and
-        worse where by more.
+        Side in pixels to which square images are averaged down; None keeps each image as it is. 256
+        separates persons better than 128 where charts are off by less than half a per cent of their side,
+        and worse where they are off by more.
     scales : int
         Scales of the pyramid; the coarsest, a factor of 2^(scales - 1) smaller than the image, is kept.
     orientations : int
         Orientations of the pyramid, 2 to 16.
     channel : {"value", "luminance", "red-to-green"}
-        What is kept of three channels: their maximum, V of HSV, on which the albedo is estimated; the
-        luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour; or R over G, which shading under lamps of
-        one colour leaves alone, in textures as well as in albedos. V of skin is its red, which pigment and
-        blood hardly darken; luminance tells persons apart better (`tools/bench_recognition.py --faces`), and
-        R over G better still on synthetic people (`tools/experiment_recognition.py`), with a camera that
-        keeps colour as well as brightness.
+        How three channels become one: their maximum, V of HSV, on which the albedo is estimated; the
+        luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour; or R over G, which does not change with
+        shading under lamps of one colour, in textures as well as in albedos. V of skin is its red, which
+        pigment and blood hardly darken; luminance separates persons better (`tools/bench_recognition.py
+        --faces`), and R over G better still on synthetic people (`tools/experiment_recognition.py`), for
+        cameras that record colour as accurately as brightness.
     hole_radius : float
-        Holes of the mask up to this radius, in sides of the image, are filled from around and count: a hole
-        that a scanner left would else take every window that touches it. 0 leaves the mask as it is.
+        Holes of the mask up to this radius, in sides of the image, are filled from around and count;
+        otherwise a hole that a scanner left would exclude every window that touches it. 0 fills none.
     unit_mean : bool
-        Divide by the mean over the mask: an albedo is known up to a scale, and the index is not blind to it.
+        Divide by the mean over the mask: an albedo is known up to a scale, and the index depends on it.
 
     Raises
     ------
@@ -79,9 +79,6 @@ class SimilarityOptions:
     ----------
     window : int
         Side of the square windows in coefficients.
-    stabilizer : float
-        K of the index, in squared coefficients summed over a window: windows with less energy count as
-        alike. Images have mean 1 before the pyramid, unless `unit_mean` is off.
 
     Raises
     ------
@@ -90,16 +87,13 @@ class SimilarityOptions:
     """
 
     window: int = 7
-    stabilizer: float = 1e-3
 
     def __post_init__(self) -> None:
         if not (isinstance(self.window, Integral) and self.window >= 1):
             raise ValueError(f"window is {self.window}, expected a whole number >= 1")
-        if not 0 < self.stabilizer < float("inf"):
-            raise ValueError(f"stabilizer is {self.stabilizer}, expected > 0 and finite")
 
 
 IDENTIFICATION = SimilarityOptions(window=3)
-"""What persons are identified with. Charts of fitted faces slip unevenly, and over small windows the phases
-still turn alike: 3 tells persons apart better than 5, and 5 better than the usual 7
+"""For persons. Charts of fitted faces are misaligned unevenly, and within a small window the phases still
+turn alike: 3 separates persons better than 5, and 5 better than the usual 7
 (`tools/experiment_recognition.py --choices`)."""

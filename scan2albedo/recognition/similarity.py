@@ -14,6 +14,12 @@ from scan2albedo.recognition.templates import Templates, common_chart, image_coe
 
 FloatArray = NDArray[np.float64]
 
+STABILIZER = 1e-3
+"""K of the index, in squared coefficients summed over a window: windows with less energy count as alike.
+Images have mean 1 before the pyramid."""
+_ROWS = 1024
+"""Templates of the first set that are prepared at once; bounds the memory, about 0.2 MB a template."""
+
 
 def cw_ssim(
     a: ArrayLike,
@@ -50,10 +56,8 @@ def cw_ssim(
 
     Notes
     -----
-    A shift of 2 pixels costs 0.02 to 0.03 of images of 128 pixels whose amplitude falls with frequency.
-
-    Only the coarsest scale counts, as in the templates. Each image is divided by its mean first, unless
-    `options.unit_mean` is off.
+    Only the coarsest scale counts, as in the templates. A shift by 2 pixels costs 0.02 to 0.03 of images of
+    128 pixels whose amplitude falls with frequency.
 
     References
     ----------
@@ -86,25 +90,19 @@ def pair_similarity(
     mask: NDArray[np.bool_],
     options: SimilarityOptions = SimilarityOptions(),
 ) -> float:
-    """Return the similarity, see `cw_ssim`, of coefficients (O, h, w) over windows inside a mask (h, w).
-
-    Raises
-    ------
-    RecognitionError
-        When no window lies inside the mask.
-    """
-    check_window(mask.shape, options)
-    inside = window_sums(mask, options.window) == options.window**2
+    """Return `cw_ssim` of coefficients (O, h, w) over windows inside a mask (h, w)."""
+    _check_window(mask.shape, options)
+    inside = _window_sums(mask, options.window) == options.window**2
     if not inside.any():
-        raise RecognitionError(no_window_message("the pair", options))
+        raise RecognitionError(_no_window_message("the pair", options))
     a, b = a.astype(np.complex128), b.astype(np.complex128)
-    shared = np.abs(window_sums(a * b.conj(), options.window))
-    energy = window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, options.window)
-    index = (2 * shared + options.stabilizer) / (energy + options.stabilizer)
+    shared = np.abs(_window_sums(a * b.conj(), options.window))
+    energy = _window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, options.window)
+    index = (2 * shared + STABILIZER) / (energy + STABILIZER)
     return float(index[:, inside].mean())
 
 
-def window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
+def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
     """Return sums (..., h - window + 1, w - window + 1) over all windows of values (..., h, w)."""
     sums = values.cumsum(axis=-2).cumsum(axis=-1)
     sums = np.pad(sums, [(0, 0)] * (values.ndim - 2) + [(1, 0), (1, 0)])
@@ -114,8 +112,7 @@ def window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
     )
 
 
-def check_window(shape: tuple[int, ...], options: SimilarityOptions) -> None:
-    """Raise RecognitionError when templates of a shape (h, w) hold no window."""
+def _check_window(shape: tuple[int, ...], options: SimilarityOptions) -> None:
     if options.window > min(shape):
         raise RecognitionError(
             f"the window of {options.window} coefficients does not fit into templates of {shape}; "
@@ -123,27 +120,22 @@ def check_window(shape: tuple[int, ...], options: SimilarityOptions) -> None:
         )
 
 
-def no_window_message(what: str, options: SimilarityOptions) -> str:
-    """Return what is wrong with a pair whose masks hold no window in common."""
+def _no_window_message(what: str, options: SimilarityOptions) -> str:
     return (
         f"{what}: no window of {options.window} x {options.window} coefficients lies inside the mask; "
         "widen the masks or choose a smaller window"
     )
 
 
-_ROWS = 1024
-"""Templates prepared at once of the first set; bounds the memory, about 0.2 MB a template."""
-
-
 def similarity_matrix(
     templates_a: Templates, templates_b: Templates, *, options: SimilarityOptions = SimilarityOptions()
 ) -> FloatArray:
-    """Return the similarities (A, B), see `cw_ssim`, of all pairs, over windows inside both masks.
+    """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
 
     Parameters
     ----------
     templates_a, templates_b : Templates
-        A and B of them.
+        A and B templates.
     options : SimilarityOptions
 
     Raises
@@ -177,13 +169,13 @@ def similarity_matrix(
     if (windows == 0).any():
         i, j = np.argwhere(windows == 0)[0]
         pair = f"template {i} ({templates_a.names[i]}) and template {j} ({templates_b.names[j]})"
-        raise RecognitionError(no_window_message(pair, options))
+        raise RecognitionError(_no_window_message(pair, options))
     return np.asarray(totals / (windows * templates_a.options.orientations), np.float64)
 
 
 @dataclass(frozen=True)
 class _Planes:
-    """Templates as the kernel reads them: orientations outermost, and what does not depend on the pair."""
+    """Templates as the kernel reads them: orientations outermost, and the energy of each window."""
 
     real: NDArray[np.float32]
     imaginary: NDArray[np.float32]
@@ -195,14 +187,14 @@ class _Planes:
     @classmethod
     def of(cls, templates: Templates, window: int) -> _Planes:
         values = templates.coefficients.transpose(1, 0, 2, 3)
-        energy = window_sums(
+        energy = _window_sums(
             values.real.astype(np.float64) ** 2 + values.imag.astype(np.float64) ** 2, window
         )
         return cls(
             np.ascontiguousarray(values.real),
             np.ascontiguousarray(values.imag),
             np.maximum(energy, 0).astype(np.float32),
-            np.asarray(window_sums(templates.mask, window) == window**2),
+            np.asarray(_window_sums(templates.mask, window) == window**2),
         )
 
 
@@ -238,7 +230,7 @@ def _block_sums(rows: _Planes, columns: _Planes, options: SimilarityOptions) -> 
             _lanes(columns.energy[o], LANES),
             inside,
             options.window,
-            np.float32(options.stabilizer),
+            np.float32(STABILIZER),
             total,
         )
     return total
@@ -269,4 +261,4 @@ def _check_sets(a: Templates, b: Templates, options: SimilarityOptions) -> None:
             "images of one size"
         )
     common_chart(a.chart, b.chart, "the first set of templates", "the second")
-    check_window(a.mask.shape[1:], options)
+    _check_window(a.mask.shape[1:], options)

@@ -1,4 +1,4 @@
-"""The steps of recognition as scikit-learn has them; scikit-learn itself is not needed."""
+"""Recognition's steps with scikit-learn's interface; scikit-learn itself is not needed."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.options import Channel, SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.options import IDENTIFICATION, Channel, SimilarityOptions, TemplateOptions
 from scan2albedo.recognition.similarity import similarity_matrix
 from scan2albedo.recognition.templates import Templates, albedo_templates
 
 
 class _Parameters:
-    """`get_params` and `set_params` over the arguments of `__init__`, as scikit-learn's estimators have."""
+    """`get_params` and `set_params` over the arguments of `__init__`."""
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the parameters by name; `deep` changes nothing, for none has parameters of its own."""
+        """Return the parameters by name; none has parameters of its own, so `deep` changes nothing."""
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
     def set_params(self, **parameters: Any) -> Self:
@@ -84,8 +84,6 @@ class TemplateTransformer(_Parameters):
 
         Raises
         ------
-        ValueError
-            When a parameter is out of range.
         RecognitionError
             When there is no image.
         """
@@ -110,7 +108,7 @@ class TemplateTransformer(_Parameters):
         Raises
         ------
         RecognitionError
-            Before `fit`, when an image has another size than those, or cannot be used.
+            Before `fit`, and when an image has another size than those or cannot be used.
         """
         _check_fitted(self, "options_")
         for k, image in enumerate(images):
@@ -135,38 +133,29 @@ class DistanceTransformer(_Parameters):
 
     Parameters
     ----------
-    window, stabilizer
+    window
         See `SimilarityOptions`.
     """
 
-    def __init__(self, *, window: int = 3, stabilizer: float = 1e-3) -> None:
+    def __init__(self, *, window: int = IDENTIFICATION.window) -> None:
         self.window = window
-        self.stabilizer = stabilizer
 
     def fit(self, templates: Templates, names: Sequence[str] | None = None) -> Self:
         """Keep the templates of the gallery.
 
         Raises
         ------
-        ValueError
-            When a parameter is out of range.
         RecognitionError
             When there is none.
         """
         if len(templates) == 0:
             raise RecognitionError("the gallery is empty; give one template or more")
-        self.options_ = SimilarityOptions(window=self.window, stabilizer=self.stabilizer)
+        self.options_ = SimilarityOptions(window=self.window)
         self.gallery_ = templates
         return self
 
     def transform(self, templates: Templates) -> NDArray[np.float64]:
-        """Return distances (N, gallery), 0 to 1.
-
-        Raises
-        ------
-        RecognitionError
-            Before `fit`, or when the templates cannot be compared.
-        """
+        """Return distances (N, gallery), 0 to 1."""
         _check_fitted(self, "gallery_")
         similarity = similarity_matrix(templates, self.gallery_, options=self.options_)
         return np.clip(1.0 - similarity, 0.0, 1.0)

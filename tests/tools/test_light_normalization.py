@@ -49,6 +49,6 @@ def test_retinex_takes_smooth_light_away(albedo):
 
 
 def test_equalized_values_are_spread_evenly(albedo, face_like_mask):
-    inside = histogram_equalized(albedo ** 3, face_like_mask)[face_like_mask]
+    inside = histogram_equalized(albedo**3, face_like_mask)[face_like_mask]
     counts, _ = np.histogram(inside, bins=10, range=(0, 1))
     np.testing.assert_allclose(counts / len(inside), 0.1, atol=2 / len(inside))

@@ -281,8 +281,6 @@ def _nobody() -> str:
 for _wrong in (
     {"window": 0},
     {"window": math.nan},
-    {"stabilizer": math.nan},
-    {"stabilizer": 0.0},
     {"window": 1000},
 ):
 
