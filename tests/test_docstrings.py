@@ -86,7 +86,7 @@ def told_parameters(text: str) -> set[str]:
     """Names at the margin of the section Parameters."""
     names: set[str] = set()
     for line in (section(text, "Parameters") or "").partition(">>>")[0].splitlines():
-        if re.match(r"\w", line):
+        if re.match(r"[\w*]", line):
             names |= {name.strip("* ") for name in line.partition(" : ")[0].split(",")}
     return names
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.core import Plan
-from scan2albedo.pipeline.choices import FORCEABLE
 from scan2albedo.pipeline.demo import compare_with_truth
+from scan2albedo.pipeline.options import FORCEABLE
 from scan2albedo.synthetic import Material, RawScanOptions, face, hemisphere, light_at, raw_scan
 from scan2albedo.synthetic.scenes import SyntheticScene
 

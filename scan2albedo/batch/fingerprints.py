@@ -39,7 +39,7 @@ def options_sha256(options: ProcessOptions, model_hash: str | None) -> str:
     """Return the SHA-256 of options, package version and model."""
     told = {"version": VERSION, "model_sha256": model_hash, **options.plain()}
     if options.model not in ("default", "none"):
-        told["model"] = Path(options.model).name  # its place does not count
+        told["model"] = Path(str(options.model)).name  # its place does not count
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 

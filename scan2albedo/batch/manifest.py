@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import StringIO
@@ -14,7 +13,7 @@ from typing import Any
 from scan2albedo.batch.columns import is_taken
 from scan2albedo.errors import BatchError
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
-from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions, option_of_text
 
 SCAN = "scan"
 OWN_OPTIONS = ("unit", "model", "lights", "seed")
@@ -62,7 +61,7 @@ class ManifestScan:
         """
         given: dict[str, Any] = {}
         try:
-            given = {name: _value(name, text) for name, text in self.own.items() if text}
+            given = {name: option_of_text(name, text) for name, text in self.own.items() if text}
             chosen = replace(batch, **given)
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error
@@ -136,16 +135,6 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     folder = source.parent.absolute()
     scans = [_scan(line, folder, where=f"{source}, line {number}") for number, line in wanted]
     return _checked(BatchManifest(source, tuple(scans)))
-
-
-def _value(name: str, text: str) -> str | int:
-    if name not in ("seed", "lights"):
-        return text
-    if re.fullmatch("-?[0-9]+", text):
-        return int(text)
-    if name == "seed":
-        raise ValueError(f"seed is {text!r}, expected a whole number >= 0")
-    return text
 
 
 def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:

@@ -107,12 +107,15 @@ def _tasks(
 ) -> list[ScanTask]:
     run, tasks = secrets.token_hex(8), []
     models: dict[str, str | None] = {}
+    if not isinstance(options.model, str):
+        raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
     if options.model not in ("default", "none"):
         options = replace(options, model=str(Path(options.model).absolute()))
     for scan in manifest.scans:
         chosen = scan.options(options, manifest.folder)
-        if chosen.model not in models:
-            models[chosen.model] = model_sha256(chosen.model)
+        model = str(chosen.model)
+        if model not in models:
+            models[model] = model_sha256(model)
         tasks.append(
             ScanTask(
                 name=scan.name,
@@ -120,8 +123,8 @@ def _tasks(
                 path=str(scan.path),
                 out=str(layout.out),
                 options=chosen,
-                options_sha256=options_sha256(chosen, models[chosen.model]),
-                model_sha256=models[chosen.model],
+                options_sha256=options_sha256(chosen, models[model]),
+                model_sha256=models[model],
                 run=run,
                 version=VERSION,
                 timeout_s=timeout_s,

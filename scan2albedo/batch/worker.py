@@ -25,7 +25,6 @@ from scan2albedo.io.input_hash import input_sha256
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.pipeline.options import ProcessOptions
-    from scan2albedo.pipeline.result import ProcessResult
 
 _ONE_AT_A_TIME = threading.Lock()
 _PARENT_INTERVAL_S = 0.5
@@ -105,11 +104,10 @@ def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
     status = "done"
     try:
         known |= _processed(task, layout)
-    except Scan2AlbedoError as error:
-        status, known["reason"] = "failed", str(error)
     except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
-        status, known["reason"] = "failed", f"{type(error).__name__}: {error}"
-    if status == "failed":
+        name = "" if isinstance(error, Scan2AlbedoError) else f"{type(error).__name__}: "
+        status, known["reason"] = "failed", f"{name}{error}"
+        known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
         known |= _input(task)
         _remove_older_result(layout.out / task.name)
     known["reason"] = " ".join(known.get("reason", "").split())
@@ -129,11 +127,9 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
     if task.version != VERSION:
         raise BatchError(f"the worker has scan2albedo {VERSION}, the batch {task.version}; install one")
     layout.forget(task.name)
-    # Hashed before it is read: a file that changes meanwhile is stale at once.
-    known: dict[str, Any] = {"input_sha256": input_sha256(task.path)}
     with _one_thread():
         from scan2albedo.pipeline.process import process
-        from scan2albedo.pipeline.result_files import write_result
+        from scan2albedo.pipeline.result import write_result
 
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
         result = process(task.path, name=task.name, **chosen)
@@ -141,13 +137,11 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
             raise BatchError("the batch has ended; nothing is written")
         begin = time.perf_counter()
         folder = write_result(result, layout.out, pictures=task.options.pictures)
-        known["timings_s"] = {**result.timings_s, "files": time.perf_counter() - begin}
-    known["files"] = folder_sha256(folder)
-    return known | _figures(result)
-
-
-def _figures(result: ProcessResult) -> dict[str, Any]:
+        files_s = time.perf_counter() - begin
     return {
+        "input_sha256": result.input_sha256,
+        "timings_s": {**result.timings_s, "files": files_s},
+        "files": folder_sha256(folder),
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
         "plan_ran": tuple(step.stage for step in result.plan if step.ran),
@@ -164,7 +158,7 @@ def _input(task: ScanTask) -> dict[str, str]:
 
 def _remove_older_result(folder: Path) -> None:
     """Remove the files of an earlier result, so that nobody takes them for those of this input."""
-    from scan2albedo.pipeline.result_files import FILES
+    from scan2albedo.pipeline.result import FILES
 
     with suppress(OSError):
         for name in FILES:

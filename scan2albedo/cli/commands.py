@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from scan2albedo.cli.applications import add_commands
-from scan2albedo.cli.batch import batch
 from scan2albedo.cli.common import (
+    INTERRUPTED,
     SOME_FAILED,
     USAGE_ERROR,
     JsonOption,
@@ -22,19 +23,11 @@ from scan2albedo.cli.common import (
 )
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
-from scan2albedo.cli.process_flags import (
-    PresetSizeOption,
-    QualityOption,
-    SeedOption,
-    SizeOption,
-    with_process_flags,
-)
+from scan2albedo.cli.process_flags import with_process_flags
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.report import report
 from scan2albedo.errors import Scan2AlbedoError
-
-if TYPE_CHECKING:
-    from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 app = typer.Typer(
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -47,7 +40,6 @@ app.add_typer(glasses_app, name="glasses")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
-app.command()(batch)
 app.command()(report)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
@@ -59,7 +51,7 @@ def _common() -> None:
 
 
 @app.command()
-@with_process_flags
+@with_process_flags()
 def process(
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
@@ -85,6 +77,8 @@ def process(
                 result = run(path, out=out, on_progress=progress.update, **chosen)
             except (Scan2AlbedoError, ValueError) as error:
                 failures += 1
+                for warning in getattr(error, "__notes__", ()):
+                    progress.say(f"{path.stem}: {one_line(warning)}")
                 progress.say(f"scan2albedo: error: {one_line(error)}")
                 summaries.append({"scan": str(path), "status": "failed", "reason": one_line(error)})
                 continue
@@ -99,25 +93,85 @@ def process(
 
 
 @app.command()
+@with_process_flags()
+def batch(
+    manifest: Annotated[
+        Path,
+        typer.Argument(
+            help="A CSV file with a column `scan` (and `name`, `unit`, `model`, `lights`, `seed`, or any "
+            "others); a list of paths; or a folder of scans."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the results, catalogue.parquet and batch.json.")
+    ],
+    options: ProcessOptions,
+    jobs: Annotated[int, typer.Option(help="Processes; 0 for one a core, memory allowing.", min=0)] = 0,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a dask scheduler, such as tcp://10.0.0.5:8786.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep what is done and unchanged, do the rest.")
+    ] = False,
+    timeout: Annotated[
+        float | None, typer.Option(help="Seconds after which a scan is given up with its worker.")
+    ] = None,
+    json_summary: JsonOption = False,
+) -> None:
+    """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
+    if timeout is not None and not timeout > 0:
+        raise typer.BadParameter(f"--timeout is {timeout:g}, expected seconds above 0")
+    # The stages run in workers, so that Ctrl-C may unwind here.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    from scan2albedo.batch import run_batch
+    from scan2albedo.cli.progress import BatchLines
+    from scan2albedo.io.result_folder import removed_if_empty
+
+    try:
+        with removed_if_empty(out), BatchLines() as lines:
+            report = run_batch(
+                manifest,
+                out,
+                options=options,
+                jobs=jobs or None,
+                scheduler=scheduler,
+                resume=resume,
+                timeout_s=timeout,
+                on_progress=lines.update,
+            )
+    except KeyboardInterrupt:
+        print(
+            "scan2albedo: interrupted; nothing half-written was left behind, and --resume goes on",
+            file=sys.stderr,
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    typer.echo(report.summary(), err=True)
+    if json_summary:
+        echo_json(report.figures())
+    if report.progress.failed:
+        raise typer.Exit(SOME_FAILED if report.progress.done else USAGE_ERROR)
+
+
+@app.command()
+@with_process_flags("size", "quality", "seed")
 def demo(
+    options: ProcessOptions,
     out: OutOption = Path("demo_out"),
-    seed: SeedOption = 0,
-    size: PresetSizeOption = None,
-    quality: QualityOption = "standard",
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline.demo import run_demo
-    from scan2albedo.pipeline.quality import quality_of
 
-    try:
-        preset = quality_of(quality)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
     with ProgressLines("demo") as progress:
-        report = run_demo(out, seed=seed, size=size, quality=preset, on_progress=progress.update)
+        report = run_demo(
+            out,
+            seed=options.seed,
+            size=options.size,
+            quality=options.quality,
+            on_progress=progress.update,
+        )
         progress.say(report.result.summary())
     if json_summary:
         echo_json(report.figures())
@@ -128,7 +182,7 @@ def demo(
 @app.command()
 def validate(
     what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
-    size: SizeOption = 256,
+    size: Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)] = 256,
     seed: Annotated[int, typer.Option(help="Seed of the scenes.", min=0)] = 1,
     json_summary: JsonOption = False,
 ) -> None:

@@ -11,10 +11,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
 """Debian packages that Open3D's wheel needs and slim machines lack."""
 
-_IMPORT_NAMES = {
+IMPORT_NAMES = {
     "cholespy": "cholespy",
     "embreex": "embreex",
-    "joblib": "joblib",
     "libigl": "igl",
     "matplotlib": "matplotlib",
     "numba": "numba",
@@ -22,10 +21,8 @@ _IMPORT_NAMES = {
     "open3d": "open3d",
     "opencv-python-headless": "cv2",
     "OpenEXR": "OpenEXR",
-    "psutil": "psutil",
-    "pyarrow": "pyarrow",
+    "pillow": "PIL",
     "pydantic": "pydantic",
-    "pyrtools": "pyrtools",
     "rich": "rich",
     "scipy": "scipy",
     "threadpoolctl": "threadpoolctl",
@@ -33,6 +30,16 @@ _IMPORT_NAMES = {
     "typer": "typer",
     "xatlas": "xatlas",
 }
+"""Libraries that every installation needs, with the name that each is imported by."""
+EXTRA_IMPORT_NAMES = {
+    "dask": ("cluster", "distributed"),
+    "Jinja2": ("report", "jinja2"),
+    "joblib": ("batch", "joblib"),
+    "psutil": ("batch", "psutil"),
+    "pyarrow": ("batch", "pyarrow"),
+    "pyrtools": ("recognition", "pyrtools"),
+}
+"""Libraries that one command alone needs: the extra that installs each, and its name when imported."""
 OLDEST_PYTHON = (3, 11)
 
 
@@ -45,11 +52,11 @@ class Finding:
     subject : str
         What was checked.
     good : bool
-        Whether it works.
+        Whether it works, or is of an extra that is not installed.
     detail : str
         Version found, or the error.
     remedy : str
-        The command that mends it; empty when good.
+        The command that mends it; empty when there is nothing to mend.
     """
 
     subject: str
@@ -63,13 +70,18 @@ def examine() -> Iterator[Finding]:
     running = ".".join(map(str, sys.version_info[:3]))
     good = sys.version_info[:2] >= OLDEST_PYTHON
     yield Finding("Python", good, running, "" if good else "install Python 3.11 or later and run: make demo")
-    for package, module in _IMPORT_NAMES.items():
+    for package, module in IMPORT_NAMES.items():
         yield _library(package, module)
+    for package, (extra, module) in EXTRA_IMPORT_NAMES.items():
+        yield _library(package, module, extra)
     yield _default_model()
 
 
-def _library(package: str, module: str) -> Finding:
+def _library(package: str, module: str, extra: str = "") -> Finding:
     installed = next((v for name in (package, f"{package}-cpu") if (v := _version(name))), None)
+    if installed is None and extra:
+        detail = f"not installed, and needed by the extra [{extra}] alone"
+        return Finding(package, True, detail, f"{sys.executable} -m pip install 'scan2albedo[{extra}]'")
     if installed is None:
         return Finding(
             package, False, "not installed", f"{sys.executable} -m pip install '{_requirement(package)}'"

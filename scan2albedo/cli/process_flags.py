@@ -1,104 +1,69 @@
-"""The flags of `process`, written once for every command that processes scans."""
+"""The flags of the commands that process scans, made of the fields of `ProcessOptions`."""
 
 from __future__ import annotations
 
 import functools
 import inspect
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import Field
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions, option_of_text, process_options
 
-SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
-SizeOption = Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)]
-PresetSizeOption = Annotated[
-    int | None,
-    typer.Option(help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8),
-]
-QualityOption = Annotated[str, typer.Option(help="draft, standard or best: what every stage spends.")]
+Command = Callable[..., None]
 
 
-def _options_of_flags(
-    model: Annotated[
-        str,
-        typer.Option(
-            help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face."
-        ),
-    ] = "default",
-    size: PresetSizeOption = None,
-    lights: Annotated[str, typer.Option(help="'auto', or how many.")] = "auto",
-    brdf: Annotated[
-        str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")
-    ] = "oren-nayar",
-    unit: Annotated[str, typer.Option(help="auto, mm, cm or m.")] = "auto",
-    quality: QualityOption = "standard",
-    budget: Annotated[float | None, typer.Option(help="Seconds a scan may take.")] = None,
-    seed: SeedOption = 0,
-    skip: Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")] = None,
-    force: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."
-        ),
-    ] = None,
-    pictures: Annotated[
-        bool, typer.Option(help="Draw overview.png and error_vs_time.png among the files.")
-    ] = True,
-) -> ProcessOptions:
-    """Return what the flags ask for; a new flag of `process` is a parameter here and passed on below."""
-    light_choice = _light_choice(lights)
-    from scan2albedo.pipeline.options import ProcessOptions
-
-    try:
-        return ProcessOptions(
-            model=model,
-            size=size,
-            lights=light_choice,
-            brdf=brdf,
-            unit=unit,
-            quality=quality,
-            budget=budget,
-            seed=seed,
-            skip=tuple(skip or ()),
-            force=tuple(force or ()),
-            pictures=pictures,
-        )
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
-
-
-def with_process_flags(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the flags of `process` in place of its parameter `options`.
+def with_process_flags(*names: str) -> Callable[[Command], Command]:
+    """Return a decorator that gives a command flags in place of its parameter `options`.
 
     Parameters
     ----------
-    command : callable
-        With a parameter `options`, which gets checked `ProcessOptions`.
+    *names : str
+        Fields of `ProcessOptions` that are flags; all when none is given.
+
+    Returns
+    -------
+    callable
+        Decorates a command with a parameter `options`, which gets checked `ProcessOptions`.
     """
-    flags = inspect.signature(_options_of_flags, eval_str=True, locals={"ProcessOptions": object}).parameters
-    own = inspect.signature(command, eval_str=True, locals={"ProcessOptions": object}).parameters
+    flags = {option.name: _flag(option) for option in process_options() if not names or option.name in names}
 
-    @functools.wraps(command)
-    def called(**given: Any) -> None:
-        options = _options_of_flags(**{name: given.pop(name) for name in flags})
-        command(options=options, **given)
+    def decorated(command: Command) -> Command:
+        @functools.wraps(command)
+        def called(**given: Any) -> None:
+            chosen = {name: given.pop(name) for name in flags}
+            try:
+                options = ProcessOptions(**{name: _value(name, value) for name, value in chosen.items()})
+            except ValueError as error:
+                raise typer.BadParameter(str(error)) from None
+            command(options=options, **given)
 
-    shown: list[inspect.Parameter] = []
-    for name, parameter in own.items():
-        shown += flags.values() if name == "options" else [parameter]
-    keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in shown]
-    called.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
-    called.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
-    return called
+        shown: list[inspect.Parameter] = []
+        for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+            shown += flags.values() if name == "options" else [parameter]
+        keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in shown]
+        called.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
+        called.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
+        return called
+
+    return decorated
 
 
-def _light_choice(lights: str) -> str | int:
-    if lights == "auto":
-        return lights
-    try:
-        return int(lights)
-    except ValueError:
-        raise typer.BadParameter(f"--lights takes 'auto' or a whole number, not {lights!r}") from None
+def _flag(option: Field[Any]) -> inspect.Parameter:
+    shown = dict(option.metadata)
+    kind = shown.pop("flag")
+    return inspect.Parameter(
+        option.name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None if option.default == () else option.default,
+        annotation=Annotated[kind, typer.Option(**shown)],
+    )
+
+
+def _value(name: str, given: Any) -> Any:
+    """Return an option as `ProcessOptions` takes it: typer gives None for a list without entries."""
+    if name in ("skip", "force"):
+        return tuple(given or ())
+    return option_of_text(name, given) if isinstance(given, str) else given

@@ -110,7 +110,7 @@ def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
 def _refuse_result_files(result: Path, out: Path) -> None:
     """Refuse to write over the files of the result that is shown."""
     from scan2albedo.applications.files import FILES
-    from scan2albedo.pipeline.result_files import FILES as SCAN_FILES
+    from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
     inside = out.resolve().parent == result.resolve() and out.name in FILES | SCAN_FILES
     if inside or out.resolve() == result.resolve():

@@ -1,35 +1,78 @@
-"""What `process` is called with, in one place for every caller that passes it on."""
+"""The options of `process`, written once: keyword arguments, flags of commands, and what results record."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import Field, asdict, dataclass, field, fields
+from numbers import Integral
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from scan2albedo.core import Budget
-from scan2albedo.pipeline.quality import quality_of
+from scan2albedo.core import Budget, checked_seed
+
+if TYPE_CHECKING:
+    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.pipeline.quality import Quality
+
+FORCEABLE = (
+    "register.depth_annealing",
+    "albedo.shadows",
+    "albedo.specular",
+    "albedo.near_light",
+    "albedo.roughness",
+    "albedo.rectification",
+    "albedo.inpainting",
+)
+"""Steps that the evidence may leave out: the names that `force` takes."""
+
+STAGES = ("register", "fit", "geometry_image", "albedo", *FORCEABLE)
+"""Names of stages and of the steps inside them: the names that `skip` takes."""
+
+_NEEDED = {"fit", "geometry_image"}
+
+
+def _option(default: Any, flag: Any, help: str, **limits: Any) -> Any:
+    """Return a field with its type on the command line, its help there and typer's limits."""
+    return field(default=default, metadata={"flag": flag, "help": help, **limits})
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessOptions:
-    """The options of `pipeline.process`, by the same names; see there.
+    """How `process` takes a scan through its stages.
 
     Parameters
     ----------
-    model : str
-        "default", "none", or the file of a model or of a template.
+    model : AnnotatedFaceModel, path, "default" or "none"
+        The template, from a model's JSON file or a mesh (`AnnotatedFaceModel.from_mesh`); None is "default".
+        "none" processes any object without a face: xatlas charts, no registration, no fit.
     size : int, optional
+        Height and width of the geometry image; that of `quality` when omitted, 512 for "standard".
     lights : "auto" or int
-    brdf, unit, quality : str
-    budget : Budget, float or None
+        How many lights, 1 to 4; "auto" decides by evidence.
+    brdf : str
+        "oren-nayar", "lambert", "minnaert" or "spherical-harmonics".
+    unit : str
+        "auto", "mm", "cm" or "m".
+    quality : str or Quality
+        "draft", "standard" or "best" (standard with 1024 texels a side), or the options of every stage.
+    budget : Budget or float, optional
+        Seconds for the whole run, or a Budget whose evaluations hold for each stage.
     seed : int
-    skip, force : sequence of str
+        Same seed, input and budget in evaluations: same result, bit by bit.
+    skip : sequence of str
+        Names from `STAGES` to leave out.
+    force : sequence of str
+        Names from `FORCEABLE`: steps to carry out whatever the evidence says, where there is anything to do
+        (a shadow's outline to rectify, a saturated texel to inpaint).
     pictures : bool
+        Whether overview.png and error_vs_time.png are drawn among the files.
 
     Raises
     ------
     ValueError
-        For a choice that `process` would refuse.
+        For an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced, or is both, a
+        size or number of lights out of range, a seed or budget that is none.
 
     Examples
     --------
@@ -37,40 +80,131 @@ class ProcessOptions:
     128
     """
 
-    model: str = "default"
-    size: int | None = None
-    lights: int | str = "auto"
-    brdf: str = "oren-nayar"
-    unit: str = "auto"
-    quality: str = "standard"
-    budget: Budget | float | None = None
-    seed: int = 0
-    skip: tuple[str, ...] = ()
-    force: tuple[str, ...] = ()
-    pictures: bool = True
+    model: AnnotatedFaceModel | str | Path | None = _option(
+        "default",
+        str,
+        "A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face.",
+    )
+    size: int | None = _option(
+        None, int | None, "Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8
+    )
+    lights: int | str = _option("auto", str, "'auto', or how many.")
+    brdf: str = _option("oren-nayar", str, "oren-nayar, lambert, minnaert or spherical-harmonics.")
+    unit: str = _option("auto", str, "auto, mm, cm or m.")
+    quality: Quality | str = _option(
+        "standard", str, "draft, standard, or best: standard with 1024 texels a side."
+    )
+    budget: Budget | float | None = _option(None, float | None, "Seconds a scan may take.")
+    seed: int = _option(0, int, "Seed of every random step.", min=0)
+    skip: Sequence[str] = _option((), list[str] | None, "A stage to leave out; may be repeated.")
+    force: Sequence[str] = _option(
+        (),
+        list[str] | None,
+        "An optional step to carry out in any case, such as albedo.shadows; may be repeated.",
+    )
+    pictures: bool = _option(True, bool, "Draw overview.png and error_vs_time.png among the files.")
 
     def __post_init__(self) -> None:
-        # Imported here: it loads compiled code, which a process that only passes options on need not have.
-        from scan2albedo.pipeline.choices import check_choices, check_stage_names
-
-        object.__setattr__(self, "model", str(self.model))
+        if self.model is None or isinstance(self.model, Path):
+            object.__setattr__(self, "model", str(self.model or "default"))
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
-        check_stage_names(self.skip, self.force)
-        check_choices(self.texels, self.lights, self.brdf, self.unit)
-        if self.seed < 0:
-            raise ValueError(f"seed is {self.seed}, expected a whole number >= 0")
+        checked_seed(self.seed)
+        _check_stages(self.skip, self.force)
+        self._check_ranges()
+
+    def _check_ranges(self) -> None:
+        """Refuse what a late stage would refuse, before an early one has worked for nothing."""
+        # Imported here: they load compiled code, which the command line does not need to show its help.
+        from scan2albedo.albedo.estimate import BRDFS
+        from scan2albedo.geometry_image.size import LARGEST_SIZE, SMALLEST_SIZE
+        from scan2albedo.io.units import MM_PER_UNIT
+
+        size = self.texels
+        if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= LARGEST_SIZE:
+            raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}, at most {LARGEST_SIZE}")
+        if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
+            raise ValueError(f"lights is {self.lights!r}, expected 'auto' or a whole number from 1 to 4")
+        if self.brdf not in BRDFS:
+            raise ValueError(f"brdf is {self.brdf!r}, expected one of {', '.join(BRDFS)}")
+        if self.unit != "auto" and self.unit not in MM_PER_UNIT:
+            raise ValueError(f"unit is {self.unit!r}, expected one of auto, {', '.join(MM_PER_UNIT)}")
 
     @property
     def texels(self) -> int:
         """Height and width of the geometry image: as asked for, or that of the preset."""
-        return quality_of(self.quality).size if self.size is None else self.size
+        return self.stages.size if self.size is None else self.size
+
+    @property
+    def stages(self) -> Quality:
+        """The options of every stage, by the preset."""
+        from scan2albedo.pipeline.quality import quality_of
+
+        return quality_of(self.quality)
+
+    def asked(self, step: str, preset: bool | None = None) -> bool | None:
+        """Return False for a skipped step, True for a forced one, else the preset's: None is by evidence."""
+        if step in self.skip:
+            return False
+        return True if step in self.force else preset
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `process`."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {option.name: getattr(self, option.name) for option in fields(self)}
 
     def plain(self) -> Mapping[str, Any]:
         """Return the options in JSON's own types."""
         return asdict(self)
+
+    def recorded(self, model: AnnotatedFaceModel | None) -> dict[str, Any]:
+        """Return the options as `result.json` has them, defaults replaced by what they came to."""
+        budget = Budget.of(self.budget)
+        return {
+            **{name: value for name, value in self.arguments().items() if name not in _RECORDED_OTHERWISE},
+            "model": "none" if model is None else model.name,
+            "size": self.texels,
+            "quality": self.stages.name,
+            "skip": sorted(set(self.skip)),
+            "force": sorted(set(self.force)),
+            "budget_seconds": budget.seconds,
+            "budget_evaluations": budget.evaluations,
+        }
+
+
+_RECORDED_OTHERWISE = ("budget", "seed", "pictures")
+
+
+def process_options() -> tuple[Field[Any], ...]:
+    """Return the fields of `ProcessOptions`; metadata hold `flag` (the type), `help` and typer's limits."""
+    return fields(ProcessOptions)
+
+
+def option_of_text(name: str, text: str) -> int | str:
+    """Return an option that was given as text: a seed, or a number of lights, as the number it is.
+
+    >>> option_of_text("lights", "2"), option_of_text("lights", "auto")
+    (2, 'auto')
+    """
+    if name in ("seed", "lights") and re.fullmatch("-?[0-9]+", text):
+        return int(text)
+    return text
+
+
+def _check_stages(skip: Sequence[str], force: Sequence[str]) -> None:
+    """Refuse names that are no stage, and what cannot be skipped or forced."""
+    for name in (*skip, *force):
+        if name not in STAGES:
+            raise ValueError(f"{name!r} is no stage; stages are {', '.join(STAGES)}")
+    if needed := sorted(set(skip) & _NEEDED):
+        raise ValueError(
+            f"{needed[0]!r} cannot be skipped: later stages stand on it (model='none' works without)"
+        )
+    for name in force:
+        if name not in FORCEABLE:
+            raise ValueError(
+                f"{name!r} cannot be forced: no evidence leaves it out; "
+                f"what can be forced is {', '.join(FORCEABLE)}"
+            )
+        if without := {name, name.partition(".")[0]} & set(skip):
+            raise ValueError(f"{name!r} is forced, but {min(without)!r} is skipped; choose one")

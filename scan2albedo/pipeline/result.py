@@ -1,19 +1,56 @@
-"""`ProcessResult`: everything that came of one scan."""
+"""`ProcessResult`: everything that came of one scan, and its files, all of them or none."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from scan2albedo.core.version import VERSION
+from scan2albedo.errors import OutputError
+from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
+from scan2albedo.io.glb import write_glb
+from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.records import installed_versions, plain_json, write_record
+from scan2albedo.io.result_folder import result_folder
+from scan2albedo.io.result_records import (
+    InputRecord,
+    LightRecord,
+    PlanRecord,
+    RegistrationRecord,
+    ResultRecord,
+)
+from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb, save_figure
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
     from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
     from scan2albedo.fitting import FittedFace
     from scan2albedo.registration import Registration
+
+FILES = frozenset(
+    {
+        "result.json",
+        "geometry_image.npz",
+        "geometry_image.exr",
+        "albedo.exr",
+        "albedo.png",
+        "shading.exr",
+        "specular.exr",
+        "shadow.png",
+        "fitted.glb",
+        "template.obj",
+        "registration.json",
+        "trace.csv",
+        "error_vs_time.png",
+        "overview.png",
+    }
+)
+"""Every file a result may have."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +82,8 @@ class ProcessResult:
         Folder with the files, when they were written.
     messages : tuple of str
         Warnings that stages gave.
+    input_sha256 : str or None
+        Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file.
     """
 
     scan: RawScan
@@ -60,6 +99,7 @@ class ProcessResult:
     source: Path | None = None
     out: Path | None = None
     messages: tuple[str, ...] = ()
+    input_sha256: str | None = None
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
@@ -106,3 +146,107 @@ class ProcessResult:
         if self.out is not None:
             parts.append(f"files in {self.out}")
         return "; ".join(parts)
+
+
+def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> Path:
+    """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
+
+    The files are made in a hidden folder beside it and then renamed into place: a run that is killed
+    while they are made, or a disk that is full, leaves older results as they were and no half-file. An
+    older `result.json` goes first and the new one comes last, so a folder that has one is whole.
+    `overview.png` and `error_vs_time.png` are left out without `pictures`.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder and the cause.
+    """
+    folder = out / result.scan.name
+    # An older run may have had more stages.
+    with result_folder(folder, "result.json", obsolete=FILES, staged_in=out) as staging:
+        _write_all(result, staging, pictures)
+    return folder
+
+
+def _write_all(result: ProcessResult, folder: Path, pictures: bool) -> None:
+    image, estimate = result.geometry_image, result.albedo
+    write_geometry_image(folder / "geometry_image.npz", image)
+    write_geometry_image_exr(folder / "geometry_image.exr", image)
+    if estimate is not None:
+        write_exr(folder / "albedo.exr", estimate.albedo_linear)
+        write_png(folder / "albedo.png", preview_srgb(estimate.albedo_linear, image.mask))
+        write_exr(folder / "shading.exr", estimate.shading)
+        write_exr(folder / "specular.exr", estimate.specular)
+        write_png(folder / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
+    if result.fitted is not None:
+        colored = estimate.albedo_linear if estimate is not None else None
+        texture = None if colored is None else preview_srgb(colored, image.mask)
+        write_glb(
+            folder / "fitted.glb", result.fitted.vertices, result.fitted.faces, result.fitted.uv, texture
+        )
+        _write_template(result.fitted, folder / "template.obj")
+    if pictures:
+        _write_pictures(result, folder)
+    result.trace.to_csv(folder / "trace.csv")
+    _write_json(result, folder)
+
+
+def _write_template(fitted: FittedFace, path: Path) -> None:
+    """Write the face in its template's own vertices and triangles; models without a template have none."""
+    if fitted.template_vertices is None or fitted.model.template_faces is None:
+        return
+    import igl
+
+    igl.writeOBJ(str(path), fitted.template_vertices, fitted.model.template_faces)
+    if not path.is_file():
+        raise OutputError(f"{path} cannot be written")
+
+
+def _write_pictures(result: ProcessResult, folder: Path) -> None:
+    if result.fitted is not None:
+        panels = face_panels(result.scan, result.fitted, result.geometry_image, result.albedo)
+    else:
+        panels = chart_panels(result.geometry_image, result.albedo)
+    save_figure(overview_figure(result.summary(), panels), folder / "overview.png")
+    save_figure(result.trace.plot(), folder / "error_vs_time.png", dpi=110)
+
+
+def _write_json(result: ProcessResult, folder: Path) -> None:
+    scan, estimate, registration, fitted = result.scan, result.albedo, result.registration, result.fitted
+    if registration is not None:
+        write_record(
+            folder / "registration.json",
+            RegistrationRecord(
+                model_from_scan=plain_json(registration.model_from_scan),
+                fitted_from_scan=None if fitted is None else plain_json(fitted.model_from_scan),
+                rmse_mm=registration.rmse_mm,
+                depth_error=registration.depth_error,
+                converged=registration.converged,
+                confidence=registration.confidence,
+                iterations=registration.iterations,
+            ),
+        )
+    texture = scan.texture_linear
+    written = sorted(path.name for path in folder.iterdir())
+    record = ResultRecord(
+        scan2albedo_version=VERSION,
+        versions=installed_versions(),
+        name=scan.name,
+        seed=result.seed,
+        options=dict(result.options),
+        input=InputRecord(
+            file=None if result.source is None else str(result.source),
+            sha256=result.input_sha256 or input_sha256(scan),
+            vertices=len(scan.vertices),
+            faces=len(scan.faces),
+            texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
+        ),
+        plan=tuple(PlanRecord(**asdict(step)) for step in result.plan),
+        metrics=result.metrics(),
+        lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
+        parameters={} if estimate is None else plain_json(estimate.parameters),
+        timings_s=dict(result.timings_s),
+        notes=(*scan.notes, *result.messages),
+        files=(*written, "result.json"),
+    )
+    write_record(folder / "result.json", record)

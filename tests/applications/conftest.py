@@ -11,8 +11,7 @@ from scan2albedo.core import Trace
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.pipeline.result import ProcessResult
-from scan2albedo.pipeline.result_files import write_result
+from scan2albedo.pipeline.result import ProcessResult, write_result
 from scan2albedo.synthetic import Material, face, light_at
 
 SIZE = 64

@@ -1,6 +1,7 @@
 """The whole pipeline on a synthetic scan: results, plan, trace, budget, files."""
 
 import csv
+import inspect
 import json
 import os
 import warnings
@@ -12,15 +13,18 @@ import igl
 import jsonschema
 import numpy as np
 import pytest
+import trimesh
 
 import scan2albedo as s2a
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.pipeline import run as pipeline_run
-from scan2albedo.pipeline.choices import FORCEABLE
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.pipeline import process as pipeline_process
+from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
+from scan2albedo.pipeline.options import FORCEABLE, process_options
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128
@@ -161,8 +165,6 @@ def test_a_scan_without_colour_ends_without_albedo_and_says_so(case, tmp_path):
 @pytest.fixture(scope="module")
 def ball():
     """A lit sphere: an object, no face."""
-    import trimesh
-
     mesh = trimesh.creation.icosphere(3, 60.0)
     shade = np.clip(mesh.vertex_normals @ [0.5, 0.3, 0.8], 0, None)[:, None] * [0.5, 0.4, 0.3] + 0.1
     return s2a.RawScan(mesh.vertices, mesh.faces, vertex_color_linear=shade, name="ball")
@@ -212,7 +214,7 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
         given.append(options)
         raise RegistrationError("far enough")
 
-    monkeypatch.setattr(pipeline_run, "register", register)
+    monkeypatch.setattr(pipeline_process, "register", register)
     with pytest.raises(RegistrationError, match="far enough"):
         s2a.process(ball, **choice)
     assert [(o.annealing_evaluations, o.force_annealing) for o in given] == [(evaluations, forced)]
@@ -240,19 +242,53 @@ def test_half_a_face_is_told(case):
 
 
 def test_warnings_of_the_stages_are_kept_and_others_pass(ball, monkeypatch):
-    from scan2albedo.pipeline import run as pipeline_run
-
-    sample = pipeline_run.geometry_image_of_scan
+    sample = pipeline_process.geometry_image_of_scan
 
     def warn(*arguments):
         warnings.warn("a hair in the soup", UserWarning, stacklevel=1)
         warnings.warn("mean of empty slice", RuntimeWarning, stacklevel=1)
         return sample(*arguments)
 
-    monkeypatch.setattr(pipeline_run, "geometry_image_of_scan", warn)
+    monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", warn)
     with pytest.warns(RuntimeWarning, match="empty slice"):
         result = s2a.process(ball, model="none", size=48, skip=["albedo"])
     assert result.messages == ("a hair in the soup",)
+
+
+def test_an_error_carries_what_the_stages_warned_of_before(ball, monkeypatch):
+    def fail(*arguments):
+        warnings.warn("a hair in the soup", UserWarning, stacklevel=1)
+        raise ScanError("no soup")
+
+    monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", fail)
+    with pytest.raises(ScanError, match="no soup") as caught:
+        s2a.process(ball, model="none", size=48)
+    assert caught.value.__notes__ == ["a hair in the soup"]
+
+
+def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
+    scan = tmp_path / "ball.ply"
+    trimesh.creation.icosphere(2, 60.0).export(scan)
+    before = input_sha256(scan)
+    sample = pipeline_process.geometry_image_of_scan
+
+    def edit_and_sample(*arguments):
+        scan.write_bytes(scan.read_bytes() + b"\n")
+        return sample(*arguments)
+
+    monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", edit_and_sample)
+    result = s2a.process(scan, tmp_path / "out", model="none", size=48, pictures=False)
+    record = json.loads((result.out / "result.json").read_text())
+    assert record["input"]["sha256"] == result.input_sha256 == before != input_sha256(scan)
+
+
+def test_its_options_are_its_parameters():
+    shown = inspect.signature(s2a.process).parameters
+    assert [name for name in shown if name not in ("source", "out", "name", "on_progress")] == [
+        option.name for option in process_options()
+    ]
+    with pytest.raises(TypeError, match="sise"):
+        s2a.process("nobody.obj", sise=64)
 
 
 def test_the_default_model_has_a_name(ball):
@@ -268,8 +304,6 @@ def test_missing_model_and_scan_files_are_named():
 
 
 def raw_scan_of_a_box():
-    import trimesh
-
     box = trimesh.creation.box((150, 200, 150)).subdivide().subdivide().subdivide().subdivide()
     return s2a.RawScan(box.vertices, box.faces, name="box")
 
@@ -287,8 +321,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, case):
 
 
 def test_a_disk_that_fills_up_leaves_no_half_written_result(result, tmp_path, monkeypatch):
-    from scan2albedo.pipeline import result_files
-
     def full(*arguments):
         raise OSError(28, os.strerror(28))
 
@@ -300,8 +332,6 @@ def test_a_disk_that_fills_up_leaves_no_half_written_result(result, tmp_path, mo
 
 @pytest.mark.slow
 def test_an_interrupted_write_keeps_the_older_result(result, tmp_path, monkeypatch):
-    from scan2albedo.pipeline import result_files
-
     folder = result_files.write_result(result, tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
 
@@ -317,8 +347,6 @@ def test_an_interrupted_write_keeps_the_older_result(result, tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
-    from scan2albedo.pipeline import result_files
-
     result_files.write_result(result, tmp_path)
     folder = result_files.write_result(replace(result, albedo=None), tmp_path)
     assert not (folder / "albedo.png").exists()
@@ -329,8 +357,6 @@ def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
 
 @pytest.mark.slow
 def test_an_interrupted_renaming_leaves_no_folder_that_looks_whole(result, tmp_path, monkeypatch):
-    from scan2albedo.pipeline import result_files
-
     folder = result_files.write_result(result, tmp_path)
     replace_file = os.replace
 

@@ -17,6 +17,10 @@ def test_presets_carry_their_names():
     assert list(PRESETS) == ["draft", "standard", "best"]
 
 
+def test_best_is_standard_with_more_texels():
+    assert replace(quality_of("best"), name="standard", size=512) == quality_of("standard")
+
+
 def test_an_unknown_quality_is_refused_with_the_names_there_are():
     with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best"):
         s2a.process("nobody.obj", quality="fine")
