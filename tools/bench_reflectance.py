@@ -48,7 +48,7 @@ from scan2albedo.reflectance import (
     sample_vertices,
 )
 from scan2albedo.reflectance.app.capture_run import FittedCapture, fit_capture, relit_pair
-from scan2albedo.reflectance.app.synthetic_files import write_synthetic_capture
+from scan2albedo.reflectance.app.demo import write_synthetic_capture
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
 

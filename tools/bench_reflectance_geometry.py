@@ -43,7 +43,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     refine_geometry,
 )
-from scan2albedo.reflectance.smooth_image import SmoothImage
+from scan2albedo.reflectance.picture_samples import SmoothImage
 from scan2albedo.synthetic import identity
 
 LEVEL, FINE = 1, 3

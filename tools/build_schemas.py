@@ -28,10 +28,10 @@ from scan2albedo.recognition.app.files import IdentificationRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
 from scan2albedo.reflectance.app.output import ReflectanceRecord
 from scan2albedo.reflectance.capture_files import FlashCaptureFile
-from scan2albedo.reflectance.model_files import ReflectanceModelHeader
+from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
 from scan2albedo.reflectance.photograph_files import FacePhotographFile
 from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
-from scan2albedo.reflectance.shape_model_files import ShapeModelHeader
+from scan2albedo.reflectance.shape_model import ShapeModelHeader
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 

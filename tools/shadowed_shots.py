@@ -15,7 +15,7 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_harmonics import map_directions
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance import EXPONENTS, VertexReflectance
-from scan2albedo.reflectance.generated_environments import SHAPE
+from scan2albedo.reflectance.lighting_model import SHAPE
 
 ROWS, COLUMNS = 2 * SHAPE[0], 2 * SHAPE[1]
 _BLOCK = 128

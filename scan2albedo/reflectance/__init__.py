@@ -4,16 +4,13 @@ from scan2albedo.reflectance.capture_files import CaptureFiles, read_capture, wr
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
 from scan2albedo.reflectance.environment_shading import EnvironmentShading, LightResponse, shade_environment
 from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
-from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
-from scan2albedo.reflectance.fit_result import PARAMETERS, ReflectanceFit
-from scan2albedo.reflectance.generated_environments import generated_environment
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
 from scan2albedo.reflectance.geometry_terms import GeometryFitOptions
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.image_terms import ImageFitOptions, PerceptualDistance
 from scan2albedo.reflectance.light_transfer import light_transfer
-from scan2albedo.reflectance.lighting_model import LightingModel
+from scan2albedo.reflectance.lighting_model import LightingModel, generated_environment
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.photograph import PhotographOptions, observe_photograph
@@ -21,10 +18,15 @@ from scan2albedo.reflectance.photograph_files import PhotographFiles, read_photo
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
-from scan2albedo.reflectance.scan_reflectance import lobe_weights_of_phong, reflectance_from_albedo
+from scan2albedo.reflectance.robust_fit import ReflectanceFitOptions, ReflectancePrior
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
-from scan2albedo.reflectance.vertex_fit import fit_reflectance
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+from scan2albedo.reflectance.vertex_fit import PARAMETERS, ReflectanceFit, fit_reflectance
+from scan2albedo.reflectance.vertex_reflectance import (
+    EXPONENTS,
+    VertexReflectance,
+    lobe_weights_of_phong,
+    reflectance_from_albedo,
+)
 from scan2albedo.reflectance.vertex_samples import SamplingOptions, VertexSamples, sample_vertices
 
 __all__ = [

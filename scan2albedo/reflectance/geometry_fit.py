@@ -21,8 +21,8 @@ from scan2albedo.reflectance.geometry_terms import (
     PhotometricTerm,
     Photometry,
 )
+from scan2albedo.reflectance.picture_samples import SmoothImage
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
-from scan2albedo.reflectance.smooth_image import SmoothImage
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
 FloatArray = NDArray[np.float64]

@@ -14,9 +14,8 @@ from scipy import sparse
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.normal_jacobian import vertex_normal_jacobian
 from scan2albedo.geometry.pinhole import camera_centers, project
-from scan2albedo.reflectance.environment_shading import shade_environment
-from scan2albedo.reflectance.shading_gradient import shading_gradient
-from scan2albedo.reflectance.smooth_image import SmoothImage
+from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
+from scan2albedo.reflectance.picture_samples import SmoothImage
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 

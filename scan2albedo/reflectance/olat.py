@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.picture_values import linear_values, picture_values
+from scan2albedo.reflectance.picture_samples import linear_values, picture_values
 
 FloatArray = NDArray[np.float64]
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]

@@ -14,8 +14,13 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.light_transfer import light_transfer
-from scan2albedo.reflectance.picture_samples import bilinear_samples, checked_mesh, checked_normals
-from scan2albedo.reflectance.picture_values import linear_values, picture_values
+from scan2albedo.reflectance.picture_samples import (
+    bilinear_samples,
+    checked_mesh,
+    checked_normals,
+    linear_values,
+    picture_values,
+)
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.fit_result import ReflectanceFit
+from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, refuse_other_lobes
 
 FloatArray = NDArray[np.float64]

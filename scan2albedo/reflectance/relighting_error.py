@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.fit_options import ReflectanceFitOptions
-from scan2albedo.reflectance.fit_result import ReflectanceFit
 from scan2albedo.reflectance.point_light_lobes import point_light_radiance
-from scan2albedo.reflectance.vertex_fit import fit_reflectance
+from scan2albedo.reflectance.robust_fit import ReflectanceFitOptions
+from scan2albedo.reflectance.vertex_fit import ReflectanceFit, fit_reflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
 FloatArray = NDArray[np.float64]

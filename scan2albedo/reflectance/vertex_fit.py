@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.fit_options import ReflectanceFitOptions, ReflectancePrior
-from scan2albedo.reflectance.fit_result import ReflectanceFit
-from scan2albedo.reflectance.light_gains import divided_by_gain, find_light_gains
 from scan2albedo.reflectance.point_light_lobes import PEAKS
-from scan2albedo.reflectance.robust_fit import Observations, RobustFit, fit_rows
+from scan2albedo.reflectance.robust_fit import (
+    Observations,
+    ReflectanceFitOptions,
+    ReflectancePrior,
+    RobustFit,
+    fit_rows,
+)
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
@@ -21,6 +26,78 @@ IntArray = NDArray[np.int64]
 _TWO_SIDED_95 = 1.959964
 _SINGULAR = 1e-14
 """Part of the largest eigenvalue of the normal matrix that rounding leaves of 0."""
+PARAMETERS = ("red", "green", "blue", "weight_1", "weight_8", "weight_64")
+"""Columns of everything (V, 6)."""
+_LEAST_GAIN, _MOST_GAIN = 1e-3, 1e3
+"""Gains are kept between these: a flash that lit only black pixels would have none."""
+
+
+@dataclass(frozen=True)
+class ReflectanceFit:
+    """Result of `fit_reflectance`; NaN where a vertex is not known, unless said otherwise.
+
+    Parameters
+    ----------
+    reflectance : VertexReflectance
+    std : (V, 6) float64
+        Standard deviation of the posterior without bounds, columns `PARAMETERS`; larger by the misfit where
+        residuals are above sigma.
+    low, high : (V, 6) float64
+        95 % intervals, >= 0; they hold the estimate.
+    pair_count : (V,) int64
+        Pictures used; 0 for unseen vertices.
+    condition : (V,) float64
+        Condition number of the observations' matrix, columns not scaled, without the prior; inf where it is
+        singular.
+    activation : (V, 3) float64
+        Largest value over the pictures of each lobe, over its peak: max(0, n.h)^s. 0 for unseen vertices.
+    identifiability : (V, 6) float64
+        Posterior over prior standard deviation, the former before the misfit: 1 where pictures tell nothing.
+    identified : (V, 6) bool
+        Identifiability is small enough; False where not known.
+    misfit : (V,) float64
+        Root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where there are
+        not more observations than unknowns.
+    light_gain : (L, 3) float64
+        Strength of each flash, mean 1 over those used; NaN for flashes that lit nothing.
+    level : float
+        Unit of the prior.
+    bounded_albedos : int
+        Vertices where an albedo is held at 0.
+    settled : (V,) bool
+        Known and done when the fit ended.
+    converged : bool
+        All known vertices are, and the gains; False when the budget or the iterations ended the fit first.
+    iterations : int
+        Reweightings.
+    residual : float
+        Robust loss per observation; 1/2 is pure noise.
+    trace : Trace
+    """
+
+    reflectance: VertexReflectance
+    std: FloatArray
+    low: FloatArray
+    high: FloatArray
+    pair_count: NDArray[np.int64]
+    condition: FloatArray
+    activation: FloatArray
+    identifiability: FloatArray
+    identified: NDArray[np.bool_]
+    misfit: FloatArray
+    light_gain: FloatArray
+    level: float
+    bounded_albedos: int
+    settled: NDArray[np.bool_]
+    converged: bool
+    iterations: int
+    residual: float
+    trace: Trace
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(V, 6) albedos and weights, columns `PARAMETERS`."""
+        return np.concatenate([self.reflectance.diffuse_linear, self.reflectance.weights], axis=1)
 
 
 def fit_reflectance(
@@ -217,3 +294,50 @@ def _condition(normal: FloatArray) -> FloatArray:
     smallest = values[:, 0]
     singular = smallest <= _SINGULAR * values[:, -1]
     return np.sqrt(np.where(singular, np.inf, values[:, -1] / np.where(singular, 1.0, smallest)))
+
+
+def divided_by_gain(data: Observations, light: IntArray, gain: FloatArray) -> Observations:
+    """Return observations as under flashes of gain 1: y / g, with precision g^2 / sigma^2."""
+    factor = np.where(np.isfinite(gain), gain, 1.0)[light][:, None, :]
+    return replace(data, observed=data.observed / factor, precision=data.precision * factor**2)
+
+
+def find_light_gains(
+    data: Observations, light: IntArray, rows: IntArray, options: ReflectanceFitOptions, meter: Meter
+) -> tuple[FloatArray, bool]:
+    """Return gains (L, 3), mean 1 over the flashes that lit something (NaN for the others), and convergence.
+
+    Reflectance for fixed gains and gains for fixed reflectance are found in turn, g = sum u p y m / sum u p
+    m^2 over a flash's observations y of radiance m, with the robust weights u; gain times reflectance is one
+    scale a channel, fixed by the mean.
+    """
+    few = rows[:: max(1, len(rows) // options.gain_vertices)]
+    subset = replace(
+        data, observed=data.observed[:, few], precision=data.precision[:, few], lobes=data.lobes[:, few]
+    )
+    every = np.arange(len(few))
+    gain = np.ones((int(light.max()) + 1, 3))
+    for _ in range(options.gain_iterations):
+        fitted = fit_rows(divided_by_gain(subset, light, gain), every, options, meter.unseen_child())
+        meter.count()
+        new = _gains(subset, light, fitted, len(gain))
+        step = float(np.nanmax(np.abs(new - gain)))
+        gain = new
+        if step < options.gain_tolerance:
+            return gain, True
+        if meter.exhausted:
+            break
+    return gain, False
+
+
+def _gains(data: Observations, light: IntArray, fitted: RobustFit, count: int) -> FloatArray:
+    estimate, precision = fitted.estimate, data.precision * fitted.weight[..., None]
+    above, below = np.zeros((count, 3)), np.zeros((count, 3))
+    gloss = np.einsum("jvs,vs->jv", data.lobes[..., 1:], estimate[:, 3:])
+    radiance = data.lobes[..., :1] * estimate[:, :3] + gloss[..., None]
+    np.add.at(above, light, (precision * data.observed * radiance).sum(1))
+    np.add.at(below, light, (precision * radiance**2).sum(1))
+    gain = np.where(
+        below > 0, np.clip(above / np.where(below > 0, below, 1.0), _LEAST_GAIN, _MOST_GAIN), np.nan
+    )
+    return np.asarray(gain / np.nanmean(gain, axis=0), np.float64)

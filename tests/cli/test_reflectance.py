@@ -14,8 +14,8 @@ from scan2albedo.cli.commands import app
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import read_record
 from scan2albedo.reflectance import MorphableReflectanceModel, generated_environment, read_reflectance
+from scan2albedo.reflectance.app.demo import write_synthetic_capture, write_synthetic_photograph
 from scan2albedo.reflectance.app.output import ReflectanceRecord
-from scan2albedo.reflectance.app.synthetic_files import write_synthetic_capture, write_synthetic_photograph
 from scan2albedo.synthetic import (
     FacePhotographOptions,
     FlashCaptureOptions,

@@ -10,7 +10,7 @@ import pytest
 
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.reflectance import read_capture
-from scan2albedo.reflectance.app.synthetic_files import write_synthetic_capture
+from scan2albedo.reflectance.app.demo import write_synthetic_capture
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
 
 

@@ -26,7 +26,7 @@ from scan2albedo.reflectance import (
 )
 from scan2albedo.reflectance.geometry_search import GeometryObjective, GeometryState
 from scan2albedo.reflectance.geometry_terms import LandmarkTerm, PhotometricTerm
-from scan2albedo.reflectance.smooth_image import SmoothImage
+from scan2albedo.reflectance.picture_samples import SmoothImage
 from scan2albedo.synthetic import identity
 
 SHAPE = (260, 220)

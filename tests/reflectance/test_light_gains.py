@@ -8,8 +8,8 @@ from reflectance_captures import head_capture, relative_rmse, samples_of
 
 from scan2albedo.core import Budget
 from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance
-from scan2albedo.reflectance.light_gains import divided_by_gain
 from scan2albedo.reflectance.robust_fit import Observations
+from scan2albedo.reflectance.vertex_fit import divided_by_gain
 
 GAINS = ReflectanceFitOptions(light_gains=True, gain_vertices=300)
 

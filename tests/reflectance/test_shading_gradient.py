@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance import VertexReflectance, shade_environment
-from scan2albedo.reflectance.shading_gradient import shading_gradient
+from scan2albedo.reflectance.environment_shading import shading_gradient
 
 RNG = np.random.default_rng(0)
 DRAWN = normalized(RNG.normal(size=(300, 3)))

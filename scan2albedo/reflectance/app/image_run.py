@@ -34,7 +34,7 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.app.capture_run import write_colored_mesh
 from scan2albedo.reflectance.app.model_run import MEAN_FILE, MODEL_FILE, SHAPE_FILE, ModelFolder
 from scan2albedo.reflectance.app.output import folder_of_results
-from scan2albedo.reflectance.picture_values import linear_values, picture_values
+from scan2albedo.reflectance.picture_samples import linear_values, picture_values
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
 
