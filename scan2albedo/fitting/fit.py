@@ -12,13 +12,12 @@ from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.expression_start import corners_pulled, mouth_opened
+from scan2albedo.fitting.alignment import Similarity, proportioned, refine_similarity
 from scan2albedo.fitting.forces import ForceGates
+from scan2albedo.fitting.mouth_corners import corners_pulled
+from scan2albedo.fitting.mouth_opening import mouth_opened
 from scan2albedo.fitting.options import FitOptions
-from scan2albedo.fitting.outcome import fitted_face
-from scan2albedo.fitting.proportions import proportioned
-from scan2albedo.fitting.result import FittedFace
-from scan2albedo.fitting.rigid_refinement import Similarity, refine_similarity
+from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
@@ -110,8 +109,8 @@ def fit(
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
     reference = proportioned(surface, samples, deformation.reference, chosen, meter)
     deformation = replace(deformation, reference=reference)
-    outcome = run_stages(deformation)
-    return fitted_face(deformation, outcome, pose, similarity.scale, scan.name)
+    reached = run_stages(deformation)
+    return fitted_face(deformation, reached, pose, similarity.scale, scan.name)
 
 
 def checked_pose(model_from_scan: ArrayLike) -> FloatArray:

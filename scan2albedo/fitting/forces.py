@@ -5,15 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scan2albedo.fitting.kernels import pulled, springs
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.nearest_surface import nearest_around, walk_downhill
 
 FloatArray = NDArray[np.float64]
 
+MIN_NORMAL_COSINE = 0.6
+"""Least cosine between the normals of model and scan where a force acts."""
+ROBUST_SCALE = 3.0
+"""Residuals beyond this many robust standard deviations lose their weight."""
+MIN_ROBUST_MM = (3.0, 1.0)
+"""Floor of the robust standard deviation in the first and last stage."""
 MUTUAL_SLOPE = 0.5
 MUTUAL_SPACING = 0.1
 RIM_ROBUST_MM = 0.25
@@ -21,24 +28,16 @@ RIM_ROBUST_MM = 0.25
 
 @dataclass(frozen=True)
 class ForceGates:
-    """Which closest points pull, and how strongly; see `FitOptions` for the fields."""
+    """Which closest points pull, and how strongly: `FitOptions.gate_mm`, `.tangential`, MIN_ROBUST_MM."""
 
     distance_mm: float
-    min_normal_cosine: float
     tangential: float
-    robust_scale: float
     min_robust_mm: float
 
     @classmethod
     def at(cls, options: FitOptions, progress: float) -> ForceGates:
         """Return the gates at `progress` 0 (first stage) ... 1 (last)."""
-        return cls(
-            between(options.gate_mm, progress),
-            options.min_normal_cosine,
-            options.tangential,
-            options.robust_scale,
-            between(options.min_robust_mm, progress),
-        )
+        return cls(between(options.gate_mm, progress), options.tangential, between(MIN_ROBUST_MM, progress))
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def scan_forces(
         samples, vertex, *scan.nearest.arrays, scan.normals, scan.boundary
     )
     agreement = np.einsum("ij,ij->i", normal, sample_normals)
-    open_gate = ~border & (distance < gates.distance_mm) & (agreement > gates.min_normal_cosine)
+    open_gate = ~border & (distance < gates.distance_mm) & (agreement > MIN_NORMAL_COSINE)
     across = np.einsum("ij,ij->i", normal, offset)
     weight = np.where(open_gate, robust_weights(across, open_gate, gates, rim), 0.0)
     near = np.where(border, np.nan, np.minimum(distance, gates.distance_mm))
@@ -151,12 +150,61 @@ def robust_weights(
     if not used.any():
         return np.zeros(len(residual))
     spread = 1.4826 * float(np.median(np.abs(residual[used])))
-    weight = _geman_mcclure(residual, gates.robust_scale * max(spread, gates.min_robust_mm))
+    weight = _geman_mcclure(residual, ROBUST_SCALE * max(spread, gates.min_robust_mm))
     if rim is None or gates.min_robust_mm <= RIM_ROBUST_MM:
         return weight
-    tight = _geman_mcclure(residual, gates.robust_scale * max(spread, RIM_ROBUST_MM))
+    tight = _geman_mcclure(residual, ROBUST_SCALE * max(spread, RIM_ROBUST_MM))
     return np.where(residual > 0, (1 - rim) * weight + rim * tight, weight)
 
 
 def _geman_mcclure(residual: FloatArray, cutoff: float) -> FloatArray:
     return 1.0 / (1.0 + (residual / cutoff) ** 2) ** 2
+
+
+@njit(cache=True, nogil=True)
+def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
+    """Return for each point (N, 3) what the scan surface nearest to it says.
+
+    `vertex` (N,) is walked downhill in place. Returned are the offset (N, 3) to the closest point, the
+    unit normal (N, 3) there, the distance (N,), and whether the closest point lies on the border (N,).
+    """
+    count = len(points)
+    offset, normal = np.empty((count, 3)), np.empty((count, 3))
+    distance, border = np.empty(count), np.empty(count, np.bool_)
+    for i in range(count):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
+        vertex[i] = v
+        best, nearest, k0, k1, k2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
+        offset[i, 0], offset[i, 1], offset[i, 2] = px, py, pz
+        distance[i] = np.sqrt(best)
+        a, b, c = faces[nearest, 0], faces[nearest, 1], faces[nearest, 2]
+        nx = k0 * normals[a, 0] + k1 * normals[b, 0] + k2 * normals[c, 0]
+        ny = k0 * normals[a, 1] + k1 * normals[b, 1] + k2 * normals[c, 1]
+        nz = k0 * normals[a, 2] + k1 * normals[b, 2] + k2 * normals[c, 2]
+        size = max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-300)
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx / size, ny / size, nz / size
+        border[i] = k0 * boundary[a] + k1 * boundary[b] + k2 * boundary[c] > 0.999
+    return offset, normal, distance, border
+
+
+@njit(cache=True, nogil=True)
+def springs(offset, normal, across, along):  # type: ignore[no-untyped-def]
+    """Return the forces (N, 3) H offset and the stiffness H = across n n^T + along I of N springs.
+
+    H is given as (N, 6): xx, yy, zz, xy, xz, yz.
+    """
+    force, stiffness = np.empty((len(offset), 3)), np.empty((len(offset), 6))
+    for i in range(len(offset)):
+        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+        pull = across[i] * (x * offset[i, 0] + y * offset[i, 1] + z * offset[i, 2])
+        force[i, 0] = pull * x + along[i] * offset[i, 0]
+        force[i, 1] = pull * y + along[i] * offset[i, 1]
+        force[i, 2] = pull * z + along[i] * offset[i, 2]
+        stiffness[i, 0] = across[i] * x * x + along[i]
+        stiffness[i, 1] = across[i] * y * y + along[i]
+        stiffness[i, 2] = across[i] * z * z + along[i]
+        stiffness[i, 3] = across[i] * x * y
+        stiffness[i, 4] = across[i] * x * z
+        stiffness[i, 5] = across[i] * y * z
+    return force, stiffness

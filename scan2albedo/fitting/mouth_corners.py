@@ -7,15 +7,15 @@ whether a coarse fit reaches into the crease.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.kernels import surface_normals
-from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.nearest_surface import NearestSurface
 
@@ -34,10 +34,30 @@ MIN_GAIN = 0.34
 """A pull is tried when it saves TRIAL_GAIN of the distance as it is, and chosen when its coarse fit saves
 MIN_GAIN: between what coarse fits of shut mouths saved (up to 0.32) and those of smiles (0.36 on)."""
 ZONE_MM = 45.0
-"""Scan this near to the middle of the mouth judges: the mouth, and the cheek that a smile folds."""
+"""Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds."""
 REACH_MM = 8.0
 MIN_COSINE = 0.2
 """Scan counts where it looks within 78 degrees of the model's way; beyond REACH_MM it counts as that far."""
+
+
+def corners_pulled(deformation: Deformation) -> Deformation:
+    """Return the deformation that starts from the corners of the mouth drawn back as the scan's are."""
+    reference, meter = deformation.reference, deformation.meter
+    if meter.exhausted:
+        return deformation
+    corners = MouthCorners.of(deformation.model, reference)
+    if corners is None:
+        return deformation
+    mouth = MouthScan.of(deformation.model, reference, deformation.scan, TRIAL_LEVEL)
+    pulls = mouth.worth_a_trial(reference, corners)
+    if not pulls:
+        return deformation
+    reached = {}
+    for mm in (0.0, *pulls):
+        if meter.exhausted:
+            return deformation
+        reached[mm] = coarsely_fitted(deformation, corners.pulled(reference, (mm, mm)))
+    return replace(deformation, reference=corners.pulled(reference, mouth.chosen(reached)))
 
 
 @dataclass(frozen=True)
@@ -75,8 +95,8 @@ class MouthCorners:
 
 
 @dataclass(frozen=True)
-class CornerJudge:
-    """Tells how well a face lies on the scan around its mouth.
+class MouthScan:
+    """The scan around the mouth, to measure how well a face lies on it.
 
     Parameters
     ----------
@@ -96,7 +116,7 @@ class CornerJudge:
     @classmethod
     def of(
         cls, model: AnnotatedFaceModel, control_points: FloatArray, scan: ScanSurface, level: int
-    ) -> CornerJudge:
+    ) -> MouthScan:
         """Take the scan within ZONE_MM of the mouth of an annotated model."""
         landmarks = model.landmarks_of(control_points)
         assert landmarks is not None

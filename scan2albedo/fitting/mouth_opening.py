@@ -7,7 +7,7 @@ models are tried, and chosen by what a coarse fit makes of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,9 +17,9 @@ from scipy import sparse
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
-from scan2albedo.fitting.kernels import surface_normals
-from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.loop_subdivision import limit_matrix
 from scan2albedo.geometry.operators import laplacian
 
@@ -49,7 +49,27 @@ TRIAL_GAIN = 0.25
 ABOUT = 0.07
 """Costs this much above the least are as good."""
 JAW_WEIGHT = 0.6
-"""Samples that follow the jaw by at least this much judge it."""
+"""Samples that follow the jaw by at least this much measure its distance to the scan."""
+
+
+def mouth_opened(deformation: Deformation) -> Deformation:
+    """Return the deformation that starts from the mouth opened as the scan's is.
+
+    Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations
+    but leave no rows in the trace.
+    """
+    scan, meter = deformation.scan, deformation.meter
+    if meter.exhausted:
+        return deformation
+    search = MouthSearch.of(deformation.model, deformation.reference, scan, TRIAL_LEVEL)
+    if len(search.candidates) == 1:
+        return deformation
+    reached = []
+    for reference in search.candidates:
+        if meter.exhausted:
+            return deformation
+        reached.append(coarsely_fitted(deformation, reference))
+    return replace(deformation, reference=search.candidates[search.best(scan, reached)])
 
 
 @dataclass(frozen=True)

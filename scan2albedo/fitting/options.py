@@ -32,12 +32,6 @@ class FitOptions:
         Part of the force along the surface, relative to 1 across it.
     gate_mm : (float, float)
         Scan points farther than this exert no force, first and last stage.
-    min_normal_cosine : float
-        Least cosine between the normals of model and scan where a force acts.
-    robust_scale : float
-        Residuals beyond this many robust standard deviations lose their weight.
-    min_robust_mm : (float, float)
-        Floor of the robust standard deviation in the first and last stage.
     time_step, mass, damping : float
         dt, and M and D as multiples of the surface's area (a unit force is a unit area).
     rigid_iterations : int
@@ -50,10 +44,6 @@ class FitOptions:
         Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks).
     result_levels : int
         Loop refinements of the surface returned.
-    residual_gate_mm : float
-        Residuals beyond this count as "no scan near".
-    min_coverage : float
-        Least fraction of the model's area that must have scan near it.
     gain_tolerance : float
         A stage ends when five steps gained less than this fraction of the error.
     smoothing_mm : float
@@ -67,9 +57,6 @@ class FitOptions:
     membrane_mm: tuple[float, float] = (6.0, 0.5)
     tangential: float = 0.01
     gate_mm: tuple[float, float] = (20.0, 3.0)
-    min_normal_cosine: float = 0.6
-    robust_scale: float = 3.0
-    min_robust_mm: tuple[float, float] = (3.0, 1.0)
     time_step: float = 10.0
     mass: float = 1.0
     damping: float = 0.1
@@ -78,8 +65,6 @@ class FitOptions:
     scale_range: tuple[float, float] = (0.75, 1.35)
     open_mouth: bool = True
     result_levels: int = 2
-    residual_gate_mm: float = 5.0
-    min_coverage: float = 0.1
     gain_tolerance: float = 0.003
     smoothing_mm: float = 0.8
 
@@ -89,20 +74,18 @@ class FitOptions:
         for name in ("finest_level", "result_levels"):
             if not 0 <= getattr(self, name) <= MOST_LEVELS:
                 raise ValueError(f"{name} must be from 0 to {MOST_LEVELS}, got {getattr(self, name)}")
-        for name in ("time_step", "robust_scale", "residual_gate_mm"):
-            if not 0 < getattr(self, name) < inf:
-                raise ValueError(f"{name} must be finite and above 0, got {getattr(self, name)}")
+        if not 0 < self.time_step < inf:
+            raise ValueError(f"time_step must be finite and above 0, got {self.time_step}")
         for name in ("steps", "mass", "damping", "rigid_iterations", "proportion_iterations", "smoothing_mm"):
             if not 0 <= getattr(self, name) < inf:
                 raise ValueError(f"{name} must be finite and 0 or more, got {getattr(self, name)}")
-        for name in ("bending_mm", "membrane_mm", "gate_mm", "min_robust_mm"):
+        for name in ("bending_mm", "membrane_mm", "gate_mm"):
             if not all(0 <= end < inf for end in getattr(self, name)):
                 raise ValueError(
                     f"{name} must be finite and 0 or more at both ends, got {getattr(self, name)}"
                 )
-        for name in ("tangential", "min_normal_cosine", "min_coverage"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
+        if not 0 <= self.tangential <= 1:
+            raise ValueError(f"tangential must be from 0 to 1, got {self.tangential}")
         low, high = self.scale_range
         if not 0 < low <= high < inf:
             raise ValueError(

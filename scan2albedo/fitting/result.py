@@ -1,16 +1,33 @@
-"""What the fit returns."""
+"""What the fit returns, and how it is assembled: residuals, coverage, metrics."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Trace
+from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.fitting.stages import Deformation, StagesResult, imbalance_mm
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision
+from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
+from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
 
 FloatArray = NDArray[np.float64]
+
+RESIDUAL_GATE_MM = 5.0
+"""Residuals beyond this count as "no scan near"."""
+MIN_COVERAGE = 0.1
+"""Least part of the model's area that must have scan near it."""
+MOST_IMBALANCE_MM = 0.2
+"""Fits that ran to their end are within 0.03 mm of balance, on noise of 1 mm within 0.1 mm."""
+MOST_STRAIN = 0.16
+"""Most faces end at 0.04 to 0.07, wide smiles at up to 0.13; faces upside down at 0.17 and more."""
 
 
 @dataclass(frozen=True)
@@ -64,3 +81,107 @@ class FittedFace:
     trace: Trace
     model: AnnotatedFaceModel
     metrics: dict[str, float] = field(default_factory=dict)
+
+
+def fitted_face(
+    deformation: Deformation,
+    reached: StagesResult,
+    model_from_scan: FloatArray,
+    scale: float,
+    name: str,
+) -> FittedFace:
+    """Assemble the result.
+
+    Warns
+    -----
+    UserWarning
+        When the model was stretched as no face stretches it.
+
+    Raises
+    ------
+    FitError
+        When less than MIN_COVERAGE of the surface has scan near it.
+    """
+    model, options = deformation.model, deformation.options
+    subdivision = model.subdivision(options.result_levels)
+    control = deformation.reference + reached.q
+    vertices = subdivision.matrix @ control
+    residual = residuals_mm(
+        deformation.scan,
+        vertices,
+        subdivision.faces,
+        RESIDUAL_GATE_MM,
+        exact=not deformation.meter.out_of_time,
+    )
+    metrics = _metrics(vertices, residual, subdivision)
+    metrics["imbalance_mm"] = imbalance_mm(deformation, reached.q)
+    metrics["strain"] = _strain(deformation.reference, control, model.control_faces)
+    metrics["flipped_faces"] = float(len(deformation.folds.find(vertices)))
+    if metrics["coverage"] < MIN_COVERAGE:
+        raise FitError(
+            f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
+            f"{RESIDUAL_GATE_MM:.0f} mm, at least {100 * MIN_COVERAGE:.0f} % needed; "
+            "the pose is wrong, or the scan holds too little of a face"
+        )
+    _warn_of_strain(metrics["strain"], name)
+    return FittedFace(
+        vertices=vertices,
+        faces=subdivision.faces,
+        uv=model.refined_uv(options.result_levels),
+        region=model.region[subdivision.parent],
+        control_points=control,
+        landmarks=model.landmarks_of(control),
+        residual_mm=residual,
+        model_from_scan=model_from_scan,
+        template_vertices=model.template_of(control),
+        levels=options.result_levels,
+        converged=reached.converged and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
+        iterations=deformation.meter.evaluations,
+        trace=deformation.meter.trace,
+        model=model,
+        metrics={**metrics, "scale": scale},
+    )
+
+
+def residuals_mm(
+    scan: ScanSurface, vertices: FloatArray, faces: NDArray[np.int64], gate_mm: float, *, exact: bool = True
+) -> FloatArray:
+    """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
+    exact = exact and len(scan.faces) <= MAX_EXACT_FACES
+    query = ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest
+    hits = query.query(vertices)
+    facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
+    seen = ~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing
+    return np.where(seen, hits.distance, np.nan)
+
+
+def _metrics(vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdivision) -> dict[str, float]:
+    area = vertex_areas(vertices, subdivision.faces)
+    seen = ~np.isnan(residual)
+    known = residual[seen] if seen.any() else np.array([np.nan])
+    return {
+        "residual_mean_mm": float(known.mean()),
+        "residual_median_mm": float(np.median(known)),
+        "residual_p95_mm": float(np.percentile(known, 95)),
+        "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
+    }
+
+
+def _strain(before: FloatArray, after: FloatArray, faces: NDArray[np.int64]) -> float:
+    """Return the RMS of log(length after / length before) over the edges of the control mesh."""
+    edges, _ = edges_with_faces(faces)
+    lengths = [
+        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (before, after)
+    ]
+    floor = 1e-6 * float(lengths[0].mean())
+    return float(np.sqrt(np.mean(np.log(np.maximum(lengths[1], floor) / np.maximum(lengths[0], floor)) ** 2)))
+
+
+def _warn_of_strain(strain: float, name: str) -> None:
+    if strain > MOST_STRAIN:
+        warnings.warn(
+            f"{name}: the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by "
+            "about 5 %: the pose is wrong, the scan holds no face, or it is very noisy",
+            UserWarning,
+            stacklevel=4,
+        )

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
-from scan2albedo.fitting.kernels import spring_product, surface_normals
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
@@ -82,3 +82,50 @@ def _rim(points: FloatArray, faces: IntArray) -> FloatArray:
         return np.zeros(len(points))
     distance, _ = cKDTree(border).query(points, distance_upper_bound=RIM_MM)
     return np.clip(2 - 2 * distance / RIM_MM, 0, 1)
+
+
+@njit(cache=True, nogil=True)
+def surface_normals(points, faces):  # type: ignore[no-untyped-def]
+    """Return (N, 3) unit vertex normals and (F, 3) unit face normals; zero where there is no area."""
+    vertex, face = np.zeros((len(points), 3)), np.zeros((len(faces), 3))
+    for f in range(len(faces)):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, az = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+        bx, by, bz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        for v in (i, j, k):
+            vertex[v, 0] += x
+            vertex[v, 1] += y
+            vertex[v, 2] += z
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0:
+            face[f, 0], face[f, 1], face[f, 2] = x / length, y / length, z / length
+    for v in range(len(vertex)):
+        length = np.sqrt(vertex[v, 0] ** 2 + vertex[v, 1] ** 2 + vertex[v, 2] ** 2)
+        if length > 0:
+            vertex[v] /= length
+    return vertex, face
+
+
+@njit(cache=True, nogil=True)
+def spring_product(x, start, column, value, stiffness):  # type: ignore[no-untyped-def]
+    """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H the stiffness (N, 6) of each sample."""
+    result = np.zeros_like(x)
+    for i in range(len(stiffness)):
+        xx, yy, zz = stiffness[i, 0], stiffness[i, 1], stiffness[i, 2]
+        if xx + yy + zz == 0.0:
+            continue
+        xy, xz, yz = stiffness[i, 3], stiffness[i, 4], stiffness[i, 5]
+        px, py, pz = 0.0, 0.0, 0.0
+        for r in range(start[i], start[i + 1]):
+            c, s = column[r], value[r]
+            px += s * x[c, 0]
+            py += s * x[c, 1]
+            pz += s * x[c, 2]
+        qx, qy, qz = xx * px + xy * py + xz * pz, xy * px + yy * py + yz * pz, xz * px + yz * py + zz * pz
+        for r in range(start[i], start[i + 1]):
+            c, s = column[r], value[r]
+            result[c, 0] += s * qx
+            result[c, 1] += s * qy
+            result[c, 2] += s * qz
+    return result

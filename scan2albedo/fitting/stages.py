@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,11 +12,10 @@ from scipy import sparse
 from scan2albedo.core import Meter
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
-from scan2albedo.fitting.flip_guard import FoldFinder, guarded
+from scan2albedo.fitting.folds import FoldFinder, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
-from scan2albedo.fitting.kernels import surface_normals
 from scan2albedo.fitting.options import FitOptions, between
-from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
@@ -32,6 +31,8 @@ MENDING_STEPS = 3
 FINEST_STEPS = 3
 FINEST_MENDING_ROUNDS = 3
 """On the finest samples 5 steps and more rounds cost about an eighth more and end no nearer."""
+TRIAL_LEVEL, TRIAL_STAGES, TRIAL_STEPS = 1, 2, 5
+"""A trial's samples, stages, and steps in each; longer trials tell the candidates apart no better."""
 USUAL_SPRINGS = 0.5
 """Stiffness of the springs, relative to an open gate's, that the preconditioner reckons with."""
 
@@ -115,14 +116,14 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class StagesOutcome:
+class StagesResult:
     """Displacement `q` (C, 3) reached, and whether the whole schedule ran."""
 
     q: FloatArray
     converged: bool
 
 
-def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutcome:
+def run_stages(deformation: Deformation, count: int | None = None) -> StagesResult:
     """Run all stages, or the first `count`, or as many as the budget allows.
 
     However few seconds there were, one step is taken. Where the sheet has folded over it is made stiffer, in
@@ -135,18 +136,28 @@ def run_stages(deformation: Deformation, count: int | None = None) -> StagesOutc
     even = np.ones(len(deformation.model.control_faces))
     for index, level in enumerate(levels[:count]):
         if meter.exhausted and (index or not meter.out_of_time):
-            return StagesOutcome(q, False)
+            return StagesResult(q, False)
         progress = index / max(len(levels) - 1, 1)
         q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, even), q)
     if count is not None:
-        return StagesOutcome(q, not meter.exhausted)
+        return StagesResult(q, not meter.exhausted)
     q, stiffening = _mended(deformation, q, even, levels[-1])
     finest = deformation.options.finest_level
     if finest > levels[-1] and deformation.scan_is_finer_than(finest) and not meter.exhausted:
         finer = _run_stage(deformation, Stage(finest, 1.0, FINEST_STEPS, stiffening), q)
         finer, _ = _mended(deformation, finer, stiffening, finest, FINEST_MENDING_ROUNDS)
         q = _where_unfolded(deformation, finer, q)
-    return StagesOutcome(q, not meter.exhausted)
+    return StagesResult(q, not meter.exhausted)
+
+
+def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
+    """Return the control points (C, 3) after the first stages from `reference`; counted, but not recorded."""
+    options = replace(deformation.options, steps=min(deformation.options.steps, TRIAL_STEPS))
+    meter = deformation.meter.unseen_child()
+    trial = replace(deformation, reference=reference, options=options, meter=meter)
+    result = run_stages(trial, TRIAL_STAGES)
+    deformation.meter.count(meter.evaluations)
+    return reference + result.q
 
 
 def _where_unfolded(deformation: Deformation, q: FloatArray, before: FloatArray) -> FloatArray:

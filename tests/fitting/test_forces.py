@@ -2,14 +2,13 @@ import numpy as np
 import pytest
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces
-from scan2albedo.fitting.kernels import springs
+from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces, springs
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.mesh import boundary_vertex_mask
 from tests.fitting.conftest import mask_surface
 
-GATES = ForceGates(10.0, 0.6, 0.1, 3.0, 0.5)
+GATES = ForceGates(10.0, 0.1, 0.5)
 
 
 def plane_scan(size: int = 21):
@@ -110,7 +109,7 @@ def test_at_the_rim_what_stands_before_the_model_hardly_pulls():
     everything = np.concatenate([points, near])
     rim = np.zeros(len(everything))
     rim[[*range(10), *range(20, 30)]] = 1.0
-    gates = ForceGates(10.0, 0.5, 0.1, 3.0, 3.0)
+    gates = ForceGates(10.0, 0.1, 3.0)
     weight = scan_forces(plane_scan(), everything, np.tile(UP, (len(everything), 1)), gates, rim=rim).weight
     before_rim, before_middle, behind_rim, behind_middle = weight[:40].reshape(4, 10).mean(1)
     assert before_middle > 0.6

@@ -7,7 +7,7 @@ from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
-from scan2albedo.fitting.mouth_corners import CORNERS, PULLS_MM, CornerJudge, MouthCorners
+from scan2albedo.fitting.mouth_corners import CORNERS, PULLS_MM, MouthCorners, MouthScan
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.synthetic import raw_like
@@ -24,13 +24,13 @@ def smiling(model, right_mm, left_mm):
     return MouthCorners.of(model, model.control_vertices).pulled(model.control_vertices, (right_mm, left_mm))
 
 
-def judge_of(model, control_points):
+def mouth_of(model, control_points):
     subdivision = model.subdivision(2)
     vertices = subdivision.matrix @ control_points
     scan = scan_near_model(
         vertices, subdivision.faces, np.eye(4), vertices.min(0) - 9, vertices.max(0) + 9, 0.8
     )
-    return CornerJudge.of(model, model.control_vertices, scan, 1)
+    return MouthScan.of(model, model.control_vertices, scan, 1)
 
 
 def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
@@ -50,28 +50,28 @@ def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
 
 @pytest.mark.parametrize("pulled", [(10.0, 10.0), (15.0, 15.0), (0.0, 15.0), (10.0, 0.0)])
 def test_each_side_is_found_for_itself(model, pulled):
-    judge = judge_of(model, smiling(model, *pulled))
+    mouth = mouth_of(model, smiling(model, *pulled))
     corners = MouthCorners.of(model, model.control_vertices)
-    worth = judge.worth_a_trial(model.control_vertices, corners)
+    worth = mouth.worth_a_trial(model.control_vertices, corners)
     assert max(pulled) in worth
     reached = {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, *worth)}
-    assert judge.chosen(reached) == pulled
+    assert mouth.chosen(reached) == pulled
 
 
 def test_a_mouth_as_the_model_s_costs_no_trial(model):
-    judge = judge_of(model, model.control_vertices)
+    mouth = mouth_of(model, model.control_vertices)
     corners = MouthCorners.of(model, model.control_vertices)
-    assert judge.worth_a_trial(model.control_vertices, corners) == []
-    assert judge.chosen(
+    assert mouth.worth_a_trial(model.control_vertices, corners) == []
+    assert mouth.chosen(
         {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, *PULLS_MM)}
     ) == (0.0, 0.0)
 
 
 def test_a_side_without_scan_stays(model):
     control = smiling(model, 15, 15)
-    judge = judge_of(model, control)
-    right_only = CornerJudge(
-        judge.points[~judge.left], judge.normals[~judge.left], judge.left[~judge.left], judge.samples
+    mouth = mouth_of(model, control)
+    right_only = MouthScan(
+        mouth.points[~mouth.left], mouth.normals[~mouth.left], mouth.left[~mouth.left], mouth.samples
     )
     assert np.isnan(right_only.distances(model.control_vertices)[1])
     corners = MouthCorners.of(model, model.control_vertices)
@@ -101,8 +101,8 @@ def test_nobody_smiles_who_does_not(ict, model, person, monkeypatch):
     vertices = ict.shapes[person]
     scan, scan_from_shape = raw_like(vertices, ict.faces, 1)
     chosen = []
-    choose = CornerJudge.chosen
-    monkeypatch.setattr(CornerJudge, "chosen", lambda *given: chosen.append(choose(*given)) or chosen[-1])
+    choose = MouthScan.chosen
+    monkeypatch.setattr(MouthScan, "chosen", lambda *given: chosen.append(choose(*given)) or chosen[-1])
     for template in (ict.model, model):
         pose = procrustes(vertices[ict.landmarks][17:], template.landmarks[17:]) @ invert_rigid(
             scan_from_shape

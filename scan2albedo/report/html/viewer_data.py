@@ -68,12 +68,11 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
 
 
 def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMesh) -> FloatArray:
-    from scan2albedo.fitting.options import FitOptions
-    from scan2albedo.fitting.outcome import residuals_mm
+    from scan2albedo.fitting.result import RESIDUAL_GATE_MM, residuals_mm
     from scan2albedo.fitting.scan_surface import scan_near_model
     from scan2albedo.io import load_scan
 
-    scan, gate = load_scan(file, unit=unit), FitOptions().residual_gate_mm
+    scan, gate = load_scan(file, unit=unit), RESIDUAL_GATE_MM
     low, high = mesh.vertices.min(0) - gate, mesh.vertices.max(0) + gate
     surface = scan_near_model(scan.vertices, scan.faces, model_from_scan, low, high)
     if surface is None:

@@ -7,7 +7,7 @@ from scan2albedo.core import Budget, Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
-from scan2albedo.fitting.proportions import proportioned
+from scan2albedo.fitting.alignment import proportioned
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points

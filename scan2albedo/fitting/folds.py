@@ -1,12 +1,12 @@
-"""Shorten a step where it would turn a triangle over, and count turned triangles."""
+"""Folds of the fitted surface: steps shortened before a triangle turns over, folded triangles found."""
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from scan2albedo.fitting.kernels import surface_normals, turned_faces
-from scan2albedo.fitting.samples import SurfaceSamples
+from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -85,3 +85,19 @@ def _neighbours(faces: IntArray) -> IntArray:
     order = np.argsort(keys, kind="stable")
     shared = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     return np.stack([order[shared], order[shared + 1]], 1) // 3
+
+
+@njit(cache=True, nogil=True)
+def turned_faces(normals, points, faces, min_cosine):  # type: ignore[no-untyped-def]
+    """Return the indices of faces whose normal at `points` leaves unit `normals` (F, 3) by too much."""
+    turned = np.zeros(len(faces), np.bool_)
+    for f in range(len(faces)):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, az = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+        bx, by, bz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+        along = x * nx + y * ny + z * nz
+        if nx != 0 or ny != 0 or nz != 0:
+            turned[f] = along < min_cosine * np.sqrt(x * x + y * y + z * z)
+    return np.flatnonzero(turned)
