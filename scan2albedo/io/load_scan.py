@@ -21,8 +21,8 @@ _READERS = {
     ".ply": ("ply", "read_ply"),
     ".glb": ("gltf", "read_gltf"),
     ".gltf": ("gltf", "read_gltf"),
-    ".stl": ("stl", "read_stl"),
-    ".off": ("off", "read_off"),
+    ".stl": ("stl_off", "read_stl"),
+    ".off": ("stl_off", "read_off"),
 }
 SUPPORTED_SCANS = tuple(_READERS)
 

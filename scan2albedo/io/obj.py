@@ -17,8 +17,7 @@ from scan2albedo.io.mtl import (
     parse_mtl,
     texture_by_name,
 )
-from scan2albedo.io.parsed_mesh import Material, ParsedMesh
-from scan2albedo.io.polygons import cut_note, fan_triangles
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers, srgb_to_linear
 from scan2albedo.io.mtl import MaterialText, load_material
-from scan2albedo.io.parsed_mesh import Material, ParsedMesh
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
 from scan2albedo.io.ply_elements import Columns, ListColumn, read_ply_elements
-from scan2albedo.io.polygons import cut_note, fan_triangles
 
 _COLOR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texcoord_u", "texcoord_v"))

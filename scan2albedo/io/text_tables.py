@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY, STL_VERTEX = range(7)
+OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY = range(6)
+"""Kinds of the lines of OBJ files."""
+
+_USE_MATERIAL, _MATERIAL_LIBRARY = (np.frombuffer(word, np.uint8) for word in (b"usemtl", b"mtllib"))
 
 _POWERS_OF_TEN = 10.0 ** np.arange(23)
 
@@ -13,6 +16,14 @@ _POWERS_OF_TEN = 10.0 ** np.arange(23)
 @njit(cache=True, nogil=True)
 def _is_blank(byte):  # type: ignore[no-untyped-def]
     return byte == 32 or byte == 9 or byte == 13 or byte == 11 or byte == 12
+
+
+@njit(cache=True, nogil=True)
+def _is_word(text, start, word):  # type: ignore[no-untyped-def]
+    same = True
+    for i in range(word.size):
+        same &= text[start + i] == word[i]
+    return same
 
 
 @njit(cache=True, nogil=True)
@@ -24,11 +35,10 @@ def _keyword_kind(text, start, end):  # type: ignore[no-untyped-def]
         return FACE
     if length == 2 and text[start] == ord("v") and text[start + 1] == ord("t"):
         return TEXTURE_COORDINATE
-    if length == 6 and text[start] == ord("u") and text[start + 3] == ord("m"):
+    # The whole word: "usemap" and "maplib" are keywords of OBJ too.
+    if length == 6 and _is_word(text, start, _USE_MATERIAL):
         return USE_MATERIAL
-    if length == 6 and (text[start] | 32) == ord("v") and (text[start + 5] | 32) == ord("x"):
-        return STL_VERTEX
-    if length == 6 and text[start] == ord("m") and text[start + 3] == ord("l"):
+    if length == 6 and _is_word(text, start, _MATERIAL_LIBRARY):
         return MATERIAL_LIBRARY
     return OTHER
 

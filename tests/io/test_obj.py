@@ -150,6 +150,17 @@ def test_several_materials_become_one_texture(tmp_path):
     assert any(note.startswith("packed 2 textures into one of") for note in scan.notes)
 
 
+def test_texture_maps_of_free_form_files_are_no_materials(tmp_path):
+    path = write_square_obj(tmp_path)
+    text = path.read_text()
+    path.write_text(text.replace("usemtl", "maplib other.map\nusemap other\nusemtl", 1) + "\nusemap off\n")
+    scan = load_scan(path)
+    assert_corner_colors(scan)
+    assert not any("material" in note for note in scan.notes)
+    path.write_text(text.replace("usemtl skin", "usemtl skin\nusemap other"))
+    assert_corner_colors(load_scan(path))
+
+
 def test_faces_without_coordinates_get_their_materials_colour(tmp_path):
     path = write_square_obj(tmp_path)
     with path.open("a") as file:

@@ -41,6 +41,26 @@ def test_truncated_stl_is_refused_by_name(tmp_path, kind, part):
         load_scan(tmp_path / "a.stl")
 
 
+def test_all_solids_of_a_text_stl_are_read(tmp_path):
+    other = SPHERE.copy()
+    other.apply_translation((300, 0, 0))
+    text = "\n".join(mesh.export(file_type="stl_ascii") for mesh in (SPHERE, other))
+    (tmp_path / "a.stl").write_text(text)
+    assert len(load_scan(tmp_path / "a.stl", "mm").faces) == 2 * len(SPHERE.faces)
+    (tmp_path / "b.stl").write_text(text[: int(0.8 * len(text))])
+    with pytest.raises(ScanError, match=r"b\.stl: .*endsolid.*truncated"):
+        load_scan(tmp_path / "b.stl")
+
+
+@pytest.mark.parametrize(
+    "data", [bytes(84), b"solid\nvertex 0 0\nvertex 1 0\nvertex 1 1\nendsolid\n", b"solid\nendsolid\n"]
+)
+def test_an_stl_without_triangles_is_refused_by_name(tmp_path, data):
+    (tmp_path / "a.stl").write_bytes(data)
+    with pytest.raises(ScanError, match=r"a\.stl: .*damaged"):
+        load_scan(tmp_path / "a.stl")
+
+
 def off(path, header="OFF", vertices=None, faces=None, counts=None):
     rows = [" ".join(str(x) for x in v) for v in (SQUARE_MM if vertices is None else vertices)]
     cells = faces or ["3 0 1 2", "3 0 2 3"]

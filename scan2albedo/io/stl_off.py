@@ -1,8 +1,13 @@
-"""ASCII OFF files, with vertex colours when they are COFF."""
+"""STL files, through trimesh, and ASCII OFF files, with vertex colours when they are COFF.
+
+OFF is read here since trimesh leaves out vertex colours and damaged faces without a word.
+"""
 
 from __future__ import annotations
 
 import re
+import warnings
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +15,39 @@ from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.parsed_mesh import ParsedMesh
-from scan2albedo.io.polygons import cut_note, fan_triangles
+from scan2albedo.io.parsed_mesh import ParsedMesh, cut_note, fan_triangles
 
 _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
 
 _LARGEST_INDEX = 2.0**53
 """Beyond it a float64 does not hold every whole number; such an index, or NaN, points nowhere."""
+
+
+def read_stl(path: Path) -> ParsedMesh:
+    """Read an STL file, binary or ASCII.
+
+    Raises
+    ------
+    ScanError
+        When the file is damaged, cut short or empty; the message names it.
+    """
+    from trimesh.exchange.stl import HeaderError, load_stl
+
+    data = path.read_bytes()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # older NumPy's, of text that is no numbers
+            loaded = load_stl(BytesIO(data))
+    except (HeaderError, ValueError, LookupError, DeprecationWarning) as error:
+        raise _damaged(path, str(error), "STL") from error
+    text = "face_attributes" not in loaded  # which are those of binary files
+    if text and b"endsolid" not in data[-4096:].lower():
+        raise _damaged(path, "it has not the length that its header tells, nor ends with endsolid", "STL")
+    solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
+    if not solids:
+        raise _damaged(path, "it holds no triangles", "STL")
+    corners = np.concatenate([solid["vertices"] for solid in solids]).astype(np.float64)
+    return ParsedMesh(corners, np.arange(len(corners)).reshape(-1, 3))
 
 
 def read_off(path: Path) -> ParsedMesh:
@@ -58,8 +89,8 @@ def read_off(path: Path) -> ParsedMesh:
     return ParsedMesh(vertices[:, :3].copy(), faces, vertex_color_linear=colors, notes=notes)
 
 
-def _damaged(path: Path, what: str) -> ScanError:
-    return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no ASCII OFF: export it again")
+def _damaged(path: Path, what: str, kind: str = "ASCII OFF") -> ScanError:
+    return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no {kind}: export it again")
 
 
 def _faces(
