@@ -70,9 +70,9 @@ def identify(
     Parameters
     ----------
     gallery : Templates
-        Of the persons known, one or more each.
+        Of the known persons, one or more each.
     probes : Templates
-        Their names are not used to predict, but to tell whether that was right.
+        Their names do not influence the prediction; they tell whether it is right.
     combine : {"best", "mean"}
         A person's similarity is the best of, or the mean over, the images in the gallery.
     similarity : SimilarityOptions
@@ -234,11 +234,11 @@ class ProbeMatches:
     persons : tuple of G str
         Of the gallery, in alphabetical order.
     probe_persons : tuple of P str or None
-        Who the probes show; None where nobody knows.
+        Who the probes show; None where that is unknown.
     similarities : (P, G) float64
         Of each probe to each person.
     ranks : (P,) int64
-        Place of the right person, as in `Identification`; 0 where it is not known.
+        Place of the right person, as in `Identification`; 0 where that is unknown.
     order : (P, G) int64
         Indices of persons, the most similar first, in alphabetical order among equals.
     named : Identification or None
@@ -268,10 +268,9 @@ def match_probes(
     *,
     combine: Combine = "best",
 ) -> ProbeMatches:
-    """Order the persons of a gallery by similarity to each probe; of named probes, tell the right one's rank.
+    """Rank the persons of a gallery by their similarity to each probe.
 
-    A probe gets the most similar person whoever it shows: the set is closed, and that somebody is most
-    similar does not mean that it is he or she.
+    The set is closed: a probe of a stranger gets the most similar person too.
 
     Parameters
     ----------
@@ -280,7 +279,7 @@ def match_probes(
     gallery_names : sequence of str
         Persons of the gallery's images.
     probe_persons : sequence of P str or None
-        Persons of the probes, None where they are not known.
+        Persons of the probes, None where they are unknown.
     combine : {"best", "mean"}
         As in `identify`.
 

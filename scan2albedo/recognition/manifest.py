@@ -1,4 +1,4 @@
-"""CSV files that tell which results show which persons."""
+"""CSV files of results and the persons they show."""
 
 from __future__ import annotations
 

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from scan2albedo.errors import needs_extra
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -64,7 +66,8 @@ def steerable_pyramid(image: FloatArray, *, scales: int = 3, orientations: int =
             f"image has shape {image.shape}, expected (H, W) of multiples of {2**scales}, "
             f"{2 ** (scales + 2)} or more, for {scales} scales"
         )
-    from pyrtools.pyramids import SteerablePyramidFreq
+    with needs_extra("recognition"):
+        from pyrtools.pyramids import SteerablePyramidFreq
 
     source = SteerablePyramidFreq(image, height=scales, order=orientations - 1, is_complex=True)
     bands = tuple(

@@ -28,7 +28,7 @@ class LabelledTemplates:
     labels : tuple of N str
         The results as the manifest names them, or the persons with a number.
     persons : tuple of N str or None
-        Who is shown; None where nobody knows.
+        Who is shown; None where that is unknown.
     notes : tuple of str
         What is odd about them, one sentence each.
     """
@@ -207,5 +207,5 @@ def _copies(gallery: LabelledTemplates, probes: LabelledTemplates) -> Iterator[s
     if same:
         yield (
             f"{len(same)} of {len(probes.labels)} probes are in the gallery themselves ({', '.join(same[:5])}"
-            f"{', ...' if len(same) > 5 else ''}): that they are recognised tells nothing"
+            f"{', ...' if len(same) > 5 else ''}): that they are recognised means nothing"
         )

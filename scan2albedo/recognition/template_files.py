@@ -1,4 +1,4 @@
-"""Templates as NPZ files: coefficients, masks and a header with whose they are and how they were made."""
+"""Templates as NPZ files: coefficients, masks and a header with their persons and options."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ChartRecord(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    model: str | None = Field(description="Name of the face model; null where nobody told.")
+    model: str | None = Field(description="Name of the face model; null where unknown.")
     shape: tuple[int, int] = Field(description="Height and width of the images in texels.")
 
 
@@ -47,7 +47,7 @@ class TemplatesHeader(BaseModel):
     format_version: Literal[1] = 1
     names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
     options: TemplateOptionsRecord
-    chart: ChartRecord | None = Field(None, description="Of the images; null where it is not known.")
+    chart: ChartRecord | None = Field(None, description="Of the images; null where unknown.")
 
 
 def write_templates(path: str | Path, templates: Templates) -> None:

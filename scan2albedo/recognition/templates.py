@@ -29,7 +29,7 @@ class Chart:
     Parameters
     ----------
     model : str or None
-        Name of the face model; None where nobody told.
+        Name of the face model; None where unknown.
     shape : (int, int)
         Height and width in texels.
     """
@@ -43,7 +43,7 @@ class Chart:
 
 
 def common_chart(a: Chart | None, b: Chart | None, what_a: str, what_b: str) -> Chart | None:
-    """Return the chart of two sets of images, with what either knows of it.
+    """Return the chart of two sets of images, with the model of either.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class Templates:
         Of the persons; several templates may bear one name.
     options : TemplateOptions
     chart : Chart, optional
-        That the images lie on, where it is known; templates of different charts are not compared.
+        Of the images, where it is known; templates of different charts are not compared.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pictures a person can judge a result by, and `write_report`: a page that shows a scan or a batch."""
+"""Overview pictures of results, and `write_report`: an HTML page about a scan or a batch."""
 
 from __future__ import annotations
 

@@ -63,6 +63,7 @@ def glasses_panels(frames: Sequence[DrawnFrame], mean_keypoints: FloatArray) -> 
     ]
     most = max(float(m.max()) for m in moved)
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
+    dots = mean_keypoints[np.isfinite(mean_keypoints).all(1)]
     panels = []
     for frame, placed, distance in zip(drawn, before, moved, strict=True):
         rms = float(np.sqrt(np.mean(distance**2)))
@@ -79,7 +80,7 @@ def glasses_panels(frames: Sequence[DrawnFrame], mean_keypoints: FloatArray) -> 
                 picture = render_mesh(
                     vertices, frame.canonical.faces, vertex_color_srgb=color, view=view, size=_CANONICAL_SIZE
                 )
-                panels.append(Panel(f"{title}; {side}", picture, _dots(mean_keypoints, view)))
+                panels.append(Panel(f"{title}; {side}", picture, view.pixels(dots, _CANONICAL_SIZE)))
     return panels
 
 
@@ -93,12 +94,6 @@ def weight_colors(weights: FloatArray) -> FloatArray:
 
 def _aligned(frame: DrawnFrame, points: FloatArray) -> FloatArray:
     return transform_points(frame.canonical.canonical_from_frame, frame.canonical.scale * points)
-
-
-def _dots(points: FloatArray, view: View) -> FloatArray:
-    seen = view.project(points[np.isfinite(points).all(1)])
-    scale = (_CANONICAL_SIZE - 1) / (2 * view.half_width_mm)
-    return np.stack([(seen[:, 0] + view.half_width_mm) * scale, (view.half_width_mm - seen[:, 1]) * scale], 1)
 
 
 @dataclass(frozen=True)
@@ -175,7 +170,7 @@ def _zoom(view: SeenView, pixels: FloatArray) -> FloatArray:
 
 
 def _backdrop(view: SeenView, zoom: FloatArray) -> NDArray[np.uint8]:
-    """Return the picture (S, S, 3): the mask light on dark, what lies outside of the picture lighter."""
+    """Return the picture (S, S, 3): the mask light on dark, the outside of the picture lighter."""
     import cv2
 
     mask = np.zeros(view.camera.shape, bool) if view.mask is None else view.mask

@@ -103,15 +103,19 @@ def chart_panels(image: GeometryImage, estimate: AlbedoEstimate | None) -> list[
 
 
 def preview_srgb(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
-    """Return (H, W, 3) sRGB bytes of a linear image, scaled so that its bright texels stay below white.
+    """Return (H, W, 3) sRGB bytes of a linear image times its `preview_factor`, white outside the mask."""
+    scaled = np.clip(linear * preview_factor(linear, mask), 0, 1)
+    return _bytes(np.where(mask[..., None], linear_to_srgb(scaled), 1.0))
 
-    The albedo's global scale is unknown (design: light strength and albedo cannot be told apart), so
-    previews are scaled to put the 90th percentile at 0.55; a few wild texels do not darken the rest.
+
+def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> float:
+    """Return the factor that puts the 90th percentile of the brightest channel at 0.55; 1 for black images.
+
+    The albedo's global scale is unknown, and a percentile keeps a few wild texels from darkening the rest.
     """
     inside = linear[mask]
     bright = float(np.percentile(inside.max(-1), 90)) if len(inside) else 0.0
-    scaled = linear * (0.55 / bright) if bright > 0 else linear
-    return _bytes(np.where(mask[..., None], linear_to_srgb(np.clip(scaled, 0, 1)), 1.0))
+    return 0.55 / bright if bright > 0 else 1.0
 
 
 def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
@@ -125,7 +129,7 @@ def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
         picture = render_mesh(placed, scan.faces, vertex_color_srgb=color, view=wide, shaded=False)
     else:
         picture = render_mesh(placed, scan.faces, view=wide)
-    dots = None if fitted.landmarks is None else _dots(fitted.landmarks, wide, picture)
+    dots = None if fitted.landmarks is None else wide.pixels(fitted.landmarks, len(picture))
     return Panel("registered input, found landmarks", picture, dots)
 
 
@@ -140,12 +144,6 @@ def _residual_panel(fitted: FittedFace, view: View) -> Panel:
     return Panel(
         f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)", picture
     )
-
-
-def _dots(points: NDArray[np.float64], view: View, picture: Picture) -> NDArray[np.float64]:
-    seen = view.project(points)
-    scale = (picture.shape[0] - 1) / (2 * view.half_width_mm)
-    return np.stack([(seen[:, 0] + view.half_width_mm) * scale, (view.half_width_mm - seen[:, 1]) * scale], 1)
 
 
 def _gray(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:

@@ -1,4 +1,4 @@
-"""Quick shaded pictures of meshes, for overviews and for looking at what a stage made."""
+"""Quick shaded pictures of meshes, for overviews."""
 
 from __future__ import annotations
 
@@ -41,6 +41,12 @@ class View:
         turn = rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0])
         return (np.asarray(vertices, float) - np.asarray(self.center_mm)) @ (nod @ turn).T
 
+    def pixels(self, vertices: ArrayLike, size: int) -> FloatArray:
+        """Return the places (V, 2), column and row, of vertices in a picture of `size` pixels a side."""
+        seen, half = self.project(vertices), self.half_width_mm
+        scale = (size - 1) / (2 * half)
+        return np.stack([(seen[:, 0] + half) * scale, (half - seen[:, 1]) * scale], 1)
+
 
 def render_mesh(
     vertices: ArrayLike,
@@ -79,9 +85,7 @@ def render_mesh(
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
     view = view if view is not None else View.around(xyz, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     seen = view.project(xyz)
-    half, scale = view.half_width_mm, (size - 1) / (2 * view.half_width_mm)
-    pixels = np.stack([(seen[:, 0] + half) * scale, (half - seen[:, 1]) * scale], 1)
-    raster = rasterize(pixels, seen[:, 2], index, (size, size))
+    raster = rasterize(view.pixels(xyz, size), seen[:, 2], index, (size, size))
     if texture_srgb is not None:
         picture = _textured(raster, np.asarray(texture_srgb[0], float), texture_srgb[1])
     else:

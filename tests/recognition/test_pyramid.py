@@ -1,8 +1,11 @@
 """The pyramid holds the whole image, and its coarsest scale is had alone for less."""
 
+import sys
+
 import numpy as np
 import pytest
 
+from scan2albedo.errors import MissingDependencyError
 from scan2albedo.recognition import steerable_pyramid
 from scan2albedo.recognition.pyramid import coarsest_bands
 
@@ -38,3 +41,9 @@ def test_a_wave_answers_in_the_band_of_its_direction():
 def test_sizes_the_scales_do_not_divide_are_refused(shape):
     with pytest.raises(ValueError, match="expected \\(H, W\\) of multiples of 8"):
         steerable_pyramid(np.zeros(shape))
+
+
+def test_without_pyrtools_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrtools.pyramids", None)
+    with pytest.raises(MissingDependencyError, match=r"pyrtools.*pip install 'scan2albedo\[recognition\]'"):
+        steerable_pyramid(np.zeros((64, 64)))

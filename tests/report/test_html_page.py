@@ -2,13 +2,14 @@
 
 import json
 import os
+import sys
 
 import numpy as np
 import pytest
 
 from scan2albedo import report
-from scan2albedo.errors import OutputError, Scan2AlbedoError
-from scan2albedo.report.html.page import data_json
+from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
+from scan2albedo.report.html.page import _environment, data_json
 from tests.report.pages import check
 
 EVIL = "<script>alert('x')</script>\"'&<!--"
@@ -143,6 +144,14 @@ def test_folders_without_results_and_damaged_ones_are_refused_with_their_names(w
 def test_a_page_that_cannot_be_written_leaves_nothing(one_scan, tmp_path):
     with pytest.raises(OutputError, match="missing"):
         report.write_report(one_scan, tmp_path / "missing" / "page.html")
+    assert os.listdir(tmp_path) == []
+
+
+def test_without_jinja_the_extra_is_named(one_scan, tmp_path, monkeypatch):
+    _environment.cache_clear()
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.raises(MissingDependencyError, match=r"jinja2.*pip install 'scan2albedo\[report\]'"):
+        report.write_report(one_scan, tmp_path / "page.html")
     assert os.listdir(tmp_path) == []
 
 

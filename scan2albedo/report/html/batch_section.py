@@ -1,4 +1,4 @@
-"""What the page tells of a batch: its summary, its table, its distributions, its slowest and worst."""
+"""The page's section about a batch: its summary, table, distributions, and its slowest and worst scans."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FIGURES = (
     "peak_memory_mb",
 )
 """Columns of the table and distributions, where the batch has them."""
-_TOLD_ELSEWHERE = {
+_SHOWN_ELSEWHERE = {
     "source", "input_sha256", "options_sha256", "worker", "finished_at", "plan_ran", "plan_skipped",
     "notes",
 }  # fmt: skip
@@ -100,7 +100,7 @@ class BatchSection:
 def batch_section(
     rows: Sequence[ScanRow], anchors: Mapping[int, str], page: Path, most_rows: int
 ) -> BatchSection:
-    """Return what the page at `page` tells of a batch.
+    """Return the section about a batch for the page at `page`.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def _columns(rows: Sequence[ScanRow]) -> tuple[Column, ...]:
     own = [
         name
         for name in names
-        if name not in FIGURES and name not in _TOLD_ELSEWHERE and not name.startswith(_BATCH_PREFIXES)
+        if name not in FIGURES and name not in _SHOWN_ELSEWHERE and not name.startswith(_BATCH_PREFIXES)
     ]
     if len({row.values.get("model") for row in rows if row.status == DONE}) == 1:
         own = [name for name in own if name != "model"]
@@ -223,7 +223,7 @@ def _facts(rows: Sequence[ScanRow]) -> tuple[tuple[str, str], ...]:
 
 
 def _span_seconds(rows: Sequence[ScanRow]) -> float | None:
-    """Return the seconds from the first start to the last end, where the catalogue tells both."""
+    """Return the seconds from the first start to the last end, where the catalogue holds both."""
     ends, starts = [], []
     for row in rows:
         end, seconds = _timestamp(row.values.get("finished_at")), row.number("seconds")

@@ -44,7 +44,7 @@ class Axis:
         return cls(low - margin, high + margin, start, end)
 
     def place(self, value: float) -> float:
-        """Return where a value lies."""
+        """Return the place of a value."""
         if self.log:
             part = math.log(value / self.low) / math.log(self.high / self.low)
         else:
@@ -213,7 +213,7 @@ MOST_POINTS = 400
 
 @dataclass(frozen=True)
 class StageChart:
-    """The points of one stage and where they lie; a stage of a single row is told in words alone."""
+    """The points of one stage and their places; of a single row there is the summary alone."""
 
     stage: str
     unit: str
@@ -229,7 +229,7 @@ class StageChart:
 
     @property
     def places(self) -> list[tuple[float, float]]:
-        """Where the rows lie in the drawing."""
+        """Places of the rows in the drawing."""
         return [(self.time.place(row.elapsed_s), self.error.place(row.error)) for row in self.rows]
 
     @property
@@ -239,13 +239,13 @@ class StageChart:
 
     @property
     def points_json(self) -> str:
-        """For the pointer: place and what to say, as JSON."""
-        said = [
+        """Places and texts for the pointer, as JSON."""
+        texts = [
             f"{number_text(row.error, 4)} {self.unit} · {number_text(row.elapsed_s, 4)} s · "
             f"{number_text(row.cpu_s, 4)} s CPU · evaluation {row.evaluations:,}"
             for row in self.rows
         ]
-        return json.dumps([[x, y, text] for (x, y), text in zip(self.places, said, strict=True)])
+        return json.dumps([[x, y, text] for (x, y), text in zip(self.places, texts, strict=True)])
 
     def ticks(self, which: str) -> list[tuple[float, str]]:
         """Return place and label of the ticks of "time" or "error"."""

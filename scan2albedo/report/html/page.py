@@ -12,6 +12,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core.version import VERSION
+from scan2albedo.errors import needs_extra
 from scan2albedo.report.html.batch_section import BatchSection
 from scan2albedo.report.html.scan_section import ScanSection
 
@@ -72,8 +73,9 @@ def data_json(value: Any) -> str:
 
 @cache
 def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-    from markupsafe import Markup
+    with needs_extra("report"):
+        from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+        from markupsafe import Markup
 
     environment = Environment(
         loader=PackageLoader("scan2albedo.report.html", "templates"),

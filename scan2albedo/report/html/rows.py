@@ -9,7 +9,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
-from scan2albedo.errors import MissingDependencyError, Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, needs_extra
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
 
@@ -126,13 +126,9 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
 
 
 def _table(file: Path) -> Any:
-    try:
+    with needs_extra("report"):
         import pyarrow
         from pyarrow import parquet
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"{file} cannot be read without pyarrow; mend it with: pip install pyarrow"
-        ) from error
     try:
         return parquet.read_table(file)
     except (OSError, pyarrow.ArrowException) as error:

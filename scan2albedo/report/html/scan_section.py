@@ -43,9 +43,9 @@ class LightRow:
 
 def light_rows(record: ResultRecord) -> tuple[LightRow, ...]:
     """Return a row for each light of a result, the strongest first as it has them."""
-    sure = _uncertainty(record)
-    directions = _numbers(sure.get("direction_deviation_deg"), len(record.lights))
-    intensities = _numbers(sure.get("intensity_deviation"), len(record.lights))
+    uncertainty = _uncertainty(record)
+    directions = _numbers(uncertainty.get("direction_deviation_deg"), len(record.lights))
+    intensities = _numbers(uncertainty.get("intensity_deviation"), len(record.lights))
     return tuple(
         LightRow(
             k + 1,
@@ -84,8 +84,8 @@ def angles_text(angles_deg: Iterable[tuple[float, float]]) -> str:
 
 def _uncertainty(record: ResultRecord) -> Mapping[str, Any]:
     albedo = record.metrics.get("albedo")
-    sure = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
-    return sure if isinstance(sure, Mapping) else {}
+    uncertainty = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
+    return uncertainty if isinstance(uncertainty, Mapping) else {}
 
 
 def _numbers(values: Any, count: int) -> list[float | None]:
@@ -97,7 +97,6 @@ def _numbers(values: Any, count: int) -> list[float | None]:
 
 UNCERTAIN_ALBEDO = 0.1
 """Relative deviation of the albedo from which the page warns."""
-_OVERVIEW_WIDTH, _BATCH_OVERVIEW_WIDTH = 1800, 1000
 
 
 @dataclass(frozen=True)
@@ -107,17 +106,14 @@ class SectionStyle:
     texture: TextureStyle
     overview_width: int
     overview_quality: int
+    """Of a JPEG."""
     residual: bool
+    """Whether the distance to the scan is measured again, which takes seconds."""
 
-    @classmethod
-    def single(cls, texture_size: int, residual: bool) -> SectionStyle:
-        """Return the style of a page of one scan: textures without loss."""
-        return cls(TextureStyle(texture_size, None), _OVERVIEW_WIDTH, 88, residual)
 
-    @classmethod
-    def batch(cls, texture_size: int) -> SectionStyle:
-        """Return the style of one scan among many."""
-        return cls(TextureStyle(texture_size, 88), _BATCH_OVERVIEW_WIDTH, 76, False)
+SINGLE = SectionStyle(TextureStyle(1024, None), 1800, 88, True)
+"""Of a page of one scan: textures without loss."""
+ONE_OF_MANY = SectionStyle(TextureStyle(256, 88), 1000, 76, False)
 
 
 @dataclass(frozen=True)
@@ -145,7 +141,7 @@ class ScanSection:
     overview: tuple[str, int, int] | None
     charts: tuple[StageChart, ...]
     single_points: tuple[StageChart, ...]
-    """Stages of which a single row was recorded: told in words."""
+    """Stages of which a single row was recorded: a sentence each."""
     trace_missing: str
     times: tuple[TimeBar, ...]
     seconds: str
@@ -166,9 +162,9 @@ def scan_section(
     anchor: str,
     name: str,
 ) -> ScanSection:
-    """Return what the page at `page` tells of the result in `folder`.
+    """Return the section about the result in `folder` for the page at `page`.
 
-    Files that are missing or damaged leave their part out, and the page says which and why.
+    What a missing or damaged file would show is left out, and the page names the file and the reason.
     """
     viewer, missing, residual = _viewer(folder, record, topologies, style)
     trace, trace_missing = _trace(folder)
@@ -246,7 +242,7 @@ def _warnings(record: ResultRecord) -> tuple[str, ...]:
     deviation = figures.get("metrics_albedo_uncertainty_albedo_deviation")
     if deviation is not None and deviation > UNCERTAIN_ALBEDO:
         found.append(
-            f"the light is known badly: that alone makes the albedo uncertain by "
+            f"the light is poorly determined: that alone makes the albedo uncertain by "
             f"{number_text(100 * deviation, 2)} %"
         )
     return tuple(found)
@@ -262,7 +258,7 @@ def _times(record: ResultRecord, total: float) -> tuple[TimeBar, ...]:
 
 
 def _figures(record: ResultRecord) -> dict[str, list[tuple[str, str, str]]]:
-    """Return (label, value, unit) of each stage's figures; those told elsewhere are left out."""
+    """Return (label, value, unit) of each stage's figures; those shown elsewhere are left out."""
     groups: dict[str, list[tuple[str, str, str]]] = {}
     for stage, figures in record.metrics.items():
         if not isinstance(figures, Mapping):

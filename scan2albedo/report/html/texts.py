@@ -53,7 +53,7 @@ def number_text(value: float | None, digits: int = 3) -> str:
 
 
 def unit_of(column: str) -> str:
-    """Return the unit that a column's name tells, "%" for shares, or "".
+    """Return the unit in a column's name, "%" for shares, or "".
 
     >>> [unit_of(name) for name in ("metrics_fit_residual_mean_mm", "seconds_fit", "metrics_fit_coverage")]
     ['mm', 's', '%']

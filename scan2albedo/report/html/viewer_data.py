@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,22 +27,25 @@ from scan2albedo.report.html.encoding import (
     texture_entry,
     thinned_chart,
 )
+from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Residual:
-    """(V,) mm, NaN where there is no scan, or None; and where it comes from or why it is not there."""
+    """The distance (V,) of a fitted face to its scan."""
 
     distance_mm: FloatArray | None
+    """NaN where there is no scan; None where it cannot be measured."""
     source: str
+    """From which file it was measured, or why it cannot be."""
 
 
 def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Residual:
-    """Return each vertex's distance to the scan that a result was made of, when that still lies there.
+    """Return each vertex's distance to the scan, measured again from the input: no file of a result holds it.
 
-    As the fit measures it: none on the scan's border, beyond the gate, or where the scan faces away.
+    As the fit measures it: NaN on the scan's border, beyond the gate, and where the scan faces away.
     """
     if mesh.from_chart:
         return Residual(None, "nothing was fitted")
@@ -59,7 +61,7 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
             return Residual(None, f"{file} is no longer the scan that was processed")
         pose = read_record(folder / "registration.json", RegistrationRecord).fitted_from_scan
         if pose is None:
-            return Residual(None, "registration.json tells no pose of the fit")
+            return Residual(None, "registration.json holds no pose of the fit")
         distance = _distances(file, str(record.options.get("unit", "auto")), np.array(pose), mesh)
     except Scan2AlbedoError as error:
         return Residual(None, " ".join(str(error).split()))
@@ -81,15 +83,12 @@ def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMes
     return residuals_mm(surface, mesh.vertices, mesh.faces, gate)
 
 
-_ALBEDO_SHOWN, _ALBEDO_PERCENTILE = 0.55, 90
-"""Where the albedo's own picture puts which percentile, as previews do: its scale is not known."""
-RESIDUAL_SCALE_MM = 2.0
 _NO_RESIDUAL = 255
 
 
 @dataclass(frozen=True)
 class ViewedFace:
-    """A face as its files tell it, `has_albedo` False where they hold a shape alone."""
+    """A face from its files; `has_albedo` is False where they hold a shape alone."""
 
     face: ProcessedFace
     has_albedo: bool
@@ -139,12 +138,14 @@ def viewer_entry(
         **mesh_entry(mesh, topologies),
         "hasAlbedo": viewed.has_albedo,
         "albedo": texture_entry(face.albedo_linear, image.mask, style),
-        "albedoExposure": _albedo_exposure(face),
+        "albedoExposure": preview_factor(face.albedo_linear, face.mask),
         "reflectance": _reflectance(face),
         "lights": [_light(light) for light in record.lights],
         "harmonics": _harmonics(record),
         "castsShadows": face.casts_shadows,
-        "shadowOffset": shadow_offset_mm(_size(face.mesh), face.shadow_offset_mm),
+        "shadowOffset": shadow_offset_mm(
+            float(np.ptp(face.mesh.vertices, axis=0).max()), face.shadow_offset_mm
+        ),
         "reach": float(np.linalg.norm(face.mesh.vertices, axis=1).max()),
         "frame": _frame(face),
     }
@@ -195,16 +196,6 @@ def _frame(face: ProcessedFace) -> dict[str, Any]:
         "depth": depth,
         "distance": max(DISTANCE_MM, 4 * radius),
     }
-
-
-def _size(mesh: FaceMesh) -> float:
-    return float(np.ptp(mesh.vertices, axis=0).max())
-
-
-def _albedo_exposure(face: ProcessedFace) -> float:
-    brightest = face.albedo_linear[face.mask].max(-1)
-    bright = float(np.percentile(brightest, _ALBEDO_PERCENTILE)) if len(brightest) else 0.0
-    return _ALBEDO_SHOWN / bright if bright > 0 and math.isfinite(bright) else 1.0
 
 
 def _residual_bytes(residual_mm: NDArray[np.float64]) -> str:

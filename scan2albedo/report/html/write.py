@@ -25,7 +25,11 @@ from scan2albedo.report.html.rows import (
     rows_of_folders,
     selected_rows,
 )
-from scan2albedo.report.html.scan_section import ScanSection, SectionStyle, scan_section
+from scan2albedo.report.html.scan_section import ONE_OF_MANY, SINGLE, ScanSection, scan_section
+
+REPORT_FILE = "report.html"
+MOST_ROWS = 10_000
+"""Scans in the table of a batch at most: browsers become slow beyond."""
 
 
 @dataclass(frozen=True)
@@ -40,25 +44,15 @@ class ReportOptions:
 
     scans: int = 40
     """How many scans of a batch get a section of their own."""
-    rows: int = 10_000
-    """How many scans the table of a batch holds at most."""
-    texture_size: int = 1024
-    """Longest side of the textures of a single scan; those of its geometry image when that is smaller."""
-    batch_texture_size: int = 256
-    """The same for each scan of a batch."""
-    residual: bool = True
-    """Measure a single scan's distance to its fit again when the input still lies where it lay: no file of a
-    result holds it for each vertex."""
 
     def __post_init__(self) -> None:
-        for name, least in (("scans", 0), ("rows", 1), ("texture_size", 8), ("batch_texture_size", 8)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
+        if self.scans < 0:
+            raise ValueError(f"scans is {self.scans}, expected 0 or more")
 
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """Where a report is and what it tells."""
+    """Where a report is, and what it holds."""
 
     path: Path
     """Of the page."""
@@ -72,9 +66,6 @@ class WrittenReport:
     """Scans that have a section of their own."""
     size_bytes: int
     """Of the page."""
-
-
-REPORT_FILE = "report.html"
 
 
 def write_report(
@@ -116,7 +107,7 @@ def write_report(
     if (folder / CATALOGUE_FILE).is_file():
         return _write_batch(folder, rows_of_catalogue(folder / CATALOGUE_FILE), target, options, say)
     if (folder / RESULT_FILE).is_file():
-        return _write_single(folder, target, options)
+        return _write_single(folder, target)
     folders = result_folders(folder)
     if not folders:
         raise Scan2AlbedoError(
@@ -126,19 +117,17 @@ def write_report(
     return _write_batch(folder, rows_of_folders(folders), target, options, say)
 
 
-def _write_single(folder: Path, target: Path, options: ReportOptions) -> WrittenReport:
+def _write_single(folder: Path, target: Path) -> WrittenReport:
     record, topologies = read_record(folder / RESULT_FILE, ResultRecord), Topologies()
-    style = SectionStyle.single(options.texture_size, options.residual)
-    section = scan_section(folder, record, target, topologies, style, anchor="scan", name=record.name)
+    section = scan_section(folder, record, target, topologies, SINGLE, anchor="scan", name=record.name)
     page = Page(record.name, _now(), [section], topologies.of_key)
-    return _finish(page, target, scans=1, done=1, failed=0)
+    return _write_page(page, target, scans=1, done=1, failed=0)
 
 
 def _write_batch(
     folder: Path, rows: Sequence[ScanRow], target: Path, options: ReportOptions, say: Callable[[str], None]
 ) -> WrittenReport:
-    selection = selected_rows(rows, options.scans)
-    style, topologies = SectionStyle.batch(options.batch_texture_size), Topologies()
+    selection, topologies = selected_rows(rows, options.scans), Topologies()
     sections: list[ScanSection] = []
     anchors: dict[int, str] = {}
     not_shown: list[tuple[str, str]] = []
@@ -153,16 +142,16 @@ def _write_batch(
             continue
         anchors[k] = f"scan-{k + 1}"
         sections.append(
-            scan_section(where, record, target, topologies, style, anchor=anchors[k], name=rows[k].name)
+            scan_section(where, record, target, topologies, ONE_OF_MANY, anchor=anchors[k], name=rows[k].name)
         )
-    batch = batch_section(rows, anchors, target, options.rows)
+    batch = batch_section(rows, anchors, target, MOST_ROWS)
     title = folder.resolve().name or str(folder)
     page = Page(title, _now(), sections, topologies.of_key, batch, selection.reason, not_shown)
     done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
-    return _finish(page, target, scans=len(rows), done=done, failed=failed)
+    return _write_page(page, target, scans=len(rows), done=done, failed=failed)
 
 
-def _finish(page: Page, target: Path, *, scans: int, done: int, failed: int) -> WrittenReport:
+def _write_page(page: Page, target: Path, *, scans: int, done: int, failed: int) -> WrittenReport:
     text = page_html(page)
     write_text(target, text)
     return WrittenReport(target, scans, done, failed, len(page.scans), len(text.encode()))
