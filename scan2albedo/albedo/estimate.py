@@ -178,7 +178,7 @@ def _divide(
     hasty, begin = meter.out_of_time, meter.elapsed_s
     division = divide_light(value, light, specular, mask, usable, shrink=options.shrink and not hasty)
     # Lines along shadows err most, and go in at most twice the seconds that the division took.
-    hasty = hasty and meter.late_for(2 * (meter.elapsed_s - begin))
+    hasty = hasty and meter.would_overrun(2 * (meter.elapsed_s - begin))
     albedo, rectification = rectified(division.albedo, light, cast, usable, options, hasty=hasty)
     # A highlight is white: what remains below it has the albedo's hue.
     below = np.maximum(image.texture_linear - specular[..., None], 0)

@@ -144,7 +144,7 @@ def anneal(
         return start
     lower, upper = model.bounds
 
-    meter = problem.meter.child("light_annealing", problem.meter.unit)
+    meter = problem.meter.sub_meter("light_annealing", problem.meter.unit)
 
     def objective(x: FloatArray) -> float:
         hypothesis = model.decode(x)
@@ -161,7 +161,7 @@ def anneal(
         options=AnnealingOptions(evaluations=left),
         meter=meter,
     )
-    problem.meter.adopt(meter)
+    problem.meter.merge(meter)
     return Solution(model, result.x, result.cost)
 
 

@@ -134,8 +134,8 @@ class Meter:
         """Whether the budget's seconds have ended: what costs time but no evaluations may be left out."""
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
-    def late_for(self, seconds: float) -> bool:
-        """Whether work of so many seconds would end too late, by more than a budget may be overrun."""
+    def would_overrun(self, seconds: float) -> bool:
+        """Whether work of so many seconds would overrun the budget by more than its `grace`."""
         budget = self.budget.seconds
         return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
 
@@ -150,8 +150,8 @@ class Meter:
         if self.on_progress is not None:
             self.on_progress(row)
 
-    def child(self, stage: str, unit: str) -> Meter:
-        """Return a meter for a stage inside this one, with what is left of the budget; `adopt` it after."""
+    def sub_meter(self, stage: str, unit: str) -> Meter:
+        """Return a meter for a stage inside this one, with what is left of the budget; `merge` it after."""
         seconds, evaluations = self.budget.seconds, self.budget.evaluations
         left = Budget(
             None if seconds is None else max(seconds - self.elapsed_s, 1e-6),
@@ -159,14 +159,17 @@ class Meter:
         )
         return Meter(stage, unit, left, self.on_progress)
 
-    def unseen_child(self) -> Meter:
-        """Return a meter for a part with another yardstick, whose rows are neither kept nor shown."""
-        return Meter(self.stage, self.unit, self.child(self.stage, self.unit).budget)
+    def untraced(self) -> Meter:
+        """Return a meter with what is left of the budget, for a part whose errors have another meaning.
 
-    def adopt(self, child: Meter) -> None:
-        """Take over the evaluations and rows of a finished `child`."""
-        self.evaluations += child.evaluations
-        self.rows.extend(child.rows)
+        Its rows are neither kept nor shown.
+        """
+        return Meter(self.stage, self.unit, self.sub_meter(self.stage, self.unit).budget)
+
+    def merge(self, finished: Meter) -> None:
+        """Add the evaluations and rows of a finished `sub_meter`."""
+        self.evaluations += finished.evaluations
+        self.rows.extend(finished.rows)
 
     @property
     def trace(self) -> Trace:

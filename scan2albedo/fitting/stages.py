@@ -153,7 +153,7 @@ def run_stages(deformation: Deformation, count: int | None = None) -> StagesResu
 def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     """Return the control points (C, 3) after the first stages from `reference`; counted, but not recorded."""
     options = replace(deformation.options, steps=min(deformation.options.steps, TRIAL_STEPS))
-    meter = deformation.meter.unseen_child()
+    meter = deformation.meter.untraced()
     trial = replace(deformation, reference=reference, options=options, meter=meter)
     result = run_stages(trial, TRIAL_STAGES)
     deformation.meter.count(meter.evaluations)

@@ -246,7 +246,7 @@ class _Tuning:
         if self.meter.out_of_time and not hurried:
             raise _OutOfTime
         self.meter.count()
-        left = Budget(seconds=self.meter.child(self.meter.stage, self.meter.unit).budget.seconds)
+        left = Budget(seconds=self.meter.sub_meter(self.meter.stage, self.meter.unit).budget.seconds)
         with warnings.catch_warnings():
             # One of many fits; the held-out objective tells whether they were good enough.
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)

@@ -216,14 +216,14 @@ class _Refinement:
         if self.anchor is None:
             self.steps.append(PlanStep(name, False, "no landmark is seen"))
             return
-        stage = meter.child(name, "objective")
+        stage = meter.sub_meter(name, "objective")
         rigid = GeometrySearch(self.state, stage)
         rigid.run(self._objective([self.anchor], stage, rigid=True), _RIGID_STEPS)
         search = GeometrySearch(rigid.state, stage)
         search.run(self._objective([self.anchor], stage), _LANDMARK_STEPS)
         self.state, self.converged = search.state, search.converged
         self.iterations += rigid.iterations + search.iterations
-        meter.adopt(stage)
+        meter.merge(stage)
         self.steps.append(PlanStep(name, True, "landmarks are seen", f"{len(self.anchor.vertex)} landmarks"))
 
     def _fit_photometry(self, meter: Meter) -> None:
@@ -235,10 +235,10 @@ class _Refinement:
             self.converged = False
             self.steps.append(PlanStep(name, False, "the budget had ended"))
             return
-        stage = meter.child(name, "objective")
+        stage = meter.sub_meter(name, "objective")
         search = GeometrySearch(self.state, stage)
         converged = self._search(search, self.photometry)
-        meter.adopt(stage)
+        meter.merge(stage)
         self.iterations += search.iterations
         if self._accept(name, self.photometry, search):
             self.state, self.converged = search.state, converged

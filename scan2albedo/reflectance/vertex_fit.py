@@ -318,7 +318,7 @@ def find_light_gains(
     every = np.arange(len(few))
     gain = np.ones((int(light.max()) + 1, 3))
     for _ in range(options.gain_iterations):
-        fitted = fit_rows(divided_by_gain(subset, light, gain), every, options, meter.unseen_child())
+        fitted = fit_rows(divided_by_gain(subset, light, gain), every, options, meter.untraced())
         meter.count()
         new = _gains(subset, light, fitted, len(gain))
         step = float(np.nanmax(np.abs(new - gain)))

@@ -46,7 +46,7 @@ def refuse_inside_out(
         return
     turned = scan.inside_out()
     # The turned scan is another problem than the scan, so its rows stay out of the trace.
-    unseen = meter.unseen_child()
+    unseen = meter.untraced()
     poses = coarse_poses(turned.samples, template, options, unseen, 0)
     target = ScanTarget(turned.samples)
     candidates: tuple[Candidate, ...] = ()

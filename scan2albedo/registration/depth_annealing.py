@@ -154,7 +154,7 @@ def anneal_depth_derivatives(
     meter.count()
     meter.record(start_error)
     # The coarse stage measures another objective, so its rows stay out of the trace.
-    unseen = meter.unseen_child()
+    unseen = meter.untraced()
     rough = _annealed(coarse, np.zeros(5), bounds, seed, evaluations // 2, unseen)
     meter.count(rough.evaluations + 1)
     begin = rough.x if fine(rough.x) < start_error else np.zeros(5)
@@ -250,7 +250,7 @@ def annealed(
         meter=meter,
     )
     # ICP measures another distance than the annealing, so its rows stay out of the trace.
-    unseen = meter.unseen_child()
+    unseen = meter.untraced()
     polished = tightened(scan.samples, template, found.pose, options.settling_iterations, unseen)
     meter.count(unseen.evaluations)
     before, after = (

@@ -134,9 +134,9 @@ def register(
         refuse_inside_out(prepared, template, candidates[0], options, meter)
         refuse_no_face(scan, candidates)
     refuse_facing_away(prepared, template, candidates[0])
-    closing = meter.child("tight_icp", "mm")
+    closing = meter.sub_meter("tight_icp", "mm")
     tight = tightened(prepared.samples, template, candidates[0].pose, options.settling_iterations, closing)
-    annealing = closing.child("depth_annealing", "truncated slope difference")
+    annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, template, tight, options, annealing, seed)
     warn_of_doubts(scan, candidates, final.pose.scale)
     return Registration(

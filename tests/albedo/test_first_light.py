@@ -64,7 +64,7 @@ def test_what_there_was_no_time_for_is_said():
 
 @pytest.mark.parametrize("late", [False, True])
 def test_lines_along_shadows_go_after_the_budget_where_that_is_not_too_late(late, monkeypatch):
-    monkeypatch.setattr(Meter, "late_for", lambda meter, seconds: late)
+    monkeypatch.setattr(Meter, "would_overrun", lambda meter, seconds: late)
     estimate = estimate_albedo(face(3, size=64).image, budget=1e-6)
     told = {step.stage: step.reason for step in estimate.plan}
     assert (told["albedo.rectification"] == "the budget ended before it") is late

@@ -40,11 +40,11 @@ def test_only_seconds_run_out_of_time():
 
 
 def test_finishing_may_take_a_fifth_of_the_budget_or_three_tenths_of_a_second():
-    assert not Meter("fit", "mm").late_for(1e9)
-    assert not Meter("fit", "mm", Budget(evaluations=1)).late_for(1e9)
+    assert not Meter("fit", "mm").would_overrun(1e9)
+    assert not Meter("fit", "mm", Budget(evaluations=1)).would_overrun(1e9)
     short, long = Meter("fit", "mm", Budget(seconds=0.1)), Meter("fit", "mm", Budget(seconds=1000))
-    assert (short.late_for(0.05), short.late_for(0.41)) == (False, True)
-    assert (long.late_for(1100), long.late_for(1201)) == (False, True)
+    assert (short.would_overrun(0.05), short.would_overrun(0.41)) == (False, True)
+    assert (long.would_overrun(1100), long.would_overrun(1201)) == (False, True)
 
 
 def test_meter_records_rows_and_tells_the_caller():
@@ -71,15 +71,15 @@ def test_trace_joins_selects_writes_and_draws(tmp_path):
     assert len(trace.plot().axes) == 2
 
 
-def test_a_child_has_what_is_left_and_its_work_is_adopted():
+def test_a_sub_meter_has_what_is_left_and_its_work_is_merged():
     meter = Meter("albedo", "cost", Budget(evaluations=10))
     meter.count(4)
-    child = meter.child("annealing", "cost")
-    assert child.budget.evaluations == 6
-    child.count(6)
-    child.record(0.5)
-    assert child.exhausted
-    meter.adopt(child)
+    inner = meter.sub_meter("annealing", "cost")
+    assert inner.budget.evaluations == 6
+    inner.count(6)
+    inner.record(0.5)
+    assert inner.exhausted
+    meter.merge(inner)
     assert meter.exhausted
     assert meter.trace.stages == ("annealing",)
 

@@ -225,9 +225,9 @@ def _reference(mean_keypoints: ArrayLike) -> FloatArray:
 def _mean(points: list[FloatArray], reference: FloatArray | None, meter: Meter) -> MeanKeyPoints:
     if reference is not None:
         return MeanKeyPoints(reference, True, 0)
-    own = meter.child("eyeglasses.mean", "bones")
+    own = meter.sub_meter("eyeglasses.mean", "bones")
     found = mean_key_points(points, own)
-    meter.adopt(own)
+    meter.merge(own)
     return found
 
 

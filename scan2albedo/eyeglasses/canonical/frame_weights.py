@@ -141,7 +141,7 @@ def _weighted(
     if frame.weights is not None:
         return WeightedFrame(frame, frame.weights, True, Plan((PlanStep(STAGE, False, "given"),)))
     seen = np.flatnonzero(np.isfinite(frame.points).all(1))
-    own = meter.child(f"{STAGE}.{frame.number}", UNIT)
+    own = meter.sub_meter(f"{STAGE}.{frame.number}", UNIT)
     own.budget = _share(own.budget, frames_left)
     try:
         found = metered_weights(
@@ -154,7 +154,7 @@ def _weighted(
             names=[KEY_POINT_NAMES[k] for k in seen],
         )
     finally:
-        meter.adopt(own)
+        meter.merge(own)
     weights = np.zeros((len(frame.vertices), KEY_POINT_COUNT))
     weights[:, seen] = found.weights
     how = "solved" if found.converged else "cut short by the budget" if own.exhausted else "did not settle"

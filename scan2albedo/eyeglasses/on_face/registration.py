@@ -322,12 +322,12 @@ class RegistrationRun:
         vague = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         ways: list[float] = []
         # One clock for all tracings: the rows of a stage count from its start.
-        meter = self.meter.child(f"{self.meter.stage}.outlines", "px")
+        meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
         while rounds < self.options.outlines and not settled and not meter.exhausted:
             motion = self.objective.motion(outcome.state)
             samples = self.sampler.sample(motion, vague)
             if len(samples) == 0:
-                self.meter.adopt(meter)
+                self.meter.merge(meter)
                 reach = f"{self.options.outline_reach_px:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
                 return outcome
@@ -346,7 +346,7 @@ class RegistrationRun:
                 ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
             )
             outcome = Descent(found.state, found.at, settled)
-        self.meter.adopt(meter)
+        self.meter.merge(meter)
         self._note(
             "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {mean_outline_px(outcome.at):.2f} px"
         )
@@ -365,12 +365,12 @@ class RegistrationRun:
         self.sampler = OutlineSampler(self.sampler.mesh, views, self.sampler.head, self.options)
 
     def _descend(self, step: str, linearize: Any, state: FrameState) -> Descent:
-        child, steps = self.meter.child(f"{self.meter.stage}.{step}", "px"), self.options.steps
+        child, steps = self.meter.sub_meter(f"{self.meter.stage}.{step}", "px"), self.options.steps
         if self.meter.out_of_time:
             # Labels alone cost next to nothing, and without them there is no answer.
             child, steps = replace(child, budget=Budget()), min(steps, _HASTY_STEPS)
         found = descend(linearize, state, child, steps=steps, enough=ENOUGH, error=median_label_px)
-        self.meter.adopt(child)
+        self.meter.merge(child)
         return found
 
     def _moved(self, before: FrameState, found: Descent) -> float:

@@ -47,9 +47,9 @@ def solve_lattice(
         coarse = Lattice.of_cells(unique_cells(lattice.cells // 2))
         if len(coarse.nodes) < len(lattice.nodes):
             rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
-            above = meter.child(meter.stage, meter.unit)
+            above = meter.sub_meter(meter.stage, meter.unit)
             solved = solve_lattice(coarse, handle_cells // 2, rough, above)
-            meter.adopt(above)
+            meter.merge(above)
             return _solve(
                 lattice,
                 handle_cells,
