@@ -59,7 +59,7 @@ def print_lobes() -> None:
     angles = (0, 30, 45, 60, 70, 80)
     print(f"{'specular error %':22}" + "".join(f"{a:>8} deg" for a in angles))
     for s_index, exponent in enumerate(EXPONENTS):
-        errors = {lobe: np.zeros(len(angles)) for lobe in ("tilted", "tabulated", "clipped", "full")}
+        errors = {lobe: np.zeros(len(angles)) for lobe in ("tilted", "full")}
         for k, angle in enumerate(np.radians(angles)):
             off, norm = dict.fromkeys(errors, 0.0), 0.0
             for seed in range(6):

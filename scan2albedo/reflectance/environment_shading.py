@@ -17,7 +17,6 @@ from scan2albedo.reflectance.lobe_coefficients import (
     lobe_coefficients,
     tilted_lobe,
     tilted_lobe_slopes,
-    view_lobe_coefficients,
 )
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
@@ -68,7 +67,7 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
     ----------
     normals, toward_camera : (V, 3) array_like of float
         Unit vectors n and v.
-    lobe : {"tilted", "tabulated", "clipped", "full"}
+    lobe : {"tilted", "full"}
         Which lobe stands where: see `Lobe`.
 
     Raises
@@ -110,7 +109,7 @@ def shade_environment(
         Unit vectors n and v.
     light : (81, 3) array_like of float
         Coefficients L_lm of the radiance, as from `project_environment`.
-    lobe : {"tilted", "tabulated", "clipped", "full"}
+    lobe : {"tilted", "full"}
         `full` is the formula as published, the one above; `tilted` is nearest to the truth at oblique views,
         for it puts the lobe's mean direction in the place of r.
 
@@ -165,13 +164,10 @@ def _specular(lobe: Lobe, exponent: float, n: FloatArray, v: FloatArray) -> Floa
         sine = np.linalg.norm(along, axis=1)
         response, tilt = tilted_lobe(np.arctan2(sine, cosine), exponent)
         mirror = np.cos(tilt)[:, None] * n + np.sin(tilt)[:, None] * normalized(along)
-    elif lobe == "tabulated":
-        response = view_lobe_coefficients(cosine, exponent)
-    elif lobe in ("clipped", "full"):
-        fixed = lobe_coefficients(exponent, ORDER, clipped=lobe == "clipped")
-        response = np.where(cosine[:, None] > 0, fixed, 0.0)
+    elif lobe == "full":
+        response = np.where(cosine[:, None] > 0, lobe_coefficients(exponent, ORDER), 0.0)
     else:
-        raise ValueError(f"lobe must be 'tilted', 'tabulated', 'clipped' or 'full', got {lobe!r}")
+        raise ValueError(f"lobe must be 'tilted' or 'full', got {lobe!r}")
     return response[:, _DEGREES] * harmonics(mirror, ORDER)
 
 

@@ -19,6 +19,11 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.model_update import ModelChange, best_change, neighbour_smoothing, no_change
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 
+_SMALLEST_STEP = 0.25
+"""A change that does not help is halved down to this share of it, then given up."""
+_LEAST_GAIN = 1e-3
+"""Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
+
 
 @dataclass(frozen=True)
 class FineTuneOptions:
@@ -36,10 +41,6 @@ class FineTuneOptions:
     positions of the vertices."""
     smoothing_steps: int = 4
     """Without positions: steps to the neighbours' mean. How far they reach depends on the mesh."""
-    smallest_step: float = 0.25
-    """A change that does not help is halved down to this share of it, then given up."""
-    least_gain: float = 1e-3
-    """Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
     significance_level: float = 0.025
     """Probability that a change which does nothing to images like the held-out ones passes for one that
     helps; 0.5 asks for their mean alone. One image cannot be tested."""
@@ -47,10 +48,9 @@ class FineTuneOptions:
     """Of the images."""
 
     def __post_init__(self) -> None:
-        for name in ("mean_change", "smallest_step"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("rounds", "smoothing_mm", "smoothing_steps", "least_gain"):
+        if not self.mean_change > 0:
+            raise ValueError(f"mean_change must be above 0, got {self.mean_change}")
+        for name in ("rounds", "smoothing_mm", "smoothing_steps"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
         if not self.basis_changes or not min(self.basis_changes) >= 0:
@@ -215,7 +215,7 @@ class _Tuning:
     def try_steps(self, changes: Sequence[ModelChange]) -> bool:
         """Go as far towards one of the changes as helps, and tell whether any step does."""
         step = 1.0
-        while step >= self.options.smallest_step and not self.meter.exhausted:
+        while step >= _SMALLEST_STEP and not self.meter.exhausted:
             trials = [self._trial(change, step) for change in changes]
             helping = [trial for trial in trials if is_improvement(self.errors, trial[1], self.options)]
             if helping:
@@ -259,14 +259,13 @@ class _Tuning:
 def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:
     """Tell whether errors (n, E) of n held-out images fell, of each kind and by more than by chance.
 
-    Their mean and the mean of the single images' relative falls must exceed `least_gain`, and `assured_gains`
+    Their mean and the mean of the single images' relative falls must exceed 0.1 %, and `assured_gains`
     must be above 0.
     """
-    least = options.least_gain
-    falls = after.mean(0) < (1 - least) * before.mean(0)
+    falls = after.mean(0) < (1 - _LEAST_GAIN) * before.mean(0)
     gains = (1 - after / np.maximum(before, 1e-300)).mean(0)
     assured = assured_gains(before, after, options.significance_level)
-    return bool((falls & (gains > least) & (assured > 0)).all())
+    return bool((falls & (gains > _LEAST_GAIN) & (assured > 0)).all())
 
 
 def assured_gains(

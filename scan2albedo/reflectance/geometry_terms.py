@@ -25,8 +25,6 @@ IntArray = NDArray[np.int64]
 _VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
 """Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
 than so many pixels to an edge of the surface in the image."""
-_OFFSET_MM, _DEPTH_STEP_MM = 0.2, 3.0
-"""Of rays and of edges in depth, see `VertexVisibility`."""
 _LEAST_VERTICES = 20
 """Fewer tell nothing of a shape."""
 
@@ -257,10 +255,8 @@ class Photometry:
         candidates = self._reflectance.known & self._images[0].covers(pixels)
         if candidates.sum() < _LEAST_VERTICES:
             return none
-        visibility = VertexVisibility(
-            vertices, self._faces, vertex_normals(vertices, self._faces), _OFFSET_MM
-        )
-        seen = visibility.seen(self._camera, _VIEW_COSINE, _MARGIN_PX, _DEPTH_STEP_MM)
+        visibility = VertexVisibility(vertices, self._faces, vertex_normals(vertices, self._faces))
+        seen = visibility.seen(self._camera, _VIEW_COSINE, _MARGIN_PX)
         used = np.flatnonzero(candidates & seen)
         return used if len(used) >= _LEAST_VERTICES else none
 

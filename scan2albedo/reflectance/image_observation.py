@@ -92,7 +92,7 @@ class ImageObservation:
         ----------
         used : (U,) array_like of int
             Seen vertices.
-        lobe : {"tilted", "tabulated", "clipped", "full"}
+        lobe : {"tilted", "full"}
             See `light_response`; a transfer was made with one already.
         """
         rows = np.asarray(used)

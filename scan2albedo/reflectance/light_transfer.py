@@ -15,6 +15,7 @@ from scan2albedo.reflectance.environment_shading import LightResponse, unit_vect
 from scan2albedo.reflectance.lobe_coefficients import ORDER, lambert_coefficients
 from scan2albedo.reflectance.picture_samples import checked_mesh, checked_normals
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
+from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ def light_transfer(
     toward_camera: ArrayLike,
     *,
     directions: int = 1024,
-    offset_mm: float = 0.2,
+    offset_mm: float = RAY_OFFSET_MM,
 ) -> LightResponse:
     """Return how vertices answer to light when the surface casts shadows on itself.
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.float64]
-Lobe = Literal["tilted", "tabulated", "clipped", "full"]
-"""`tilted`: the true lobe of each view, averaged around its mean direction. `tabulated`: the same around r.
-`clipped` and `full`: the lobe of v = n turned to r, with the horizon, and without as published."""
+Lobe = Literal["tilted", "full"]
+"""`tilted`: the true lobe of each view, averaged around its mean direction. `full`, as published: the lobe of
+v = n over the whole sphere, turned to the mirrored view."""
 
 ORDER = 8
 _VIEWS = 33
@@ -43,82 +43,27 @@ def lambert_coefficients(order: int = ORDER) -> FloatArray:
     return response
 
 
-def lobe_coefficients(exponent: float, order: int = ORDER, *, clipped: bool = False) -> FloatArray:
+def lobe_coefficients(exponent: float, order: int = ORDER) -> FloatArray:
     """Return (order + 1,) coefficients B_l of a Blinn-Phong lobe looked at along the normal.
 
-    With v = n the half vector halves the angle, and with a = s / 2
+    With v = n the half vector halves the angle, and over the full sphere with a = s / 2
 
         B_l = (s + 2) / 4 integral of ((1 + t) / 2)^a P_l(t) dt,
-
-    over the full sphere B_0 = 1 and B_{l+1} = B_l (a - l) / (a + l + 2).
-
-    Parameters
-    ----------
-    exponent : float
-        s, more than 0.
-    order : int
-        Highest degree.
-    clipped : bool
-        Leave out light from below the horizon (t < 0), which matters for broad lobes.
+        B_0 = 1,   B_{l+1} = B_l (a - l) / (a + l + 2).
 
     Raises
     ------
     ValueError
-        When the exponent is not more than 0.
+        When the exponent s is not more than 0.
 
     Examples
     --------
     >>> lobe_coefficients(8, order=4).round(4).tolist()
     [1.0, 0.6667, 0.2857, 0.0714, 0.0079]
-    >>> lobe_coefficients(1, order=3, clipped=True).round(3).tolist()
-    [0.646, 0.341, 0.027, -0.068]
     """
     _check_exponent(exponent)
-    half = exponent / 2
-    if clipped:
-        nodes, weights = leggauss(64 + int(half) // 2)
-        t = (nodes + 1) / 2
-        return np.asarray((weights / 2 * (exponent + 2) / 4 * ((1 + t) / 2) ** half) @ legvander(t, order))
-    degree = np.arange(order)
+    half, degree = exponent / 2, np.arange(order)
     return np.concatenate([[1.0], np.cumprod((half - degree) / (half + degree + 2))])
-
-
-def view_lobe_coefficients(cosine: ArrayLike, exponent: float) -> FloatArray:
-    """Return (..., 9) coefficients B_l(n.v) of the true lobe, averaged around the reflected direction r.
-
-        B_l(n.v) = (s + 2) / (8 pi) integral over n.l > 0 of max(0, n.h)^s P_l(r.l) dl.
-
-    At grazing views the half vector widens and weakens the lobe: turned to r unchanged, it would be twice too
-    bright at 60 degrees.
-
-    Parameters
-    ----------
-    cosine : (...) array_like of float
-        n.v; 0 and less (a surface that is not seen) give 0.
-    exponent : float
-        s, more than 0.
-
-    Raises
-    ------
-    ValueError
-        When the exponent is not more than 0 or a cosine not finite.
-
-    Notes
-    -----
-    Quadrature at 33 views, once an exponent, and a cubic spline between: within 5e-5 of the integral for
-    n.v > 0.1 and exponents up to 64. What depends on the turn around r is left out.
-
-    Examples
-    --------
-    >>> view_lobe_coefficients(np.cos(np.radians([0, 30, 60, 80])), 64)[:, 0].round(3).tolist()
-    [1.0, 0.866, 0.496, 0.17]
-    """
-    _check_exponent(exponent)
-    mu = np.asarray(cosine, np.float64)
-    if not np.isfinite(mu).all():
-        raise ValueError("cosine holds NaN or infinite values")
-    values = _spline(float(exponent))(np.clip(mu, 0.0, 1.0))
-    return np.where(mu[..., None] > 0, values, 0.0)
 
 
 def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, FloatArray]:
@@ -147,9 +92,10 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
 
     Notes
     -----
-    In generated light the highlights of s = 1, 8 and 64 seen at 60 degrees are 3, 3 and 12 % off; averaged
-    around r they are 28, 36 and 24 % off, with the full lobe 79, 72 and 86 %, as
-    tools/bench_reflectance_model.py tells.
+    In generated light the highlights of s = 1, 8 and 64 seen at 60 degrees are 3, 3 and 12 % off; with the
+    full lobe 79, 72 and 86 % (tools/bench_reflectance_model.py).
+
+    Quadrature at 33 views, once an exponent, and a cubic spline between.
 
     Examples
     --------
@@ -161,7 +107,7 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
     angle = np.asarray(angle_rad, np.float64)
     if not np.isfinite(angle).all():
         raise ValueError("angle_rad holds NaN or infinite values")
-    values = _tilted_spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2))
+    values = _spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2))
     return np.where(angle[..., None] < np.pi / 2, values[..., :-1], 0.0), values[..., -1]
 
 
@@ -177,12 +123,12 @@ def tilted_lobe_slopes(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArra
     """
     _check_exponent(exponent)
     angle = np.asarray(angle_rad, np.float64)
-    slopes = _tilted_spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2), 1)
+    slopes = _spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2), 1)
     return np.where(angle[..., None] < np.pi / 2, slopes[..., :-1], 0.0), slopes[..., -1]
 
 
-def _integral(angle: float, exponent: float, tilt: float | None) -> tuple[FloatArray, float]:
-    """Return coefficients of the true lobe around a direction, and its tilt; None: its mean direction."""
+def _integral(angle: float, exponent: float) -> tuple[FloatArray, float]:
+    """Return coefficients of the true lobe around its mean direction, and that direction's tilt."""
     heights, turns = _QUADRATURE
     nodes, weights = leggauss(heights)
     t, across = (nodes + 1) / 2, np.sqrt(1 - ((nodes + 1) / 2) ** 2)
@@ -193,25 +139,16 @@ def _integral(angle: float, exponent: float, tilt: float | None) -> tuple[FloatA
     normal_half = (upward + np.cos(angle)) / np.sqrt(2 + 2 * light_view)
     kernel = (exponent + 2) / (8 * np.pi) * normal_half**exponent
     kernel *= (weights / 2)[:, None] * 2 * np.pi / turns
-    if tilt is None:
-        tilt = float(np.arctan2(np.sum(kernel * forward), np.sum(kernel * upward)))
+    tilt = float(np.arctan2(np.sum(kernel * forward), np.sum(kernel * upward)))
     toward = np.clip(np.cos(tilt) * upward + np.sin(tilt) * forward, -1, 1)
     return np.einsum("tp,tpl->l", kernel, legvander(toward, ORDER)), tilt
 
 
 @cache
 def _spline(exponent: float) -> CubicSpline:
-    """Coefficients around r by n.v."""
-    views = np.linspace(0, 1, _VIEWS)
-    angles = np.arccos(views)
-    return CubicSpline(views, np.stack([_integral(float(a), exponent, float(a))[0] for a in angles]))
-
-
-@cache
-def _tilted_spline(exponent: float) -> CubicSpline:
     """Coefficients around the mean direction, and its tilt, by the angle between n and v."""
     angles = np.linspace(0, np.pi / 2, _VIEWS)
-    found = [_integral(float(a), exponent, None) for a in angles]
+    found = [_integral(float(a), exponent) for a in angles]
     found[0] = found[0][0], 0.0
     return CubicSpline(angles, np.stack([np.append(values, tilt) for values, tilt in found]))
 

@@ -18,6 +18,8 @@ Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 
 _SIGMAS = 4.0
 """A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel."""
+_BRIGHTER_ROOM_PART = 0.02
+"""Of a pair's pixels from which it is reported; it is left out when more are so than the other way round."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,6 @@ class OlatOptions:
         Standard deviation of the values, white = 1.
     saturation : float
         Values from here on are clipped, or may be; inf for pictures that cannot clip.
-    brighter_room_part : float
-        A pair is told of when this part of its pixels is brighter in the room's light than with the flash,
-        and left out when more pixels are so than the other way round.
 
     Raises
     ------
@@ -45,7 +44,6 @@ class OlatOptions:
     gamma: float = 1.2
     noise: float = 0.01
     saturation: float = 0.98
-    brighter_room_part: float = 0.02
 
     def __post_init__(self) -> None:
         for name in ("gamma", "noise"):
@@ -53,8 +51,6 @@ class OlatOptions:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
         if not self.saturation > 0:
             raise ValueError(f"saturation is {self.saturation}, expected > 0")
-        if not 0 <= self.brighter_room_part <= 1:
-            raise ValueError(f"brighter_room_part is {self.brighter_room_part}, expected in [0, 1]")
 
 
 @dataclass(frozen=True)
@@ -174,7 +170,7 @@ def extract_olat(
         changed = (np.abs(difference) > _SIGMAS * deviation).all(-1) & usable
         darker, brighter = changed & (difference < 0).all(-1), changed & (difference > 0).all(-1)
         found = _diagnostics(j, finite, saturated[j])
-        found += _room_diagnostics(j, usable.sum(), darker.sum(), brighter.sum(), options)
+        found += _room_diagnostics(j, usable.sum(), darker.sum(), brighter.sum())
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
         linear[j], sigma[j] = np.where(valid[j], difference, 0.0), deviation
@@ -222,11 +218,9 @@ def _diagnostics(
     return found
 
 
-def _room_diagnostics(
-    pair: int, usable: int, darker: int, brighter: int, options: OlatOptions
-) -> list[CaptureDiagnostic]:
+def _room_diagnostics(pair: int, usable: int, darker: int, brighter: int) -> list[CaptureDiagnostic]:
     part, swapped = float(darker / max(usable, 1)), bool(darker > brighter)
-    if part <= options.brighter_room_part:
+    if part <= _BRIGHTER_ROOM_PART:
         return []
     advice = (
         "left out, were the pictures exchanged?" if swapped else "did head or exposure change between them?"

@@ -26,6 +26,9 @@ from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_VIEW_COSINE = 0.1
+"""n.v must be above this."""
+
 
 @dataclass(frozen=True)
 class PhotographOptions:
@@ -37,14 +40,8 @@ class PhotographOptions:
         Light is value^gamma; 1 for pictures that are linear already.
     saturation : float
         Values from here on are clipped, or may be; inf for pictures that cannot clip.
-    view_cosine : float
-        n.v must be above this.
     margin_px : float
         Distance in the picture from edges of the surface; 0 asks for none.
-    depth_step_mm : float
-        A step in depth above this, and above what the slope explains, is an edge.
-    offset_mm : float
-        Rays start this far along the normal.
     shadow_directions : int
         Directions of `light_transfer`; 0 leaves shadows out.
 
@@ -56,23 +53,17 @@ class PhotographOptions:
 
     gamma: float = 1.2
     saturation: float = 0.98
-    view_cosine: float = 0.1
     margin_px: float = 1.5
-    depth_step_mm: float = 3.0
-    offset_mm: float = 0.2
     shadow_directions: int = 1024
 
     def __post_init__(self) -> None:
         if not 0 < self.gamma < math.inf:
             raise ValueError(f"gamma is {self.gamma}, expected > 0 and finite")
-        for name in ("saturation", "depth_step_mm", "offset_mm"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0")
+        if not self.saturation > 0:
+            raise ValueError(f"saturation is {self.saturation}, expected > 0")
         for name in ("margin_px", "shadow_directions"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
-        if not 0 <= self.view_cosine < 1:
-            raise ValueError(f"view_cosine is {self.view_cosine}, expected in [0, 1)")
 
 
 def observe_photograph(
@@ -131,16 +122,14 @@ def observe_photograph(
     skin = _checked_mask(mask, linear.shape[:2])
     center = camera_centers(matrix[None])[0]
     toward = normalized(center - xyz)
-    visibility = VertexVisibility(xyz, index, normal, options.offset_mm)
-    seen = visibility.seen(matrix, options.view_cosine, options.margin_px, options.depth_step_mm)
+    visibility = VertexVisibility(xyz, index, normal)
+    seen = visibility.seen(matrix, _VIEW_COSINE, options.margin_px)
     pixels, _ = project(matrix, xyz)
     color, found = _usable(linear, skin, finite, saturated, pixels, seen)
     observed = np.where(found[:, None], color, np.nan)
     if not options.shadow_directions:
         return ImageObservation(observed, normal, toward, found)
-    transfer = light_transfer(
-        xyz, index, normal, toward, directions=options.shadow_directions, offset_mm=options.offset_mm
-    )
+    transfer = light_transfer(xyz, index, normal, toward, directions=options.shadow_directions)
     return ImageObservation(observed, normal, toward, found, transfer)
 
 

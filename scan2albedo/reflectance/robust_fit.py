@@ -89,8 +89,6 @@ class ReflectanceFitOptions:
         Gains are done when none moves by more.
     least_pairs : int
         A vertex with fewer pictures of a channel is not known.
-    identified_below : float
-        Posterior over prior standard deviation below which a number counts as identified.
 
     Raises
     ------
@@ -108,12 +106,11 @@ class ReflectanceFitOptions:
     gain_vertices: int = 2000
     gain_tolerance: float = 1e-5
     least_pairs: int = 1
-    identified_below: float = 0.3
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(LOSSES)}")
-        for name in ("width", "tolerance", "gain_tolerance", "identified_below"):
+        for name in ("width", "tolerance", "gain_tolerance"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
         for name in ("iterations", "gain_iterations", "gain_vertices", "least_pairs"):

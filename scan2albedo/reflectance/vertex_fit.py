@@ -28,6 +28,8 @@ _SINGULAR = 1e-14
 """Part of the largest eigenvalue of the normal matrix that rounding leaves of 0."""
 PARAMETERS = ("red", "green", "blue", "weight_1", "weight_8", "weight_64")
 """Columns of everything (V, 6)."""
+_IDENTIFIED_BELOW = 0.3
+"""Posterior over prior standard deviation below which a number counts as identified."""
 _LEAST_GAIN, _MOST_GAIN = 1e-3, 1e3
 """Gains are kept between these: a flash that lit only black pixels would have none."""
 
@@ -243,7 +245,7 @@ def _result(
     valid = np.asarray(samples.valid.any(-1))[..., None]
     identified, settled = np.zeros((count, 6), bool), np.zeros(count, bool)
     settled[rows] = fitted.settled
-    identified[rows] = identifiability < options.identified_below
+    identified[rows] = identifiability < _IDENTIFIED_BELOW
     return ReflectanceFit(
         reflectance=VertexReflectance(estimate[:, :3], estimate[:, 3:], known),
         std=_spread(std, rows, count),

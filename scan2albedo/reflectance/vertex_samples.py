@@ -32,12 +32,6 @@ class SamplingOptions:
         n.v and n.l must be above these.
     margin_px : float
         Distance in the picture from edges of the surface; 0 asks for none.
-    depth_step_mm : float
-        A step in depth above this, and above what the slope explains, is an edge.
-    shadow_rings : int
-        Edges of the mesh between a vertex and the nearest one in cast shadow.
-    offset_mm : float
-        Rays start this far along the normal.
     position_sigma_px : float
         Standard deviation of where a vertex is in the picture, along each axis: where pixels differ, a
         vertex's sigma is larger.
@@ -53,9 +47,6 @@ class SamplingOptions:
     view_cosine: float = 0.1
     light_cosine: float = 0.0
     margin_px: float = 1.5
-    depth_step_mm: float = 3.0
-    shadow_rings: int = 1
-    offset_mm: float = 0.2
     position_sigma_px: float = 0.3
     reference_distance_mm: float | None = None
 
@@ -63,7 +54,7 @@ class SamplingOptions:
         for name in ("view_cosine", "light_cosine"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected in [0, 1)")
-        for name in ("margin_px", "depth_step_mm", "shadow_rings", "offset_mm", "position_sigma_px"):
+        for name in ("margin_px", "position_sigma_px"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
         if self.reference_distance_mm is not None and not 0 < self.reference_distance_mm < math.inf:
@@ -201,18 +192,16 @@ def sample_vertices(
     )
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
-    visibility = VertexVisibility(xyz, index, normal, options.offset_mm)
+    visibility = VertexVisibility(xyz, index, normal)
     seen: dict[bytes, NDArray[np.bool_]] = {}
     lit: dict[bytes, NDArray[np.bool_]] = {}
     for j in range(len(olat)):
         camera, light = rig.cameras[j], rig.light_positions[j]
         key, light_key = camera.tobytes(), light.tobytes()
         if key not in seen:
-            seen[key] = visibility.seen(camera, options.view_cosine, options.margin_px, options.depth_step_mm)
+            seen[key] = visibility.seen(camera, options.view_cosine, options.margin_px)
         if light_key not in lit:
-            lit[light_key] = visibility.lit(light, options.shadow_rings) & _facing(
-                xyz, normal, light, options.light_cosine
-            )
+            lit[light_key] = visibility.lit(light) & _facing(xyz, normal, light, options.light_cosine)
         pixels, _ = project(camera, xyz)
         usable = seen[key] & lit[light_key]
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]

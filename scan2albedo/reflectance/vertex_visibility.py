@@ -17,6 +17,12 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _SIDES = np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
+RAY_OFFSET_MM = 0.2
+"""Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`."""
+_DEPTH_STEP_MM = 3.0
+"""A step in depth above this, and above what the slope explains, is an edge."""
+_SHADOW_RINGS = 1
+"""Edges of the mesh between a lit vertex and the nearest one in cast shadow."""
 _MOST_SLOPE = 5.0
 """Of the surface's depth against the picture plane: a steeper step is an edge."""
 
@@ -29,17 +35,15 @@ class VertexVisibility:
     vertices, normals : (V, 3) float64
         Millimetres; unit.
     faces : (F, 3) int64
-    offset_mm : float
-        Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`.
     """
 
-    def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray, offset_mm: float) -> None:
+    def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray) -> None:
         self._vertices, self._normals = vertices, normals
         # A shadow map tells lights by direction and distance from the origin, which must not be far off.
         self._center = (vertices.min(0) + vertices.max(0)) / 2
         local = vertices - self._center
         self._caster = RayCaster(local, faces)
-        self._map = ShadowMap(self._caster, local, normals, offset_mm)
+        self._map = ShadowMap(self._caster, local, normals, RAY_OFFSET_MM)
         self._edges, _ = edges_with_faces(faces)
         self._seen: dict[bytes, BoolArray] = {}
 
@@ -52,24 +56,23 @@ class VertexVisibility:
             self._seen[key] = self._map.visible(toward / (distance or 1.0), distance or 1e-9) > 0
         return self._seen[key]
 
-    def lit(self, light: FloatArray, rings: int) -> BoolArray:
-        """Return (V,) vertices that the light at (3,) reaches, `rings` edges away from cast shadows."""
+    def lit(self, light: FloatArray) -> BoolArray:
+        """Return (V,) vertices that the light at (3,) reaches, away from cast shadows."""
         reached = self.reached(light)
         facing = np.einsum("vc,vc->v", self._normals, light - self._vertices) > 0
         hidden = facing & ~reached
-        for _ in range(rings):
+        for _ in range(_SHADOW_RINGS):
             wider = hidden.copy()
             wider[self._edges[hidden[self._edges[:, 1]], 0]] = True
             wider[self._edges[hidden[self._edges[:, 0]], 1]] = True
             hidden = wider
         return reached & ~hidden
 
-    def seen(self, camera: FloatArray, cosine: float, margin_px: float, step_mm: float) -> BoolArray:
+    def seen(self, camera: FloatArray, cosine: float, margin_px: float) -> BoolArray:
         """Return (V,) vertices that a camera (3, 4) sees.
 
         Their normals have at least `cosine` to the line of sight, and `margin_px` to all four sides the
-        surface goes on: without a hole, and without a step in depth above `step_mm` and what a slope
-        explains.
+        surface goes on: without a hole, and without a step in depth that no slope explains.
         """
         position = camera_centers(camera[None])[0]
         sight = position - self._vertices
@@ -78,7 +81,7 @@ class VertexVisibility:
         result = self.reached(position) & (n_v > cosine)
         if margin_px > 0 and result.any():
             rows = np.flatnonzero(result)
-            result[rows] = self._inside(camera, position, rows, n_v[rows], margin_px, step_mm)
+            result[rows] = self._inside(camera, position, rows, n_v[rows], margin_px)
         return result
 
     def _inside(
@@ -88,7 +91,6 @@ class VertexVisibility:
         rows: IntArray,
         n_v: FloatArray,
         margin_px: float,
-        step_mm: float,
     ) -> BoolArray:
         pixels, depth = project(camera, self._vertices[rows])
         good = np.asarray(np.isfinite(pixels).all(1))
@@ -96,7 +98,7 @@ class VertexVisibility:
         forward = camera[2, :3]
         pixel_mm = depth / math.sqrt(abs(float(np.linalg.det(camera[:, :3]))))
         slope = np.minimum(np.sqrt(np.maximum(1 - n_v**2, 0)) / n_v, _MOST_SLOPE)
-        allowed = step_mm + 2 * margin_px * pixel_mm * slope
+        allowed = _DEPTH_STEP_MM + 2 * margin_px * pixel_mm * slope
         for side in _SIDES:
             along = pixel_directions(camera, pixels + margin_px * side)
             hits = self._caster.first_hit(np.broadcast_to(position - self._center, along.shape), along)

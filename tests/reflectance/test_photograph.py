@@ -151,6 +151,6 @@ def test_shapes_and_options_are_checked(image):
         observe_photograph(image, CAMERA * np.nan, VERTICES, FACES)
     with pytest.raises(ValueError, match="vertices"):
         observe_photograph(image, CAMERA, VERTICES[:, :2], FACES)
-    for name, value in {"gamma": 0, "saturation": 0, "margin_px": -1, "view_cosine": 1}.items():
+    for name, value in {"gamma": 0, "saturation": 0, "margin_px": -1}.items():
         with pytest.raises(ValueError, match=name):
             PhotographOptions(**{name: value})

@@ -227,7 +227,7 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     assert done.error is not None
     capture = done.capture
     normals = vertex_normals(capture.vertices, capture.faces)
-    visibility = VertexVisibility(capture.vertices, capture.faces, normals, SamplingOptions().offset_mm)
+    visibility = VertexVisibility(capture.vertices, capture.faces, normals)
     radiance = point_light_radiance(done.error.fit.reflectance, done.samples.lobes[pair : pair + 1])[0]
     lit = visibility.reached(capture.rig.light_positions[pair])
     linear = done.olat.linear[pair].astype(np.float64)
