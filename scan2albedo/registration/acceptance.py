@@ -14,6 +14,7 @@ from scan2albedo.registration.candidates import (
     CERTAINTY_NEEDED,
     COVERAGE_NEEDED,
     Candidate,
+    batches,
     with_refined,
 )
 from scan2albedo.registration.coarse_search import coarse_poses
@@ -50,7 +51,7 @@ def refuse_inside_out(
     poses = coarse_poses(turned.samples, template, options, unseen, 0)
     target = ScanTarget(turned.samples)
     candidates: tuple[Candidate, ...] = ()
-    for batch in poses.batches(options.candidates, 0):
+    for batch in batches(poses, template, options.candidates, 0):
         candidates = with_refined(turned, target, template, batch, options, unseen, candidates)
     meter.count(unseen.evaluations)
     other = candidates[0]

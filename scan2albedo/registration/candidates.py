@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.robust_icp import SimilarPose, residuals, rigid_distance_mm, robust_icp
 from scan2albedo.registration.scan_preparation import PreparedScan
-from scan2albedo.registration.scoring import FaceScores
+from scan2albedo.registration.scoring import FaceScores, normal_relief
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +30,7 @@ _CONVINCING = 0.1
 _MORE_CANDIDATES = 24
 """Further poses that are refined before a scan is refused."""
 _SAMPLES = 400
+_RANKED_BY_RELIEF = 40
 _SAME_ROTATION_RAD = np.deg2rad(3)
 _SAME_POSITION_MM = 3.0
 _OTHER_ROTATION_RAD = np.deg2rad(20)
@@ -56,17 +58,45 @@ def ranked_candidates(
     target = ScanTarget(scan.samples)
     candidates: tuple[Candidate, ...] = ()
     needed = CERTAINTY_NEEDED + _CONVINCING
-    for batch in poses.batches(options.candidates, _MORE_CANDIDATES):
+    for batch in batches(poses, template, options.candidates, _MORE_CANDIDATES):
         candidates = with_refined(scan, target, template, batch, options, meter, candidates)
         if meter.exhausted or candidates[0].is_face(needed):
             return candidates
         needed = CERTAINTY_NEEDED
     # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
-    for batch in poses.batches(2 * options.candidates, 0):
+    for batch in batches(poses, template, 2 * options.candidates, 0):
         candidates = with_refined(scan, None, template, batch, options, meter, candidates)
         if meter.exhausted or candidates[0].is_face(needed):
             return candidates
     return candidates
+
+
+def batches(
+    coarse: CoarsePoses, template: Template, candidates: int, more_candidates: int
+) -> Iterator[Poses]:
+    """Yield `candidates` poses in two batches, then `more_candidates` in a third.
+
+    First those whose surface is nearest, then those that show most relief among the nearer ones, at
+    last among all: distance alone prefers the whole back of a head to half a face, and relief
+    alone is dear.
+    """
+    poses, model = coarse.poses, template.first(_SAMPLES)
+
+    def by_relief(count: int) -> NDArray[np.int64]:
+        """Return the first `count` poses in the order of the relief that the scan's normals show there."""
+        relief = [
+            normal_relief(coarse.grid, model, poses.rotations[i], poses.translations[i]) for i in range(count)
+        ]
+        return np.argsort(-np.array(relief), kind="stable")
+
+    first = np.arange(min((candidates + 1) // 2, len(poses)))
+    yield poses.subset(first)
+    nearer = by_relief(min(_RANKED_BY_RELIEF, len(poses)))
+    second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
+    yield poses.subset(second)
+    every = by_relief(len(poses))
+    rest = every[~np.isin(every, np.concatenate([first, second]))]
+    yield poses.subset(rest[:more_candidates])
 
 
 def with_refined(

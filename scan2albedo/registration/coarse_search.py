@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,6 @@ from scan2albedo.geometry.rigid import super_fibonacci_rotations
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
-from scan2albedo.registration.scoring import normal_relief
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -28,8 +26,6 @@ _CONE_RAD = np.deg2rad(35.0)
 _NORMAL_SMOOTHING_MM = 45.0
 _BLOCK = 128
 _DISTINCT_POSES = 160
-_RANKED_BY_RELIEF = 40
-_RELIEF_SAMPLES = 400
 _CELL_MM = 6.0
 _MARGIN_MM = 40.0
 _SAME_ROTATION_RAD = np.deg2rad(8)
@@ -53,38 +49,10 @@ class Poses:
 
 @dataclass(frozen=True)
 class CoarsePoses:
-    """Distinct poses of the coarse search, nearest surface first, and what ranks them by relief."""
+    """Distinct poses of the coarse search, nearest surface first, and the grid of the scan's samples."""
 
     poses: Poses
     grid: NearestGrid
-    model: OrientedPoints
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def batches(self, candidates: int, more_candidates: int) -> Iterator[Poses]:
-        """Yield `candidates` poses in two batches, then `more_candidates` in a third.
-
-        First those whose surface is nearest, then those that show most relief among the nearer ones, at
-        last among all: distance alone prefers the whole back of a head to half a face, and relief
-        alone is dear.
-        """
-        first = np.arange(min((candidates + 1) // 2, len(self)))
-        yield self.poses.subset(first)
-        nearer = self._by_relief(min(_RANKED_BY_RELIEF, len(self)))
-        second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
-        yield self.poses.subset(second)
-        every = self._by_relief(len(self))
-        rest = every[~np.isin(every, np.concatenate([first, second]))]
-        yield self.poses.subset(rest[:more_candidates])
-
-    def _by_relief(self, count: int) -> IntArray:
-        """Return the first `count` poses in the order of the relief that the scan's normals show there."""
-        relief = [
-            normal_relief(self.grid, self.model, self.poses.rotations[i], self.poses.translations[i])
-            for i in range(count)
-        ]
-        return np.argsort(-np.array(relief), kind="stable")
 
 
 def coarse_poses(
@@ -109,7 +77,7 @@ def coarse_poses(
     poses = _round(grid, template.first(60), poses, first, (20.0, 10.0), meter)
     poses = poses.subset(np.arange(min(options.kept_starts, len(poses))))
     poses = _round(grid, template.first(200), poses, second, (12.0, 5.0), meter)
-    return CoarsePoses(_distinct(poses, _DISTINCT_POSES), grid, template.first(_RELIEF_SAMPLES))
+    return CoarsePoses(_distinct(poses, _DISTINCT_POSES), grid)
 
 
 def anchored_starts(

@@ -147,7 +147,7 @@ def register(
         confidence=confidence(candidates),
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(_search_note(candidates, len(poses), prepared.stray_faces), final.note),
+        notes=(_search_note(candidates, len(poses.poses), prepared.stray_faces), final.note),
         face_scale=final.pose.scale,
     )
 
