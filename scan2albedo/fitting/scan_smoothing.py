@@ -9,8 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scan2albedo.geometry.incidence import neighbour_lists
-from scan2albedo.geometry.mesh import usual_edge
+from scan2albedo.geometry.mesh import neighbour_lists, usual_edge
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

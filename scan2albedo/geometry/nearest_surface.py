@@ -15,8 +15,8 @@ from scan2albedo.geometry.closest_points import (
     checked_faces,
     checked_points,
 )
-from scan2albedo.geometry.incidence import face_lists, neighbour_lists
-from scan2albedo.geometry.triangle_distance import weights_nearest_origin
+from scan2albedo.geometry.mesh import face_lists, neighbour_lists
+from scan2albedo.geometry.triangle_tree import weights_nearest_origin
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -1,17 +1,20 @@
-"""Sparse operators on a triangle mesh: Laplacians and the energies they make."""
+"""Sparse operators on a triangle mesh: Laplacians, their energies, diffusion, derivatives of normals."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from scan2albedo.geometry.loop_subdivision import refine
-from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
+from scan2albedo.geometry.mesh import boundary_vertex_mask, face_cross_products, vertex_areas
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_WIDEST = 1e3
 MAX_COTANGENT = 5.0
 """Cotangents are clipped to [0, MAX_COTANGENT], so slivers (angles below 11 degrees) stay harmless."""
 
@@ -111,3 +114,132 @@ def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse
         matrix = sparse.vstack([sparse.identity(count), halves]).tocsr() @ matrix
         current = finer
     return matrix
+
+
+def surface_diffusion(
+    vertices: FloatArray, faces: IntArray, deviation_mm: float
+) -> Callable[[ArrayLike], FloatArray]:
+    """Return a function that spreads values (V, ...) over the surface: one implicit step of heat diffusion.
+
+        (M + t L) y = M x,   t = deviation^2 / 2,
+
+    with M the vertices' areas and L the cotangent Laplacian. A peak spreads to a bump that has this standard
+    deviation along each direction of the surface. The integral over the surface stays, constants do too, and
+    no value leaves the range of those given.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+        Millimetres.
+    faces : (F, 3) int64
+        Vertices without area around them keep their values.
+    deviation_mm : float
+        0 or more; 0 returns the values given.
+
+    Raises
+    ------
+    ValueError
+        When `deviation_mm` is negative or not finite, values have another length than V, or vertices or
+        values are not finite.
+
+    References
+    ----------
+    M. Desbrun, M. Meyer, P. Schroeder, A. Barr, "Implicit fairing of irregular meshes using diffusion and
+    curvature flow", SIGGRAPH 1999, section 2.3.
+
+    Examples
+    --------
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    >>> spread = surface_diffusion(corners, np.array([[0, 1, 2], [2, 1, 3]]), 50.0)
+    >>> spread([[0.0], [3.0], [0.0], [0.0]]).round(2).ravel().tolist()
+    [1.0, 1.0, 1.0, 1.0]
+    """
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
+    if not (np.isfinite(deviation_mm) and deviation_mm >= 0):
+        raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
+    if not np.isfinite(vertices).all():
+        raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
+    area = vertex_areas(vertices, faces)
+    # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
+    deviation = min(float(deviation_mm), _WIDEST * float(np.ptp(vertices, axis=0).max(initial=0.0)))
+    mass = np.where(area > 0, area, 1.0)
+    system = sparse.diags(mass) + 0.5 * deviation**2 * laplacian(vertices, faces)
+    factor = splu(system.tocsc(), permc_spec="COLAMD")
+
+    def spread(values: ArrayLike) -> FloatArray:
+        given = np.asarray(values, np.float64)
+        if given.ndim == 0 or len(given) != len(vertices):
+            raise ValueError(f"values have shape {given.shape}, expected ({len(vertices)}, ...)")
+        if not np.isfinite(given).all():
+            raise ValueError(
+                f"{int((~np.isfinite(given)).sum())} values are NaN or infinite, and would spread"
+            )
+        flat = given.reshape(len(given), int(np.prod(given.shape[1:])))
+        if deviation_mm == 0:
+            return given.copy()
+        return np.asarray(factor.solve(mass[:, None] * flat)).reshape(given.shape)
+
+    return spread
+
+
+def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_matrix:
+    """Return the derivatives of `vertex_normals` by all coordinates, blocks of 3 x 3.
+
+    With N the sum of cross products around vertex v and e_fj the edge of face f opposite to its corner j,
+
+        dn_v / dx_j = (I - n n^T) / |N| [sum over faces f of v and j of e_fj]_x.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64
+    faces : (F, 3) int64
+
+    Returns
+    -------
+    (3V, 3V) block sparse matrix with a block for each vertex and itself, and each pair that shares a face;
+    zeros where a vertex has no area around it.
+    """
+    count = len(vertices)
+    corners = vertices[faces]
+    opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
+    own = np.repeat(faces, 3, axis=1).ravel()
+    other = np.tile(faces, 3).ravel()
+    edges = np.tile(opposite, (1, 3, 1)).reshape(-1, 3)
+    itself = np.arange(count)
+    keys, slot = np.unique(np.concatenate([own * count + other, itself * (count + 1)]), return_inverse=True)
+    slot = slot[: len(own)]
+    sums = np.stack([np.bincount(slot, edges[:, axis], minlength=len(keys)) for axis in range(3)], 1)
+    row, column = keys // count, keys % count
+    start = np.searchsorted(row, np.arange(count + 1))
+    blocks = _of_unit(_normal_sums(vertices, faces))[row] @ cross_matrices(sums.astype(np.float64))
+    return sparse.bsr_matrix((blocks, column, start), shape=(3 * count, 3 * count))
+
+
+def cross_matrices(vectors: FloatArray) -> FloatArray:
+    """Return (N, 3, 3) matrices that take w to v x w, of vectors v (N, 3).
+
+    >>> cross_matrices(np.array([[1.0, 0, 0]]))[0] @ [0, 1, 0]
+    array([0., 0., 1.])
+    """
+    matrices = np.zeros((len(vectors), 3, 3))
+    for axis in range(3):
+        after, before = (axis + 1) % 3, (axis + 2) % 3
+        matrices[:, before, after] = vectors[:, axis]
+        matrices[:, after, before] = -vectors[:, axis]
+    return matrices
+
+
+def _normal_sums(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    cross = face_cross_products(vertices, faces)
+    flat = np.repeat(cross, 3, axis=0)
+    return np.stack([np.bincount(faces.ravel(), flat[:, k], minlength=len(vertices)) for k in range(3)], 1)
+
+
+def _of_unit(sums: FloatArray) -> FloatArray:
+    """Return (V, 3, 3) derivatives of N / |N| by N; zeros where N is zero."""
+    length = np.linalg.norm(sums, axis=1)
+    inverse = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+    unit = sums * inverse[:, None]
+    return inverse[:, None, None] * (np.eye(3) - unit[:, :, None] * unit[:, None, :])

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.surface_diffusion import surface_diffusion
+from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.image_terms import ImageFitOptions

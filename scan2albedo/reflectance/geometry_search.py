@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.geometry.normal_jacobian import cross_matrices
+from scan2albedo.geometry.operators import cross_matrices
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.optimization import Damping, NormalEquations, minimize
 from scan2albedo.reflectance.geometry_terms import GeometryTerm

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.normal_jacobian import vertex_normal_jacobian
+from scan2albedo.geometry.operators import vertex_normal_jacobian
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
 from scan2albedo.reflectance.picture_samples import SmoothImage

@@ -2,14 +2,18 @@ import igl
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
-from scan2albedo.geometry.mesh import face_areas
+from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.operators import (
     bending,
+    cross_matrices,
     laplacian,
     linear_refinement,
+    surface_diffusion,
     vertex_average,
     vertex_minimum,
+    vertex_normal_jacobian,
 )
 
 
@@ -85,3 +89,95 @@ def test_points_on_refined_faces_come_back_to_the_same_place_on_control_faces():
     on_control = subdivision.control_points(refined)
     np.testing.assert_allclose(on_control.barycentric.sum(1), 1)
     np.testing.assert_allclose(subdivision.points_matrix(on_control) @ vertices, direct, atol=1e-12)
+
+
+def sheet(count, side_mm=100.0):
+    vertices, faces = igl.triangulated_grid(count, count)
+    return np.column_stack([side_mm * (vertices - 0.5), np.zeros(len(vertices))]), np.asarray(faces, np.int64)
+
+
+def spread_of_a_peak(count, deviation_mm):
+    vertices, faces = sheet(count)
+    peak = np.zeros(len(vertices))
+    peak[np.linalg.norm(vertices, axis=1).argmin()] = 1.0
+    bump = surface_diffusion(vertices, faces, deviation_mm)(peak) * vertex_areas(vertices, faces)
+    return np.sqrt(bump @ vertices[:, 0] ** 2 / bump.sum())
+
+
+@pytest.mark.parametrize("count", [41, 81])
+def test_a_peak_spreads_over_the_distance_asked_for_whatever_the_resolution(count):
+    assert spread_of_a_peak(count, 6.0) == pytest.approx(6.0, rel=0.05)
+
+
+def test_the_integral_and_the_range_stay():
+    vertices, faces = sheet(21)
+    vertices[:, 2] = 10 * np.sin(vertices[:, 0] / 9)
+    values = np.random.default_rng(0).uniform(2, 3, (len(vertices), 2))
+    smooth = surface_diffusion(vertices, faces, 8.0)(values)
+    area = vertex_areas(vertices, faces)
+    np.testing.assert_allclose(area @ smooth, area @ values)
+    assert smooth.min() >= 2
+    assert smooth.max() <= 3
+    assert smooth.std() < 0.5 * values.std()
+
+
+def test_vertices_that_stand_alone_keep_what_they_have():
+    vertices, faces = sheet(5)
+    vertices = np.vstack([vertices, [[0, 0, 50.0]]])
+    values = np.random.default_rng(0).normal(size=(26, 4, 2))
+    smooth = surface_diffusion(vertices, faces, 20.0)(values)
+    np.testing.assert_array_equal(smooth[-1], values[-1])
+    np.testing.assert_array_equal(surface_diffusion(vertices, faces, 0.0)(values), values)
+
+
+def test_slivers_and_long_distances_stay_finite():
+    vertices, faces = sheet(5)
+    vertices[7] = vertices[6] + [1e-9, 0, 0]
+    smooth = surface_diffusion(vertices, faces, 1e5)(np.arange(25.0))
+    assert np.isfinite(smooth).all()
+    assert np.ptp(smooth) < 1e-3
+
+
+def test_what_is_no_distance_or_not_a_value_a_vertex_is_refused():
+    vertices, faces = sheet(5)
+    for wrong in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="deviation_mm"):
+            surface_diffusion(vertices, faces, wrong)
+    with pytest.raises(ValueError, match="values have shape"):
+        surface_diffusion(vertices, faces, 1.0)(np.zeros(3))
+
+
+VERTICES, FACES = AnnotatedFaceModel.default().surface(0)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
+def test_it_agrees_with_finite_differences(scale):
+    vertices, step = scale * VERTICES, 1e-6 * scale
+    jacobian = vertex_normal_jacobian(vertices, FACES)
+    for direction in np.random.default_rng(0).normal(size=(2, *vertices.shape)):
+        ahead, behind = (vertex_normals(vertices + h * direction, FACES) for h in (step, -step))
+        expected = (ahead - behind) / (2 * step)
+        found = (jacobian @ direction.ravel()).reshape(-1, 3)
+        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_shifts_and_scale_turn_nothing_and_turns_turn_alike():
+    jacobian = vertex_normal_jacobian(VERTICES, FACES)
+    np.testing.assert_allclose(jacobian @ np.tile([1.0, 2, 3], len(VERTICES)), 0, atol=1e-12)
+    np.testing.assert_allclose(jacobian @ VERTICES.ravel(), 0, atol=1e-11)
+    axis = np.array([0.3, -0.2, 0.5])
+    turned = (jacobian @ np.cross(axis, VERTICES).ravel()).reshape(-1, 3)
+    np.testing.assert_allclose(turned, np.cross(axis, vertex_normals(VERTICES, FACES)), atol=1e-11)
+
+
+def test_vertices_without_area_have_no_derivative():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5], [2, 0, 0], [3, 0, 0]])
+    jacobian = vertex_normal_jacobian(vertices, np.array([[0, 1, 2], [1, 4, 5]])).toarray()
+    assert np.isfinite(jacobian).all()
+    assert (jacobian[9:] == 0).all()
+    assert np.abs(jacobian[:9]).max() > 0
+
+
+def test_cross_matrices_are_cross_products():
+    a, b = np.random.default_rng(0).normal(size=(2, 5, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", cross_matrices(a), b), np.cross(a, b))

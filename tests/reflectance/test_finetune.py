@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.surface_diffusion import surface_diffusion
+from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_harmonics import project_environment
 from scan2albedo.lighting.harmonics import harmonics
