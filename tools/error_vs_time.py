@@ -25,8 +25,8 @@ from benchmarks.glasses import WornGlasses, rms_mm
 from benchmarks.run import STAGES, run_benchmarks, write_benchmarks
 from benchmarks.sweep import Outcome, Peer, missing_modules, timed
 
+from scan2albedo.io.atomic import check_writable, removed_if_empty
 from scan2albedo.io.records import plain_json
-from scan2albedo.io.result_folder import check_writable, removed_if_empty
 from scan2albedo.synthetic import SyntheticScene
 
 ADAM_ITERATIONS = (30, 300, 1500)
@@ -35,7 +35,7 @@ MITSUBA = "Mitsuba gradients"
 MITSUBA_TRIAL = """
 from albedo_peers_slow import DescentOptions, mitsuba_inverse
 from scan2albedo.io.records import plain_json
-from scan2albedo.io.result_folder import check_writable, removed_if_empty
+from scan2albedo.io.atomic import check_writable, removed_if_empty
 from scan2albedo.synthetic import face
 mitsuba_inverse(face(size=24).image, 1, DescentOptions(trial_steps=1, steps=1))
 """

@@ -28,8 +28,8 @@ from recognition_experiment import (
 from recognition_experiment.files import write_report
 
 from scan2albedo.core import TraceRow
+from scan2albedo.io.atomic import check_writable, removed_if_empty
 from scan2albedo.io.records import plain_json
-from scan2albedo.io.result_folder import check_writable, removed_if_empty
 from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 
 CHOICES = {

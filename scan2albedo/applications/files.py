@@ -17,12 +17,12 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
+from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record, write_record
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord, ResultRecord
 from scan2albedo.lighting.asrm import Reflectance
 

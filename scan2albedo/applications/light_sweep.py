@@ -14,9 +14,8 @@ from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.io.atomic import write_bytes
+from scan2albedo.io.atomic import result_folder, write_bytes
 from scan2albedo.io.images import write_png
-from scan2albedo.io.result_folder import result_folder
 
 
 def light_arc(

@@ -89,7 +89,7 @@ def run_batch(
     layout = Layout.of(out)
     if not isinstance(manifest, BatchManifest):
         manifest = read_manifest(manifest, leave_out=layout.out)
-    from scan2albedo.io.result_folder import check_writable
+    from scan2albedo.io.atomic import check_writable
 
     options = ProcessOptions() if options is None else options
     tasks = _tasks(manifest, layout, options, timeout_s)

@@ -125,7 +125,7 @@ def batch(
     signal.signal(signal.SIGINT, signal.default_int_handler)
     from scan2albedo.batch import run_batch
     from scan2albedo.cli.progress import BatchLines
-    from scan2albedo.io.result_folder import removed_if_empty
+    from scan2albedo.io.atomic import removed_if_empty
 
     try:
         with removed_if_empty(out), BatchLines() as lines:

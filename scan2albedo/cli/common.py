@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from scan2albedo.io.result_folder import remove_unfinished
+from scan2albedo.io.atomic import remove_unfinished
 
 DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
 

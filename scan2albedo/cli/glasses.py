@@ -67,7 +67,7 @@ def canonicalize(
         read_frames,
         write_canonical_files,
     )
-    from scan2albedo.io.result_folder import check_writable
+    from scan2albedo.io.atomic import check_writable
 
     carrier, spend = _carrier(handles), _checked_budget(unit, budget)
     stop_cleanly_on_interrupt(out)
@@ -161,7 +161,7 @@ def register(
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses.app.registration import register_frame, write_registration_files
     from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
-    from scan2albedo.io.result_folder import check_writable
+    from scan2albedo.io.atomic import check_writable
 
     spend = _checked_budget(unit, budget)
     if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
@@ -262,7 +262,7 @@ def lenses(
     from scan2albedo.eyeglasses import LensPictureOptions
     from scan2albedo.eyeglasses.app.lens_files import run_lenses
     from scan2albedo.eyeglasses.app.lens_input import check_unit, material_pair, read_lens_input
-    from scan2albedo.io.result_folder import check_writable
+    from scan2albedo.io.atomic import check_writable
 
     try:
         check_unit(unit)

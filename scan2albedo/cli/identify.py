@@ -53,7 +53,7 @@ def identify(
     _check_options(probes, out, combine, save_templates)
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.result_folder import check_writable, removed_if_empty
+    from scan2albedo.io.atomic import check_writable, removed_if_empty
     from scan2albedo.recognition import identify_results, read_labelled_templates, write_templates
     from scan2albedo.recognition.app.files import identification_record, write_identification
 

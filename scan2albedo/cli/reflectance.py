@@ -274,7 +274,7 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
     """Give progress lines for work that writes into `out`."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.result_folder import check_writable, removed_if_empty
+    from scan2albedo.io.atomic import check_writable, removed_if_empty
 
     with removed_if_empty(out), ProgressLines(name) as progress:
         check_writable(out)

@@ -19,8 +19,8 @@ from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
+from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
-from scan2albedo.io.result_folder import check_writable
 from scan2albedo.pipeline.options import ProcessOptions, process_options
 from scan2albedo.pipeline.result import ProcessResult, write_result
 from scan2albedo.registration import Registration, RegistrationOptions, register

@@ -11,12 +11,12 @@ import numpy as np
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError
+from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import installed_versions, plain_json, write_record
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_records import (
     InputRecord,
     LightRecord,

@@ -1,3 +1,4 @@
+import os
 import resource
 from pathlib import Path
 
@@ -5,7 +6,15 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import OutputError
-from scan2albedo.io.atomic import atomic_path, make_folder, write_text
+from scan2albedo.io.atomic import (
+    atomic_path,
+    check_writable,
+    make_folder,
+    remove_unfinished,
+    removed_if_empty,
+    result_folder,
+    write_text,
+)
 from scan2albedo.io.images import write_exr, write_png
 
 
@@ -78,3 +87,92 @@ def test_a_file_in_the_way_of_a_folder_is_named(tmp_path):
     (tmp_path / "out").write_text("I am a file")
     with pytest.raises(OutputError, match=r"cannot create the folder .*out"):
         make_folder(tmp_path / "out" / "james")
+
+
+def contents(folder):
+    return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
+
+
+def write_folder(out, files, *records, **options):
+    with result_folder(out, *records, **options) as folder:
+        for name, text in files.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text)
+
+
+def test_files_replace_older_ones_and_obsolete_ones_go(tmp_path):
+    out = tmp_path / "a" / "b"
+    write_folder(out, {"x.txt": "1", "y.txt": "1", "result.json": "1"}, "result.json")
+    (out / "mine.txt").write_text("kept")
+    write_folder(
+        out, {"x.txt": "2", "result.json": "2"}, "result.json", obsolete=["x.txt", "y.txt", "../b/mine.txt"]
+    )
+    assert contents(out) == {"x.txt": "2", "result.json": "2", "mine.txt": "kept"}
+
+
+def test_folders_inside_are_published_too_and_records_come_last(tmp_path, monkeypatch):
+    order = []
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda a, b: (order.append(Path(b).name), replace(a, b)))
+    files = {"set.json": "s", "x.txt": "1", "frame/result.json": "r", "frame/z.txt": "1"}
+    write_folder(tmp_path / "out", files, "set.json", "result.json")
+    assert contents(tmp_path / "out") == files
+    assert order == ["z.txt", "result.json", "x.txt", "set.json"]
+
+
+def test_an_older_record_goes_before_other_files_change(tmp_path, monkeypatch):
+    write_folder(tmp_path, {"x.txt": "1", "result.json": "1"}, "result.json")
+
+    def full(source, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OutputError, match=r"cannot write the results into .*: No space left on device"):
+        write_folder(tmp_path, {"x.txt": "2", "result.json": "2"}, "result.json")
+    assert contents(tmp_path) == {"x.txt": "1"}
+
+
+def write_half_a_folder(out, interruption):
+    with result_folder(out, "result.json") as folder:
+        (folder / "result.json").write_text("ha")
+        raise interruption
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
+def test_an_interrupted_block_leaves_the_folder_as_it_was(tmp_path, interruption):
+    write_folder(tmp_path / "out", {"result.json": "1"}, "result.json")
+    with pytest.raises(interruption):
+        write_half_a_folder(tmp_path / "out", interruption)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["result.json"]
+    assert contents(tmp_path / "out") == {"result.json": "1"}
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("I am a file")
+    for options in ({}, {"staged_in": tmp_path}):
+        with (
+            pytest.raises(OutputError, match=r"cannot write the results into .*file/a: Not a directory"),
+            result_folder(tmp_path / "file" / "a", **options),
+        ):
+            pass
+    assert contents(tmp_path) == {"file": "I am a file"}
+    with pytest.raises(OutputError, match="cannot create the folder"):
+        check_writable(tmp_path / "file" / "a")
+
+
+def test_an_exit_that_unwinds_nothing_can_remove_the_hidden_folder(tmp_path):
+    with result_folder(tmp_path / "scan", staged_in=tmp_path) as folder:
+        (folder / "x.txt").write_text("1")
+        remove_unfinished(tmp_path)
+        assert list(tmp_path.iterdir()) == []
+        folder.mkdir()
+    assert list(contents(tmp_path)) == []
+
+
+def test_a_folder_made_for_nothing_goes_again(tmp_path):
+    with removed_if_empty(tmp_path / "new"):
+        check_writable(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    with removed_if_empty(tmp_path / "new"):
+        write_folder(tmp_path / "new", {"x.txt": "1"})
+    assert (tmp_path / "new").exists()

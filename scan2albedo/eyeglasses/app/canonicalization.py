@@ -29,10 +29,9 @@ from scan2albedo.eyeglasses.app.records import CanonicalFrameRecord, CanonicalSe
 from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import PARENTS
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.atomic import make_folder, result_folder
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import installed_versions, plain_json, write_record
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_records import InputRecord, PlanRecord
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.units import MM_PER_UNIT

@@ -33,8 +33,8 @@ from scan2albedo.fitting import fit
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.io.atomic import check_writable, result_folder
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.result_folder import check_writable, result_folder
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
 

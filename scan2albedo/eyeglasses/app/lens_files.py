@@ -17,11 +17,11 @@ from scan2albedo.eyeglasses import InsertedLens, LensMaterial, LensPictureOption
 from scan2albedo.eyeglasses.app.lens_input import LensInput, file_sha256
 from scan2albedo.eyeglasses.app.lenses import LensView, RenderedLenses, render_lenses
 from scan2albedo.eyeglasses.app.records import FileRecord, LensesRecord, LensRecord, LensViewRecord
+from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import installed_versions, listed_files, write_record
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_records import InputRecord
 from scan2albedo.report.eyeglasses_views import LENS_COLUMNS, lens_panels, preview
 from scan2albedo.report.overview import overview_figure

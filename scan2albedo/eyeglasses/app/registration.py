@@ -25,8 +25,8 @@ from scan2albedo.eyeglasses.app.records import FileRecord, RegisteredFrameRecord
 from scan2albedo.eyeglasses.app.registration_input import RegistrationInput
 from scan2albedo.eyeglasses.keypoints import PARENTS
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.records import installed_versions, plain_json, write_record
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.io.result_records import PlanRecord
 from scan2albedo.io.skinned_glb import write_skinned_glb
 from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels

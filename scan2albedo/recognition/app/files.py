@@ -12,10 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo.core.version import VERSION
-from scan2albedo.io.atomic import write_text
+from scan2albedo.io.atomic import result_folder, write_text
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, write_record
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
 
 IDENTIFICATION_FILE = "identification.json"

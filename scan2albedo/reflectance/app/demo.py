@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from scan2albedo.core import ProgressCallback
 from scan2albedo.geometry.rigid import procrustes, transform_points
-from scan2albedo.io.atomic import make_folder, write_text
+from scan2albedo.io.atomic import make_folder, result_folder, write_text
 from scan2albedo.io.images import write_png
-from scan2albedo.io.result_folder import result_folder
 from scan2albedo.reflectance import (
     ReflectanceFitOptions,
     VertexReflectance,

@@ -13,9 +13,9 @@ from pydantic import Field
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Figures, Record, listed_files, write_record
-from scan2albedo.io.result_folder import result_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
