@@ -163,10 +163,10 @@ def _geman_mcclure(residual: FloatArray, cutoff: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
-    """Return for each point (N, 3) what the scan surface nearest to it says.
+    """Find the point of the scan's surface closest to each point (N, 3).
 
-    `vertex` (N,) is walked downhill in place. Returned are the offset (N, 3) to the closest point, the
-    unit normal (N, 3) there, the distance (N,), and whether the closest point lies on the border (N,).
+    `vertex` (N,), where the search starts, is walked downhill in place. Returned are the offset (N, 3) to the
+    closest point, the unit normal (N, 3) there, the distance (N,), and whether it lies on the border (N,).
     """
     count = len(points)
     offset, normal = np.empty((count, 3)), np.empty((count, 3))
