@@ -13,20 +13,18 @@ from scan2albedo.applications.skin_continuation import continued, trusted
 from scan2albedo.errors import ApplicationError
 from scan2albedo.lighting.asrm import Reflectance
 
-_MARGIN = 2
-"""Texels beside badly seen ones that are not trusted either."""
 _OWN_END = 0.05
-"""Within this weight of an end a face gets its badly seen texels back, so that the ends are the faces."""
+"""Closer than this to weight 0 or 1 badly seen texels fade to the face's own: the ends are the faces."""
 
 
 def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> ProcessedFace:
     """Return the face `weight` of the way from A to B, in shape and skin.
 
-    Positions are blended linearly on the chart that both share; normals follow the new surface; the albedos
-    are brought to one level, between theirs geometrically, and then blended linearly: their own levels only
-    tell how the scans were exposed, and the brighter scan would win otherwise. Where the texture of one was
-    not seen, hair over a temple for instance, the detail of the other is continued in its colours, as in
-    `swap_texture`; where neither was, the colour is continued smoothly. Two faces of one skin keep it.
+    Positions are blended linearly on the chart that both share; normals follow the new surface. The albedos
+    are scaled to one level, the geometric mean of theirs by weight, and then blended linearly: an albedo's
+    level depends on the scan's exposure, and the brighter scan would dominate. Where the texture of one face
+    was not seen, for example under hair, the detail of the other is continued in its colours, as in
+    `swap_texture`; where neither was seen the colour is continued smoothly.
 
     Parameters
     ----------
@@ -78,11 +76,11 @@ def _between(a: NDArray, b: NDArray, weight: float | NDArray[np.float64]) -> NDA
 
 def _whole_skin(face: ProcessedFace, other: ProcessedFace, weight: float) -> NDArray[np.float64]:
     """Return (H, W, 3) the albedo, continued where it was badly seen unless `weight` of `other` is low."""
-    own, known = face.albedo_linear.astype(np.float64), trusted(face, _MARGIN)
+    own, known = face.albedo_linear.astype(np.float64), trusted(face)
     share = min(weight / _OWN_END, 1.0)
     if share == 0:
         return own
-    return _between(own, continued(own, known, other, trusted(other, _MARGIN)), share)
+    return _between(own, continued(own, known, other, trusted(other)), share)
 
 
 def _between_maps(a: NDArray | None, b: NDArray | None, weight: float) -> NDArray | None:
@@ -103,7 +101,7 @@ def _gains(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[float, fl
 def _blended_reflectance(
     a: Reflectance, b: Reflectance, weight: float, gains: tuple[float, float]
 ) -> Reflectance:
-    """Return the reflectance between two; of models that do not blend, the nearer one's."""
+    """Return the reflectance between two; the nearer one's where their models do not blend."""
     strength = (1 - weight) * gains[0] * a.specular_strength + weight * gains[1] * b.specular_strength
     nearer = a if weight < 0.5 else b
     if (a.brdf == "minnaert") != (b.brdf == "minnaert"):
@@ -117,7 +115,7 @@ def _blended_reflectance(
 
 
 def _blended_exponent(a: Reflectance, b: Reflectance, weight: float) -> float:
-    """Return the exponent between two; a face without highlight has none to say."""
+    """Return the exponent between two; that of a face without highlight does not count."""
     if 0 < weight < 1 and 0 in (a.specular_strength, b.specular_strength):
         return b.exponent if a.specular_strength == 0 else a.exponent
     return float(a.exponent ** (1 - weight) * b.exponent**weight)

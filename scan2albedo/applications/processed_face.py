@@ -78,7 +78,7 @@ class ProcessedFace:
     image : GeometryImage
         Position, normal, mask, region, and the texture where there is one.
     albedo_linear : (H, W, 3) float32
-        Zero outside the mask; up to one global scale, which no image tells.
+        Zero outside the mask; known up to one global scale.
     reflectance : Reflectance
         How the skin reflects, its highlight in the albedo's unit.
     lights : tuple of PointLight
@@ -97,7 +97,8 @@ class ProcessedFace:
     Raises
     ------
     ApplicationError
-        When albedo and image differ in size, or the albedo is negative or not finite on the surface.
+        When albedo and image differ in size, the albedo is negative or not finite on the surface, or the
+        view direction is zero.
     GeometryImageError
         For normals of another length than 1.
     """
@@ -125,6 +126,10 @@ class ProcessedFace:
         if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
             raise ApplicationError(
                 f"{self.name}: the albedo goes down to {lowest:.3g} inside the mask; albedo is 0 or more"
+            )
+        if not (np.isfinite(self.view_direction).all() and np.any(self.view_direction)):
+            raise ApplicationError(
+                f"{self.name}: view_direction is {self.view_direction}, expected finite numbers, not all zero"
             )
         self.image.check_normals()
         if not len(self.mesh.faces):
@@ -178,7 +183,7 @@ class ProcessedFace:
     def reshaped(self, mesh: FaceMesh, position: FloatArray, name: str) -> ProcessedFace:
         """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
 
-        Normals are those of the new mesh, and what the image's own knew beyond those of the old one.
+        Normals are those of the new mesh plus the detail by which the image's differed from the old one's.
 
         Parameters
         ----------
@@ -208,7 +213,7 @@ def on_grid(mask: NDArray[np.bool_], values: FloatArray) -> FloatArray:
 _SAME_UV = 1e-5
 """Chart coordinates closer than this are the same: GLB files hold them with 24 bits."""
 _LEAST_OVERLAP = 0.9
-"""Part of the smaller mask that has to lie in the other for two charts to be the same."""
+"""Part of the smaller mask that the other must contain for two charts to be the same."""
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:

@@ -28,8 +28,6 @@ class RelightOptions:
     """Cast shadows; None casts them when the estimate found that the surface shades itself."""
     environment_lights: int = 128
     """Distant lights that stand for an environment map; their mean distance is 18 degrees."""
-    view_direction: tuple[float, float, float] | None = None
-    """Toward the viewer of the relit texture; the estimate's when None. Pictures know their own."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ def relight(
         For ambient light that is negative or not finite, an environment that is negative, a lamp nearer to
         the origin than part of the face, or light beyond what single precision holds.
     ValueError
-        For an environment of another shape, or a zero view direction.
+        For an environment of another shape.
 
     Examples
     --------
@@ -145,13 +143,7 @@ def relight(
         lights, environment_linear, ambient=base, environment_lights=options.environment_lights
     )
     shadows = face.casts_shadows if options.shadows is None else options.shadows
-    view = np.asarray(
-        face.view_direction if options.view_direction is None else options.view_direction, np.float64
-    )
-    if view.shape != (3,) or not np.isfinite(view).all() or not view.any():
-        raise ValueError(
-            f"view_direction is {options.view_direction!r}, expected three numbers, not all zero"
-        )
+    view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
     shadow_map = ShadowMap(
         RayCaster(*image.occluder_mesh()) if shadows and len(light.intensity) else None,

@@ -11,6 +11,8 @@ from scan2albedo.applications.processed_face import ProcessedFace
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_MARGIN = 2
+"""Texels beside badly seen ones that are not trusted either."""
 _FLOOR = 1e-5
 """Albedo below this part of the level counts as this in logarithms."""
 _REACH, _UNLIKE = 0.05, 0.25
@@ -21,23 +23,22 @@ _FADE = 2.0
 """Texels over which a feature at the border fades out."""
 
 
-def trusted(face: ProcessedFace, margin: int) -> BoolArray:
-    """Return (H, W) texels that were seen, without those within `margin` of one that was not."""
+def trusted(face: ProcessedFace) -> BoolArray:
+    """Return (H, W) texels that were seen, without those close to one that was not."""
     import cv2
 
     unseen = (face.mask & ~face.image.seen).astype(np.uint8)
-    near = cv2.dilate(unseen, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
+    near = cv2.dilate(unseen, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
     return np.asarray(face.mask & (near == 0))
 
 
 def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
     """Return (H, W, 3) `albedo` with the texels that are not `known` continued by the other face's gradients.
 
-    Gradients of log albedo are integrated from the border of what is known, so that no seam is left [1]_.
-    They count where both their texels lie in `guide`, and are 0 elsewhere. A feature that only one face has
-    at the border, such as the end of a brow, would be carried on as a bright or dark stain: what sets it
-    apart from its surroundings fades out within a few texels instead. The other face's very albedo is left
-    as it is: there is nothing to be had from the other face.
+    Gradients of log albedo are integrated from the border of the known texels, so that no seam is left [1]_;
+    they are 0 where one of their texels is outside `guide`. A feature of one face alone at the border, such
+    as the end of a brow, would continue as a bright or dark stain: its difference from its surroundings fades
+    out within a few texels instead. Where `albedo` is the other face's own it is returned as it is.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def _features(difference: FloatArray, both: BoolArray) -> FloatArray:
 
 
 def _faded(filled: FloatArray, field: FloatArray, feature: FloatArray, known: BoolArray) -> FloatArray:
-    """Return `filled` with the feature of the nearest known texel, less with distance and never beyond it."""
+    """Return `filled` plus the feature of the nearest known texel, fading with distance."""
     from scipy.ndimage import distance_transform_edt
 
     distance, (row, column) = distance_transform_edt(~known, return_indices=True)

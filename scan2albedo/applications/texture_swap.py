@@ -15,14 +15,8 @@ class SwapOptions:
     """Settings of `swap_texture`."""
 
     match_level: bool = True
-    """Scale B's albedo to A's level. No image tells an albedo's level, each has that of its own scan's
-    exposure; and A's lights are in A's unit."""
-    margin: int = 2
-    """Texels beside badly seen ones that are not trusted either."""
-
-    def __post_init__(self) -> None:
-        if self.margin < 0:
-            raise ValueError(f"margin is {self.margin}, expected 0 or more texels")
+    """Scale B's albedo to A's level: an albedo's level depends on its own scan's exposure, and A's lights are
+    in A's unit."""
 
 
 def swap_texture(
@@ -30,9 +24,9 @@ def swap_texture(
 ) -> ProcessedFace:
     """Return A's geometry with B's albedo and reflectance, under A's lights.
 
-    Where B's texture was not seen, A's goes on with B's colours: its gradients in log albedo are integrated
-    from the border of what was seen of B, so that no seam is left [1]_; where A's was not seen either the
-    colour is continued smoothly.
+    Where B's texture was not seen, A's detail is continued in B's colours: its gradients of log albedo are
+    integrated from the border of B's seen texels, so that no seam is left [1]_. Where A's was not seen either
+    the colour is continued smoothly.
 
     Parameters
     ----------
@@ -51,9 +45,8 @@ def swap_texture(
     """
     shape, skin = on_common_chart(a, b)
     gain = _gain(skin, shape) if options.match_level else 1.0
-    known = trusted(skin, options.margin)
     albedo = gain * skin.albedo_linear.astype(np.float64)
-    albedo = continued(albedo, known, shape, trusted(shape, options.margin))
+    albedo = continued(albedo, trusted(skin), shape, trusted(shape))
     strength = gain * skin.reflectance.specular_strength
     image = replace(
         shape.image,

@@ -191,8 +191,8 @@ def test_misuse_is_told(person):
         relight(person(0), ambient=-0.1)
     with pytest.raises(ValueError, match="environment_linear"):
         relight(person(0), environment_linear=np.ones((4, 8)))
-    with pytest.raises(ValueError, match="view_direction"):
-        relight(person(0), options=RelightOptions(view_direction=(0, 0, 0)))
+    with pytest.raises(ApplicationError, match="view_direction"):
+        replace(person(0), view_direction=(0, 0, 0))
     with pytest.raises(ValueError, match="elevation"):
         default_camera(person(0), elevation_rad=np.pi / 2)
     with pytest.raises(ValueError, match="azimuth"):
