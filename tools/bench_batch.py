@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
+from loky import ProcessPoolExecutor
 from raw_scan_files import write_obj
 
 import scan2albedo as s2a
@@ -92,10 +92,8 @@ def make_scans(folder: Path, count: int, jobs: int) -> Path:
     """Write good scans, broken ones among them, and their manifest."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"person-{seed:04d}.obj" for seed in range(count)]
-    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-        made = joblib.Parallel(n_jobs=jobs)(
-            joblib.delayed(make_scan)(path, seed) for seed, path in enumerate(paths)
-        )
+    with ProcessPoolExecutor(jobs, env={"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}) as processes:
+        made = list(processes.map(make_scan, paths, range(count)))
     print(f"{count} scans: {np.median(made):.1f} s CPU each to make (median; 0 where kept)")
     rows = [(path.name, f"p{i:04d}", "good") for i, path in enumerate(paths)]
     for i, (kind, (spoil, _)) in enumerate(BROKEN.items()):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +10,9 @@ from scan2albedo.batch.columns import FILES, FIXED, METRICS, STAGES, path_column
 from scan2albedo.batch.layout import CATALOGUE
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan
 from scan2albedo.batch.records import BatchScanRecord
-from scan2albedo.errors import BatchError
+from scan2albedo.errors import BatchError, needs_extra
 from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.result_records import column_name, metric_columns
 
 if TYPE_CHECKING:
     import pyarrow
@@ -70,9 +70,12 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
     ------
     BatchError
         When there is none, or it is damaged.
+    MissingDependencyError
+        When pyarrow is not installed.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as parquet
+    with needs_extra("batch"):
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
 
     path = Path(out)
     path = path / CATALOGUE if path.is_dir() else path
@@ -95,25 +98,9 @@ def _line(scan: ManifestScan, row: BatchScanRecord | None) -> dict[str, Any]:
     line |= {"source": scan.source, "plan_ran": ", ".join(row.plan_ran)}
     line |= {"plan_skipped": ", ".join(row.plan_skipped), "notes": "; ".join(row.notes)}
     line["folder"] = scan.name if row.status == "done" else None
-    line |= {f"seconds_{_plain(stage)}": seconds for stage, seconds in row.timings_s.items()}
-    line |= flattened(row.metrics)
+    line |= {f"seconds_{column_name(stage)}": seconds for stage, seconds in row.timings_s.items()}
+    line |= metric_columns(row.metrics)
     return line | {path_column(file): f"{scan.name}/{file}" for file in FILES if file in row.files}
-
-
-def flattened(metrics: Mapping[str, Any], prefix: str = "metrics") -> dict[str, float | bool]:
-    """Return the numbers and truths of nested figures, names joined by underscores; lists are left out.
-
-    >>> flattened({"fit": {"scale": 1.5, "converged": True, "history": [1, 2]}})
-    {'metrics_fit_scale': 1.5, 'metrics_fit_converged': True}
-    """
-    flat: dict[str, float | bool] = {}
-    for key, value in metrics.items():
-        name = f"{prefix}_{_plain(key)}"
-        if isinstance(value, Mapping):
-            flat |= flattened(value, name)
-        elif isinstance(value, bool | int | float):
-            flat[name] = value
-    return flat
 
 
 def _types(manifest: BatchManifest, lines: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -140,7 +127,3 @@ def _as(value: Any, kind: str) -> Any:
     if value is None or kind not in ("float64", "bool"):
         return value
     return float(value) if kind == "float64" else bool(value)
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")

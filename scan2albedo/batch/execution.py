@@ -1,22 +1,33 @@
-"""Tasks through workers, whatever becomes of the workers."""
+"""Tasks through workers, local or of a cluster, whatever becomes of the workers."""
 
 from __future__ import annotations
 
+import os
+import queue
 import re
+import secrets
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from itertools import islice
+from typing import Any
 
 from scan2albedo.batch import worker
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.batch.worker import ScanTask
-from scan2albedo.errors import BatchError
+from scan2albedo.errors import BatchError, needs_extra
 
 _DEATHS_BEFORE_ANY_SCAN = 3
 _CAUSES = "for want of memory, or a library crashed"
+_CONNECT_S = 15
+_IDLE_S = 600
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
 
 
 def run_in_processes(
@@ -70,7 +81,7 @@ _DIED = "died"
 
 
 def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | str]:
-    """Return the records of tasks that ended without having told so; "died" for those under way.
+    """Return the records of tasks that ended without an answer; "died" for those under way.
 
     One that took too long ended its worker itself; those beside it are innocent and are left out.
     """
@@ -106,12 +117,29 @@ def _alone(task: ScanTask, layout: Layout) -> BatchScanRecord:
 
 
 def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord]:
-    from joblib import delayed
+    """Yield the records of tasks as local processes finish them; BrokenProcessPool when a process dies."""
+    from loky import ProcessPoolExecutor
 
-    from scan2albedo.batch.backends import local_processes
-
-    with _quiet(), local_processes(jobs) as parallel:
-        yield from parallel(delayed(worker.process_task)(task) for task in tasks)
+    executor = ProcessPoolExecutor(
+        jobs, timeout=_IDLE_S, env=_ONE_THREAD, initializer=worker.begin_worker, initargs=(os.getpid(),)
+    )
+    tasks_left = iter(tasks)
+    # Two a process: one that waits keeps a process busy, and few are lost track of when one dies.
+    ahead = 1 if jobs == 1 else 2 * jobs
+    running: set[Future[BatchScanRecord]] = set()
+    with _quiet():
+        try:
+            while True:
+                new = islice(tasks_left, ahead - len(running))
+                running |= {executor.submit(worker.process_task, task) for task in new}
+                if not running:
+                    break
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+        finally:
+            # At once: they hold hundreds of MB each.
+            executor.shutdown(kill_workers=True)
 
 
 def run_on_cluster(
@@ -130,36 +158,59 @@ def run_on_cluster(
     BatchError
         When no scheduler or no worker answers, or the scheduler is lost.
     """
-    from joblib import delayed
+    with _client(address) as client:
+        on_jobs(len(client.nthreads()))
+        waiting = list(tasks)
+        while waiting:
+            again: list[ScanTask] = []
+            for task, future in _answered(client, waiting):
+                try:
+                    row = future.result()
+                except Exception as error:
+                    if not (reason := _reason(error)).startswith("KilledWorker"):
+                        raise BatchError(
+                            f"the dask scheduler at {address} is gone; --resume goes on with another"
+                        ) from error
+                    begun = layout.started_at(task.name)
+                    if begun is None:
+                        again.append(task)
+                        continue
+                    late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
+                    reason = f"its workers died each time it was tried: {_CAUSES}{late} ({reason})"
+                    row = _failed(task, layout, reason)
+                yield row
+            if len(again) == len(waiting):
+                raise BatchError(f"the workers of {address} die before they begin a scan; see their logs")
+            waiting = again
 
-    from scan2albedo.batch.backends import cluster
 
-    def died(task: ScanTask, reason: str) -> BatchScanRecord | ScanTask | None:
-        if not reason.startswith("KilledWorker"):
-            return None
-        begun = layout.started_at(task.name)
-        if begun is None:
-            return task
-        late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
-        return _failed(task, layout, f"its workers died each time it was tried: {_CAUSES}{late} ({reason})")
+def _answered(client: Any, tasks: Sequence[ScanTask]) -> Iterator[tuple[ScanTask, Any]]:
+    """Yield each task with its dask future as that ends, also when dask gives it up or loses its result."""
+    ended: queue.SimpleQueue[tuple[ScanTask, Any]] = queue.SimpleQueue()
+    futures = []  # dask forgets tasks whose futures nobody holds
+    for task in tasks:
+        key = f"{task.name}-{secrets.token_hex(8)}"
+        futures.append(client.submit(worker.process_task, task, key=key, pure=False))
+        futures[-1].add_done_callback(lambda future, task=task: ended.put((task, future)))
+    for _ in futures:
+        yield ended.get()
 
-    waiting = list(tasks)
-    while waiting:
-        again: list[ScanTask] = []
-        with _quiet(), cluster(address, died) as (parallel, workers):
-            on_jobs(workers)
-            for ended in parallel(delayed(worker.process_task)(task) for task in waiting):
-                if isinstance(ended, BatchScanRecord):
-                    yield ended
-                elif ended is not None:
-                    again.append(ended)
-                else:
-                    raise BatchError(
-                        f"the dask scheduler at {address} is gone; --resume goes on with another"
-                    )
-        if len(again) == len(waiting):
-            raise BatchError(f"the workers of {address} die before they begin a scan; see their logs")
-        waiting = again
+
+@contextmanager
+def _client(address: str) -> Iterator[Any]:
+    """Give a client of the dask scheduler, which has a worker at least."""
+    with needs_extra("cluster"):
+        from distributed import Client
+    try:
+        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
+    with client:
+        if not client.nthreads():
+            raise BatchError(
+                f"the dask scheduler at {address} has no worker; start one: dask worker {address}"
+            )
+        yield client
 
 
 def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:
@@ -171,6 +222,11 @@ def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:
 def _exit_codes(error: BaseException) -> str:
     found = re.search(r"\{([^}]*)\}", str(error))
     return found.group(1) if found else type(error).__name__
+
+
+def _reason(error: BaseException) -> str:
+    first = (str(error).strip().splitlines() or [""])[0]
+    return f"{type(error).__name__}: {first}"
 
 
 @contextmanager

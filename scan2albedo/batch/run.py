@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +24,8 @@ from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.resume import Resumed, remove_leftovers, verified
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import BatchError
+from scan2albedo.errors import BatchError, needs_extra
+from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.records import installed_versions, write_record
 from scan2albedo.pipeline.options import ProcessOptions
 
@@ -72,9 +74,11 @@ def run_batch(
 
     Raises
     ------
+    MissingDependencyError
+        When a library of the extra `batch`, or `cluster` with a scheduler, is not installed.
     BatchError
-        When the manifest is at fault, `out` holds a batch already and `resume` is not given, another batch
-        works there, or no worker can be had.
+        When this is no POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
+        not given, another batch works there, or no worker can be had.
     ModelError
         When a model's file is missing.
     OutputError
@@ -89,8 +93,7 @@ def run_batch(
     layout = Layout.of(out)
     if not isinstance(manifest, BatchManifest):
         manifest = read_manifest(manifest, leave_out=layout.out)
-    from scan2albedo.io.atomic import check_writable
-
+    _check_machine(scheduler)
     options = ProcessOptions() if options is None else options
     tasks = _tasks(manifest, layout, options, timeout_s)
     check_writable(layout.out)
@@ -160,11 +163,13 @@ class _Run:
             todo = self.taken_up(tasks) if resume else tasks
             self.start = time.monotonic()
             self.write("running")
-            for row in self.outcomes(todo):
-                self.rows[row.name] = row
-                self.tell(last=row)
-                if time.monotonic() - self.written > CATALOGUE_INTERVAL_S:
-                    self.write("running")
+            # Closed at once when Ctrl-C ends the loop: workers hold hundreds of MB each.
+            with closing(self.processed(todo)) as ended:
+                for row in ended:
+                    self.rows[row.name] = row
+                    self.tell(last=row)
+                    if time.monotonic() - self.written > CATALOGUE_INTERVAL_S:
+                        self.write("running")
             status = "ended"
         finally:
             with _undisturbed():
@@ -189,12 +194,11 @@ class _Run:
         self.note(self.resumed.note())
         return self.resumed.todo
 
-    def outcomes(self, tasks: Sequence[ScanTask]) -> Iterator[BatchScanRecord]:
-        if not tasks:
-            return iter(())
-        if self.scheduler is not None:
-            return run_on_cluster(tasks, self.layout, self.scheduler, self.set_jobs)
-        return run_in_processes(tasks, self.layout, self.limited)
+    def processed(self, tasks: Sequence[ScanTask]) -> Generator[BatchScanRecord]:
+        if tasks and self.scheduler is not None:
+            yield from run_on_cluster(tasks, self.layout, self.scheduler, self.set_jobs)
+        elif tasks:
+            yield from run_in_processes(tasks, self.layout, self.limited)
 
     def set_jobs(self, jobs: int) -> None:
         self.jobs = jobs
@@ -273,8 +277,30 @@ class _Run:
         )
 
 
+_POSIX = os.name == "posix"
+
+
+def _check_machine(scheduler: str | None) -> None:
+    """Refuse a machine that lacks what a batch needs, before any work.
+
+    Only POSIX has the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
+    memory of a worker (`resource`) and the change of parent by which a worker sees that it is an orphan.
+    """
+    if not _POSIX:
+        raise BatchError(
+            "batches need Linux or macOS; here, process scans one after the other with `scan2albedo process`"
+        )
+    with needs_extra("batch"):
+        import loky  # noqa: F401
+        import psutil  # noqa: F401
+        import pyarrow  # noqa: F401
+    if scheduler is not None:
+        with needs_extra("cluster"):
+            import distributed  # noqa: F401
+
+
 def _cores() -> int:
-    from joblib import cpu_count
+    from loky import cpu_count
 
     return int(cpu_count())
 

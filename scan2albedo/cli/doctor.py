@@ -34,7 +34,7 @@ IMPORT_NAMES = {
 EXTRA_IMPORT_NAMES = {
     "dask": ("cluster", "distributed"),
     "Jinja2": ("report", "jinja2"),
-    "joblib": ("batch", "joblib"),
+    "loky": ("batch", "loky"),
     "psutil": ("batch", "psutil"),
     "pyarrow": ("batch", "pyarrow"),
     "pyrtools": ("recognition", "pyrtools"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -115,3 +117,36 @@ class ApplicationRecord(Record):
     reflectance: Figures = Field(description="Under the names that result.json has for its parameters.")
     lights: tuple[LightRecord, ...] = ()
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+
+
+def flat_figures(figures: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """Return the leaves of nested figures by their names joined with "_"; of a list of numbers its greatest.
+
+    >>> flat_figures({"fit": {"residual_mean_mm": 0.1, "deviations": [1, 2], "kind": "soft"}}, "metrics")
+    {'metrics_fit_residual_mean_mm': 0.1, 'metrics_fit_deviations': 2, 'metrics_fit_kind': 'soft'}
+    """
+    leaves: dict[str, Any] = {}
+    for key, value in figures.items():
+        name = f"{prefix}_{column_name(key)}"
+        if isinstance(value, Mapping):
+            leaves |= flat_figures(value, name)
+        elif not isinstance(value, list | tuple):
+            leaves[name] = value
+        elif numbers := [entry for entry in value if isinstance(entry, int | float)]:
+            leaves[name] = max(numbers)
+    return leaves
+
+
+def metric_columns(metrics: Mapping[str, Any]) -> dict[str, float | bool]:
+    """Return the metrics of a result as columns of a table of scans: its numbers and truths."""
+    leaves = flat_figures(metrics, "metrics")
+    return {name: value for name, value in leaves.items() if isinstance(value, bool | int | float)}
+
+
+def column_name(name: str) -> str:
+    """Return a name with "_" for what is neither a letter nor a digit.
+
+    >>> column_name("new-stage")
+    'new_stage'
+    """
+    return re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")

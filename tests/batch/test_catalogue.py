@@ -11,6 +11,8 @@ from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_c
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError
+from scan2albedo.io.result_records import InputRecord, ResultRecord
+from scan2albedo.report.html.rows import row_of_record
 
 SHA = "0" * 64
 
@@ -77,11 +79,27 @@ def test_types_are_the_same_when_all_failed_and_none_was_run(tmp_path):
     ]
     assert tables[0].schema == tables[1].schema
     done = tables[2].schema
-    assert [field for field in done if not field.name.startswith("metrics_new_stage")] == list(
-        tables[0].schema
-    )
+    own = ("metrics_new_stage", "metrics_albedo_uncertainty_x")
+    assert [field for field in done if not field.name.startswith(own)] == list(tables[0].schema)
     kinds = {pa.string(), pa.float64(), pa.bool_(), pa.timestamp("us", tz="UTC")}
     assert set(done.types) == kinds
+
+
+def test_a_report_has_the_same_metrics_from_the_catalogue_and_from_result_files(tmp_path):
+    table = catalogue_table(manifest(tmp_path, "a"), {"a": row("a", **DONE)})
+    (line,) = table.to_pylist()
+    of_catalogue = {k: v for k, v in line.items() if k.startswith("metrics_") and v is not None}
+    result = ResultRecord.model_construct(
+        name="a",
+        metrics=DONE["metrics"],
+        timings_s={},
+        plan=(),
+        input=InputRecord.model_construct(file=None, sha256=SHA),
+    )
+    of_result = row_of_record(result, tmp_path).values
+    shown = {k: v for k, v in of_result.items() if k.startswith("metrics_") and v == v}
+    assert shown == of_catalogue
+    assert shown["metrics_albedo_uncertainty_x"] == 2
 
 
 def test_pandas_and_duckdb_read_it(tmp_path):

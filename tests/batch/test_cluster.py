@@ -68,7 +68,7 @@ def test_a_scan_that_kills_every_worker_fails_alone(scans_in, tmp_path, quick_st
 
 @pytest.mark.slow
 def test_no_scheduler_is_one_clear_error(scans_in, tmp_path, monkeypatch):
-    monkeypatch.setattr("scan2albedo.batch.backends._CONNECT_S", 1)
+    monkeypatch.setattr("scan2albedo.batch.execution._CONNECT_S", 1)
     with pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"):
         run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
 

@@ -1,9 +1,11 @@
 """Workers that die take at most one scan with them, and only after a second chance."""
 
+import sys
+
 import pytest
 
 from scan2albedo.batch import load_catalogue, run_batch
-from scan2albedo.errors import BatchError
+from scan2albedo.errors import BatchError, MissingDependencyError
 from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ProcessOptions(model="none", size=32, pictures=False)
@@ -50,3 +52,18 @@ def test_processes_that_die_before_any_scan_end_the_batch(scans_in, tmp_path, mo
     with pytest.raises(BatchError, match=r"die before they begin a scan \(EXIT\(3\)\)"):
         run_batch(scans_in("a"), tmp_path / "out", options=TINY, jobs=1)
     assert statuses(tmp_path / "out") == {"a": "not run"}
+
+
+def test_what_no_posix_system_has_is_one_clear_error(scans_in, tmp_path, monkeypatch):
+    monkeypatch.setattr("scan2albedo.batch.run._POSIX", False)
+    with pytest.raises(BatchError, match=r"need Linux or macOS; .* `scan2albedo process`"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("library", ["loky", "psutil", "pyarrow"])
+def test_a_missing_library_is_named_with_its_extra_before_any_work(library, scans_in, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(MissingDependencyError, match=rf"{library}.*pip install 'scan2albedo\[batch\]'"):
+        run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+    assert not (tmp_path / "out").exists()

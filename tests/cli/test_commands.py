@@ -2,10 +2,13 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from scan2albedo.cli import commands as cli
+from scan2albedo.cli import doctor
 from scan2albedo.cli.commands import app
 from scan2albedo.cli.common import echo_json
 from scan2albedo.pipeline import validation
@@ -178,17 +182,34 @@ def test_doctor_finds_a_healthy_machine():
     assert {"open3d", "numpy", "default face model"} <= {finding["subject"] for finding in findings}
 
 
-def test_doctor_tells_the_command_for_a_missing_library(monkeypatch):
-    from scan2albedo.cli import doctor
+def test_doctor_knows_every_library_of_pyproject():
+    project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())["project"]
+    extras = {k: v for k, v in project["optional-dependencies"].items() if k not in ("test", "dev")}
 
+    def names(requirements):
+        found = {re.match(r"[\w-]+", line).group() for line in requirements}
+        return {name.removesuffix("-cpu") for name in found} - {"scan2albedo"}
+
+    assert names(project["dependencies"]) == set(doctor.IMPORT_NAMES)
+    assert {name for group in extras.values() for name in names(group)} == set(doctor.EXTRA_IMPORT_NAMES)
+    for name, (extra, _) in doctor.EXTRA_IMPORT_NAMES.items():
+        assert name in names(extras[extra])
+
+
+def test_doctor_tells_what_an_extra_that_is_not_installed_is_for():
+    finding = doctor._library("no-such-package", "no_such_package", "report")
+    assert finding.good
+    assert "[report] alone" in finding.detail
+    assert "pip install 'scan2albedo[report]'" in finding.remedy
+
+
+def test_doctor_tells_the_command_for_a_missing_library(monkeypatch):
     finding = doctor._library("no-such-package", "no_such_package")
     assert not finding.good
     assert "pip install 'no-such-package'" in finding.remedy
 
 
 def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
-    from scan2albedo.cli import doctor
-
     def broken(*arguments, **options):
         return subprocess.CompletedProcess(
             arguments, 1, "", "ImportError: libGL.so.1: cannot open shared object file"

@@ -13,7 +13,6 @@ from scan2albedo.report.html.rows import (
     FAILED,
     RESIDUAL,
     ScanRow,
-    flattened,
     rows_of_catalogue,
     rows_of_folders,
     selected_rows,
@@ -166,7 +165,3 @@ def test_rows_of_result_files_have_the_columns_of_a_catalogue(one_scan):
     assert row.values["seconds_albedo"] == 12.499
     assert row.values["plan_ran"] == "albedo.shadows"
     assert row.values["plan_skipped"] == "fit"
-
-
-def test_lists_of_other_things_are_no_columns():
-    assert flattened({"a": [{"b": 1}], "c": None}, "m") == {"m_c": None}

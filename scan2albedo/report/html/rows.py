@@ -11,7 +11,7 @@ from typing import Any
 
 from scan2albedo.errors import Scan2AlbedoError, needs_extra
 from scan2albedo.io.records import read_record
-from scan2albedo.io.result_records import ResultRecord
+from scan2albedo.io.result_records import ResultRecord, metric_columns
 
 RESULT_FILE = "result.json"
 DONE, FAILED, NOT_RUN = "done", "failed", "not run"
@@ -75,31 +75,11 @@ def row_of_record(record: ResultRecord, folder: Path) -> ScanRow:
     values: dict[str, Any] = {"source": record.input.file, "input_sha256": record.input.sha256}
     seconds = record.metrics.get("seconds")
     values["seconds"] = sum(record.timings_s.values()) if seconds is None else seconds
-    values.update(flattened({k: v for k, v in record.metrics.items() if k != "seconds"}, "metrics"))
+    values.update(metric_columns(record.metrics))
     values.update({f"seconds_{stage}": seconds for stage, seconds in record.timings_s.items()})
     for column, ran in (("plan_ran", True), ("plan_skipped", False)):
         values[column] = ", ".join(step.stage for step in record.plan if step.ran is ran)
     return ScanRow(record.name, DONE, "", folder, values)
-
-
-def flattened(tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the leaves of nested mappings by their joined names; of a list of numbers its greatest.
-
-    >>> flattened({"fit": {"residual_mean_mm": 0.1, "deviations": [1, 2]}}, "metrics")
-    {'metrics_fit_residual_mean_mm': 0.1, 'metrics_fit_deviations': 2}
-    """
-    leaves: dict[str, Any] = {}
-    for key, value in tree.items():
-        name = f"{prefix}_{key}"
-        if isinstance(value, Mapping):
-            leaves.update(flattened(value, name))
-        elif isinstance(value, list | tuple):
-            numbers = [v for v in value if isinstance(v, int | float)]
-            if numbers:
-                leaves[name] = max(numbers)
-        else:
-            leaves[name] = value
-    return leaves
 
 
 CATALOGUE_FILE = "catalogue.parquet"

@@ -10,10 +10,9 @@ from typing import Any
 from urllib.parse import quote
 
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.io.result_records import ResultRecord
+from scan2albedo.io.result_records import ResultRecord, flat_figures
 from scan2albedo.report.html.charts import StageChart, read_trace, stage_charts
 from scan2albedo.report.html.encoding import TextureStyle, Topologies, picture_url
-from scan2albedo.report.html.rows import flattened
 from scan2albedo.report.html.texts import (
     angle_text,
     label_of,
@@ -214,7 +213,7 @@ def _trace(folder: Path) -> tuple[list[StageChart], str]:
 
 def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
     parts = []
-    figures = flattened(record.metrics, "metrics")
+    figures = flat_figures(record.metrics, "metrics")
     residual = figures.get("metrics_fit_residual_mean_mm")
     if residual is not None:
         parts.append(f"fit {number_text(residual)} mm mean")
@@ -238,7 +237,7 @@ def _warnings(record: ResultRecord) -> tuple[str, ...]:
         for stage, figures in record.metrics.items()
         if isinstance(figures, Mapping) and figures.get("converged") is False
     ]
-    figures = flattened(record.metrics, "metrics")
+    figures = flat_figures(record.metrics, "metrics")
     deviation = figures.get("metrics_albedo_uncertainty_albedo_deviation")
     if deviation is not None and deviation > UNCERTAIN_ALBEDO:
         found.append(
@@ -263,7 +262,7 @@ def _figures(record: ResultRecord) -> dict[str, list[tuple[str, str, str]]]:
     for stage, figures in record.metrics.items():
         if not isinstance(figures, Mapping):
             continue
-        leaves = flattened(figures, "")
+        leaves = flat_figures(figures, "")
         shown = {k[1:]: v for k, v in leaves.items() if not k.startswith("_parameters")}
         groups[stage.replace("_", " ")] = [
             (label_of(key), value_text(key, value), unit_of(key)) for key, value in shown.items()
