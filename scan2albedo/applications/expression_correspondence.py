@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.model_surface import limit_control_points
+from scan2albedo.applications.personal_model import limit_control_points
 from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel

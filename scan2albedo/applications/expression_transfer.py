@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.expression_correspondence import refined_expression
-from scan2albedo.applications.local_frames import local_similarities
-from scan2albedo.applications.model_surface import refinement_level
+from scan2albedo.applications.personal_model import refinement_level
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_common_chart
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 FloatArray = NDArray[np.float64]
-Method = Literal["addition", "local-frames"]
 Correspondence = Literal["auto", "refined", "as-fitted"]
 
 _ROUNDS = 20
@@ -29,28 +27,21 @@ _STILL_MM, _STILL_PERCENTILE = 0.1, 25
 class TransferOptions:
     """Settings of `transfer_expression`."""
 
-    method: Method = "addition"
-    """"addition" adds the displacement as it is; "local-frames" turns and scales it with the surface, for
-    heads that differ in size or pose."""
     strength: float = 1.0
     """Factor of the displacement; less than 1 is a milder expression."""
     align: bool = True
     """First lay A's expression rigidly on A at rest, by what did not move."""
-    reach_mm: float = 12.0
-    """Over which local frames are smoothed."""
     correspondence: Correspondence = "auto"
     """"as-fitted" believes that A's two fits put each vertex on one point of the skin; "refined" fits A at
     rest to the surface with the expression; "auto" refines faces on the model's own mesh, and no others."""
 
     def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            raise ValueError(f"method is {self.method!r}, expected one of {get_args(Method)}")
         if self.correspondence not in get_args(Correspondence):
             raise ValueError(
                 f"correspondence is {self.correspondence!r}, expected one of {get_args(Correspondence)}"
             )
-        if not (np.isfinite(self.strength) and np.isfinite(self.reach_mm) and self.reach_mm > 0):
-            raise ValueError(f"strength and reach_mm must be finite and reach_mm above 0, got {self}")
+        if not np.isfinite(self.strength):
+            raise ValueError(f"strength must be finite, got {self.strength}")
 
 
 def transfer_expression(
@@ -81,9 +72,7 @@ def transfer_expression(
 
     Notes
     -----
-    Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out. On
-    light-stage shapes addition errs less than local frames do, so it is the default; local frames carry over
-    to a head that is turned or of another size.
+    Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out.
 
     A's two fits slide along the skin each in its own way, which is most of the error; see
     `refined_expression` for what is done about it.
@@ -94,7 +83,7 @@ def transfer_expression(
        to face recognition", section on applications: arithmetic of geometry images.
     """
     a, smiling, b = on_common_chart(neutral_a, expression_a, neutral_b)
-    moved = expression_displacement(a.mesh, smiling.mesh, b.mesh, options=options, model=model)
+    moved = expression_displacement(a.mesh, smiling.mesh, options=options, model=model)
     mask, mesh = b.mask, replace(b.mesh, vertices=b.mesh.vertices + moved)
     position = b.image.position[mask] + b.mesh.on_chart(moved, mask)
     return b.reshaped(mesh, position, f"{b.name}+{smiling.name}")
@@ -103,16 +92,15 @@ def transfer_expression(
 def expression_displacement(
     neutral_a: FaceMesh,
     expression_a: FaceMesh,
-    neutral_b: FaceMesh,
     *,
     options: TransferOptions = TransferOptions(),
     model: AnnotatedFaceModel | None = None,
 ) -> FloatArray:
-    """Return (V, 3) mm by which each vertex of B moves.
+    """Return (V, 3) mm by which each vertex of a face on these triangles moves.
 
     Parameters
     ----------
-    neutral_a, expression_a, neutral_b : FaceMesh
+    neutral_a, expression_a : FaceMesh
         The same triangles.
     options : TransferOptions
     model : AnnotatedFaceModel, optional
@@ -129,11 +117,7 @@ def expression_displacement(
     if level is not None:
         given = model or AnnotatedFaceModel.default()
         moved = lay(refined_expression(neutral_a, moved, given, level), rest)
-    displacement = options.strength * (moved - rest)
-    if options.method == "addition":
-        return displacement
-    carried = local_similarities(rest, neutral_b.vertices, neutral_a.faces, options.reach_mm)
-    return np.einsum("vij,vj->vi", carried, displacement)
+    return options.strength * (moved - rest)
 
 
 def level_to_refine(

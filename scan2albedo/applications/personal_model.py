@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.errors import ApplicationError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting import FittedFace
+from scan2albedo.fitting.dynamics import factorized
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 
-if TYPE_CHECKING:
-    from scan2albedo.applications.processed_face import ProcessedFace
-    from scan2albedo.face_model import AnnotatedFaceModel
-    from scan2albedo.fitting import FittedFace
+FloatArray = NDArray[np.float64]
 
+_MOST_LEVELS = 4
 _SAME_SURFACE_MM = 0.05
 """A surface farther than this from one of the model is of another model."""
 
@@ -49,9 +51,6 @@ def personal_model(
     ...     at_rest = s2a.process(rest)
     ...     return at_rest, s2a.process(smiling, model=s2a.applications.personal_model(at_rest.fitted))
     """
-    from scan2albedo.face_model import AnnotatedFaceModel
-    from scan2albedo.fitting import FittedFace
-
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)
     template = AnnotatedFaceModel.default() if model is None else model
@@ -63,10 +62,8 @@ def personal_model(
     return replace(template, control_vertices=_control_points(face, template))
 
 
-def _control_points(face: ProcessedFace, model: AnnotatedFaceModel) -> NDArray[np.float64]:
+def _control_points(face: ProcessedFace, model: AnnotatedFaceModel) -> FloatArray:
     """Return (C, 3) mm: the control points whose limit surface is the face's."""
-    from scan2albedo.applications.model_surface import limit_control_points, refinement_level
-
     level = refinement_level(face.mesh, model)
     if level is not None:
         subdivision = model.subdivision(level)
@@ -77,3 +74,21 @@ def _control_points(face: ProcessedFace, model: AnnotatedFaceModel) -> NDArray[n
         f"{face.name}: its surface is none of the model {model.name!r}; give the folder of a scan that was "
         "processed with this very model"
     )
+
+
+def refinement_level(mesh: FaceMesh, model: AnnotatedFaceModel) -> int | None:
+    """Return how often the model's control mesh is refined to these triangles; None when they are others."""
+    for level in range(_MOST_LEVELS + 1):
+        if len(mesh.faces) == len(model.control_faces) * 4**level:
+            same = np.array_equal(model.subdivision(level).faces, mesh.faces)
+            return level if same else None
+    return None
+
+
+def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:
+    """Return the control points c (C, 3) whose limit surface S c is nearest to the vertices (V, 3).
+
+    S^T S c = S^T v; exact where the vertices come from control points.
+    """
+    matrix = subdivision.matrix
+    return factorized(matrix.T @ matrix)(matrix.T @ vertices)

@@ -67,9 +67,6 @@ def transfer_expression(
     expression_a: Annotated[Path, typer.Argument(help="Folder of A's processed scan with the expression.")],
     neutral_b: Annotated[Path, typer.Argument(help="Folder of B's processed scan at rest.")],
     out: OutFolder,
-    method: Annotated[
-        str, typer.Option(help="addition, or local-frames: turned and scaled with the surface.")
-    ] = "addition",
     strength: Annotated[float, typer.Option(help="Factor of the expression.")] = 1.0,
     correspondence: Annotated[
         str,
@@ -89,7 +86,7 @@ def transfer_expression(
     from scan2albedo.applications.expression_transfer import level_to_refine
     from scan2albedo.face_model import chosen_model
 
-    chosen: dict[str, Any] = {"method": method, "strength": strength, "correspondence": correspondence}
+    chosen: dict[str, Any] = {"strength": strength, "correspondence": correspondence}
     try:
         options = applications.TransferOptions(**chosen)
     except ValueError as error:
