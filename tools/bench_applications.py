@@ -21,9 +21,8 @@ from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.lighting.asrm import Reflectance
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
-from scan2albedo.synthetic.identity import person
-from scan2albedo.synthetic.ray_scene import RayScene
-from scan2albedo.synthetic.renderer import render
+from scan2albedo.synthetic.face_shape import person
+from scan2albedo.synthetic.renderer import RayScene, render
 
 LIGHTS = [
     light_at(0, 0),

@@ -44,7 +44,7 @@ from scan2albedo.reflectance import (
     refine_geometry,
 )
 from scan2albedo.reflectance.picture_samples import SmoothImage
-from scan2albedo.synthetic import identity
+from scan2albedo.synthetic import face_shape
 
 LEVEL, FINE = 1, 3
 SHAPE = (440, 440)
@@ -68,8 +68,8 @@ class Scene:
 @cache
 def scene(seed: int, shadows: bool) -> Scene:
     model, rng = s2a.AnnotatedFaceModel.default(), np.random.default_rng([seed, 21])
-    name = get_args(identity.Expression)[rng.integers(6)]
-    control = identity.person(model, rng, expression=name, expression_strength=0.6)
+    name = get_args(face_shape.Expression)[rng.integers(6)]
+    control = face_shape.person(model, rng, expression=name, expression_strength=0.6)
     angles = np.radians([rng.uniform(-12, 12), rng.uniform(-25, 25), rng.uniform(-8, 8)])
     pose = compose(rotation_from_vector(angles), rng.normal(size=3) * [8, 8, 30])
     fine = transform_points(pose, model.subdivision(FINE).matrix @ control)

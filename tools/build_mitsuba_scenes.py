@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.synthetic import face, hemisphere, light_at, with_normal_error
-from scan2albedo.synthetic.camera import auto_exposure, encode_srgb, photograph
+from scan2albedo.synthetic.camera import auto_exposure, photograph
 
 FloatArray = NDArray[np.float64]
 
@@ -189,7 +190,7 @@ class Studio:
         rng = np.random.default_rng([seed, 3])
         picture = photograph(radiance, exposure=gain, noise=NOISE, bits=8, rng=rng)
         albedo = load_surface(recipe.geometry, self._folder).albedos[recipe.texture]
-        code = np.round(encode_srgb(picture) * 255).astype(np.uint8)
+        code = np.round(linear_to_srgb(picture) * 255).astype(np.uint8)
         return code, gain * radiance.max(1) / albedo.max(1)
 
 
@@ -278,7 +279,7 @@ def look(folder: Path, out: Path) -> None:
         assert scene.image.texture_linear is not None
         light = scene.light_on_value / np.quantile(scene.light_on_value[scene.image.mask], 0.995)
         panels = [scene.image.texture_linear, scene.albedo_linear, np.repeat(light[..., None], 3, 2)]
-        row = np.concatenate([encode_srgb(np.clip(p, 0, 1)) for p in panels], 1)
+        row = np.concatenate([linear_to_srgb(np.clip(p, 0, 1)) for p in panels], 1)
         sheets.setdefault(scene.name.split("-")[0], []).append((255 * row).astype(np.uint8))
     for name, rows in sheets.items():
         rows += [np.zeros_like(rows[0])] * (-len(rows) % 3)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.synthetic.camera import decode_srgb
+from scan2albedo.io.color import srgb_to_linear
 
 FloatArray = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def _scene(entry: dict[str, Any], folder: Path) -> MitsubaScene:
         full[mask] = values
         return full
 
-    levels = decode_srgb(np.arange(256) / 255).astype(np.float32)
+    levels = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
     lights = tuple(
         s2a.PointLight(
             float(np.deg2rad(light["azimuth_deg"])),

@@ -1,13 +1,12 @@
 """Synthetic scenes with ground truth."""
 
+from scan2albedo.synthetic.camera import PortraitOptions
 from scan2albedo.synthetic.face_photograph import FacePhotograph, FacePhotographOptions, face_photograph
 from scan2albedo.synthetic.flash_capture import FlashCapture, FlashCaptureOptions, flash_capture
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
-from scan2albedo.synthetic.glasses_bend import GlassesBend
-from scan2albedo.synthetic.glasses_shape import GlassesShape
-from scan2albedo.synthetic.glossy_face import GlossyFace
+from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
+from scan2albedo.synthetic.glossy_person import GlossyFace
 from scan2albedo.synthetic.population import PopulationOptions, population_scan
-from scan2albedo.synthetic.portrait_options import PortraitOptions
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material

@@ -1,9 +1,15 @@
-"""What a camera makes of light: exposure, noise, clipping, sRGB encoding and quantisation."""
+"""Synthetic cameras: where they stand around a head, and what they store of light."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.io.color import srgb_to_linear
 
 FloatArray = NDArray[np.float64]
 
@@ -42,21 +48,132 @@ def photograph(
     if bits is None:
         return sensor
     levels = 2**bits - 1
-    stored = np.round(encode_srgb(sensor) * levels).astype(np.int64)
-    return decode_srgb(np.arange(levels + 1) / levels).astype(np.float32)[stored]
+    # In float32, as the picture is: half the memory, and the same bits as ever.
+    bright = 1.055 * np.maximum(sensor, 0.0031308) ** (1 / 2.4) - 0.055
+    stored = np.round(np.where(sensor <= 0.0031308, 12.92 * sensor, bright) * levels).astype(np.int64)
+    return srgb_to_linear(np.arange(levels + 1) / levels).astype(np.float32)[stored]
 
 
-def encode_srgb(linear: ArrayLike) -> FloatArray:
-    """Return sRGB values of linear ones in [0, 1] (IEC 61966-2-1)."""
-    x = np.asarray(linear)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
+TARGET_MM = np.array([0.0, 0.0, -5.0])
+"""Point of the head in the middle of pictures."""
 
 
-def decode_srgb(encoded: ArrayLike) -> FloatArray:
-    """Return linear values of sRGB ones in [0, 1] (IEC 61966-2-1).
+def toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
+    """Return the unit vector (3,) from the head: azimuth from +z toward +x, elevation toward +y."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = math.cos(elevation)
+    return np.array([math.sin(azimuth) * across, math.sin(elevation), math.cos(azimuth) * across])
 
-    >>> bool(abs(decode_srgb(encode_srgb(0.5)) - 0.5) < 1e-12)
-    True
+
+def focal_length_px(size: int, distance_mm: float, reach_mm: float) -> float:
+    """Return the focal length of pictures of `size` pixels that span twice `reach_mm` at `distance_mm`."""
+    return size * distance_mm / (2 * reach_mm)
+
+
+def portrait_camera(
+    azimuth_deg: float, elevation_deg: float, *, size: int, distance_mm: float, reach_mm: float
+) -> FloatArray:
+    """Return the (3, 4) camera that looks at the head from a direction."""
+    focal = focal_length_px(size, distance_mm, reach_mm)
+    position = TARGET_MM + distance_mm * toward(azimuth_deg, elevation_deg)
+    return look_at(position, TARGET_MM, focal_px=focal, shape=(size, size))
+
+
+def exposure_for(brightest: FloatArray, saturated_part: float) -> float:
+    """Return the factor that makes this part of the pixels brighter than white; 1 for black pictures."""
+    white = float(np.quantile(brightest, 1 - saturated_part)) if len(brightest) else 0.0
+    return 1 / white if white > 0 else 1.0
+
+
+def stored_values(
+    linear: NDArray[np.float32], *, gamma: float, noise: float, bits: int | None, rng: np.random.Generator
+) -> NDArray[np.generic]:
+    """Return the values light^(1 / gamma) with noise; clipped and rounded to 8 or 16 bits, or as they are.
+
+    Parameters
+    ----------
+    linear : (H, W, 3) float32
+        Light, white = 1.
+    gamma : float
+    noise : float
+        Standard deviation of the values.
+    bits : {8, 16, None}
+    rng : numpy.random.Generator
     """
-    x = np.asarray(encoded, float)
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4)
+    values = linear ** np.float32(1 / gamma)
+    values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)
+    if bits is None:
+        return values
+    kind = np.uint8 if bits == 8 else np.uint16
+    return np.round(np.clip(values, 0, 1) * np.iinfo(kind).max).astype(kind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PortraitOptions:
+    """What all pictures of a person have in common.
+
+    Parameters
+    ----------
+    picture_size : int
+        Height and width in pixels.
+    reach_mm : float
+        Half of what a picture spans at the head.
+    distance_mm : float
+        Of the camera from the head.
+    gamma : float
+        Values are light^(1 / gamma).
+    noise : float
+        Standard deviation of the values, white = 1.
+    bits : int or None
+        8, 16, or None for values that are neither rounded nor clipped.
+    saturated_part : float
+        Of all the face's pixels in all pictures, brighter than white.
+    hair : bool
+        Whether there is hair, which hides and shades the brow and is not in the mesh.
+    levels : int
+        Of subdivision of the mesh: 1 is 3,663 vertices with the default model, 2 is 14,533.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+
+    picture_size: int = 256
+    reach_mm: float = 130.0
+    distance_mm: float = 1000.0
+    gamma: float = 1.2
+    noise: float = 0.01
+    bits: int | None = 8
+    saturated_part: float = 0.002
+    hair: bool = True
+    levels: int = 1
+
+    def __post_init__(self) -> None:
+        self._refuse_below_one("picture_size")
+        for name in ("reach_mm", "distance_mm", "gamma"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
+        self._refuse_negative("noise")
+        if not 0 <= self.saturated_part < 1:
+            raise ValueError(f"saturated_part is {self.saturated_part}, expected in [0, 1)")
+        if self.bits not in (8, 16, None):
+            raise ValueError(f"bits is {self.bits}, expected 8, 16 or None")
+        if self.levels not in (1, 2, 3):
+            raise ValueError(f"levels is {self.levels}, expected 1, 2 or 3")
+
+    def _refuse_below_one(self, *names: str) -> None:
+        """Raise ValueError unless these options are 1 or more."""
+        for name in names:
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 1")
+
+    def _refuse_negative(self, *names: str) -> None:
+        """Raise ValueError unless these options are finite and not negative."""
+        for name in names:
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
+
+    def stored(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.generic]:
+        """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""
+        return stored_values(linear, gamma=self.gamma, noise=self.noise, bits=self.bits, rng=rng)

@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.glossy_face import GlossyFace
-from scan2albedo.synthetic.glossy_person import GlossyPerson
-from scan2albedo.synthetic.identity import Expression
-from scan2albedo.synthetic.portrait import exposure_for, portrait_camera
-from scan2albedo.synthetic.portrait_options import PortraitOptions
+from scan2albedo.synthetic.camera import PortraitOptions, exposure_for, portrait_camera
+from scan2albedo.synthetic.face_shape import Expression
+from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
 from scan2albedo.synthetic.sitter import sit_down
 
 FloatArray = NDArray[np.float64]

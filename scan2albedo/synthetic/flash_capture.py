@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.synthetic.glossy_face import GlossyFace
-from scan2albedo.synthetic.glossy_person import GlossyPerson, SeenSurface
-from scan2albedo.synthetic.identity import Expression
-from scan2albedo.synthetic.portrait import (
+from scan2albedo.synthetic.camera import (
     TARGET_MM,
+    PortraitOptions,
     exposure_for,
     focal_length_px,
     portrait_camera,
     toward,
 )
-from scan2albedo.synthetic.portrait_options import PortraitOptions
+from scan2albedo.synthetic.face_shape import Expression
+from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson, SeenSurface
 from scan2albedo.synthetic.sitter import sit_down
 
 FloatArray = NDArray[np.float64]
@@ -35,15 +34,15 @@ _LEAST_GAIN = 0.1
 
 @dataclass(frozen=True)
 class FlashCaptureOptions(PortraitOptions):
-    """How the pictures are taken, beside `PortraitOptions`; flashes are as far away as cameras.
+    """How the pictures are taken, beside `PortraitOptions`.
+
+    Flashes are as far away as cameras, and fall off with the square of the distance to 1 at `distance_mm`.
 
     Parameters
     ----------
     views, flashes : int
         Cameras on an arc of 120 degrees around the face, and flashes, which stand where the cameras do; two
         more stand above when there are more flashes than views.
-    falloff : bool
-        Whether flashes fall off with the square of their distance, to 1 at `distance_mm`.
     gain_deviation : float
         Standard deviation of the flashes' strengths, their mean being 1.
     room : float
@@ -59,7 +58,6 @@ class FlashCaptureOptions(PortraitOptions):
 
     views: int = 9
     flashes: int = 11
-    falloff: bool = True
     gain_deviation: float = 0.0
     room: float = 0.15
     _: KW_ONLY
@@ -174,9 +172,9 @@ def flash_capture(
         ambient = _room_light(person, seen, options.room)
         rooms.append(seen.picture(ambient))
         skin.append(seen.marked(seen.on_face))
-        reach = options.distance_mm if options.falloff else None
         for strength, position in zip(gain, centers[: options.flashes], strict=True):
-            radiance = ambient + strength * person.lit(seen, position, reference_distance_mm=reach)
+            flash = person.lit(seen, position, reference_distance_mm=options.distance_mm)
+            radiance = ambient + strength * flash
             flashes.append(seen.picture(radiance))
             brightest.append(radiance[seen.on_face].max(1))
     exposure = exposure_for(np.concatenate(brightest), options.saturated_part)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import vertex_components, without_unreferenced
-from scan2albedo.synthetic.glasses_bend import GlassesBend, bend_points
-from scan2albedo.synthetic.glasses_shape import GlassesShape
+from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape, bend_points
 from scan2albedo.synthetic.half_glasses import HalfGlasses, build_half
 
 FloatArray = NDArray[np.float64]

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.ray_scene import RayScene
+from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, Sitter
 from scan2albedo.synthetic.textures import smooth_noise
 
+BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 EXPONENTS = (1, 8, 64)
 _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
@@ -184,3 +184,40 @@ def _weights(sitter: Sitter, uv: FloatArray) -> FloatArray:
     np.add.at(scale, face.faces.ravel(), np.repeat(of_face, 3))
     np.add.at(touching, face.faces.ravel(), 1.0)
     return mean * patches * (scale / np.maximum(touching, 1))[:, None]
+
+
+@dataclass(frozen=True)
+class GlossyFace:
+    """A face and its reflectance, in the frame of the face model, mm.
+
+    Parameters
+    ----------
+    vertices, normals : (V, 3) float64
+    faces : (F, 3) int64
+    landmarks : (68, 3) float64
+    diffuse_linear, weights : (V, 3) float64
+        True albedo, and true weights of the Blinn-Phong lobes with exponents 1, 8 and 64.
+    """
+
+    vertices: FloatArray
+    normals: FloatArray
+    faces: IntArray
+    landmarks: FloatArray
+    diffuse_linear: FloatArray
+    weights: FloatArray
+
+    @classmethod
+    def truth_of(cls, person: GlossyPerson, levels: int) -> GlossyFace:
+        """Return the face of a person after so many levels of subdivision."""
+        sitter = person.sitter
+        subdivision = sitter.model.subdivision(levels)
+        # Vertices of coarser levels are the first ones of finer levels.
+        count = subdivision.matrix.shape[0]
+        return GlossyFace(
+            sitter.face.vertices[:count],
+            sitter.normals[:count],
+            subdivision.faces,
+            sitter.face.landmarks,
+            person.diffuse_linear[:count],
+            person.weights[:count],
+        )

@@ -1,24 +1,167 @@
-"""Continue a face mask to a head: back over the skull from its upper rim, down a neck from its chin."""
+"""What surrounds a synthetic face: skull and neck, hair, clothes; floating crumbs and holes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
-from scan2albedo.geometry.mesh import normalized
-from scan2albedo.synthetic.clutter import SKULL_CENTER_FROM_NOSE_MM, SKULL_SEMI_AXES_MM, grid_faces, nose_tip
+from scan2albedo.geometry.mesh import normalized, without_unreferenced
+from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.textures import smoothstep
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+Mesh = tuple[FloatArray, IntArray]
+
+SKULL_CENTER_FROM_NOSE_MM = np.array([0.0, 40.0, -105.0])
+HEAD_AXIS_FROM_NOSE_MM = np.array([0.0, 0.0, -100.0])
+SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
+_CROWN = np.array([0.0, 0.75, -0.66])
+
+
+def nose_tip(vertices: FloatArray) -> FloatArray:
+    """Return (3,) the foremost vertex of a face that looks along +z."""
+    return vertices[np.argmax(vertices[:, 2])]
+
+
+def join(meshes: list[Mesh]) -> Mesh:
+    """Return one mesh holding all the given ones as loose parts, in order."""
+    offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
+    return (
+        np.concatenate([v for v, _ in meshes]),
+        np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)]),
+    )
+
+
+def grid_faces(rows: int, columns: int, *, wrap: bool = False) -> IntArray:
+    """Return (F, 3) triangles of a rows x columns vertex grid; `wrap` joins the last column to the first."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    if wrap:
+        index = np.concatenate([index, index[:, :1]], 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
+
+
+def hair_shell(
+    vertices: FloatArray,
+    faces: IntArray,
+    rng: np.random.Generator,
+    *,
+    thickness_mm: float = 11.0,
+    side_drop_deg: float = 0.0,
+    size: tuple[int, int] = (90, 220),
+) -> Mesh:
+    """Return a bumpy cap of hair that hugs a head (or continues a bare face) down to a ragged hairline.
+
+    Parameters
+    ----------
+    vertices, faces : (V, 3) mm, (F, 3)
+        A face or head looking along +z, +y up.
+    rng : numpy.random.Generator
+    thickness_mm : float
+        Of the hair at the crown; it thins out toward the hairline.
+    side_drop_deg : float
+        How much lower the hair hangs at the sides than a short cut; 25 covers the ears.
+    size : (rows from crown to hairline, columns around it)
+    """
+    center = nose_tip(vertices) + SKULL_CENTER_FROM_NOSE_MM
+    directions, share = _cap_directions(size, side_drop_deg, rng)
+    flat = directions.reshape(-1, 3)
+    far = 400.0
+    hits = RayScene(vertices, faces).first_hit(center + far * flat, -flat)
+    skull = 1 / np.linalg.norm(flat / SKULL_SEMI_AXES_MM, axis=1)
+    surface = np.where(hits.face >= 0, far - hits.distance, 0.0)
+    radius = gaussian_filter(np.maximum(skull, surface).reshape(size), (3, 5), mode=("nearest", "wrap"))
+    radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + _locks(size, rng) * (1.2 - share)
+    shell = center + radius[..., None] * directions
+    return shell.reshape(-1, 3), grid_faces(*size, wrap=True)
+
+
+def _cap_directions(
+    size: tuple[int, int], side_drop_deg: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return unit directions (R, C, 3) from the centre of the skull and the share (R, C) of the way down."""
+    rows, columns = size
+    around = np.linspace(0, 2 * np.pi, columns, endpoint=False)
+    fringe = gaussian_filter(rng.normal(size=columns), 1.5, mode="wrap") * 4.0
+    side = np.sin(around) ** 2 * np.where(np.cos(around) < 0, 1.0, np.abs(np.sin(around)))
+    lowest_deg = 89 - 9 * np.cos(around) + (8 + side_drop_deg) * side + fringe
+    share = np.linspace(0, 1, rows)[:, None] * np.ones(columns)
+    polar = np.deg2rad(lowest_deg) * (0.02 + 0.98 * share)
+    right = np.array([1.0, 0.0, 0.0])
+    forward = np.cross(right, _CROWN)
+    forward *= np.sign(forward[2]) / np.linalg.norm(forward)
+    crown = _CROWN / np.linalg.norm(_CROWN)
+    level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
+    return np.cos(polar)[..., None] * crown + np.sin(polar)[..., None] * level, share
+
+
+def _locks(size: tuple[int, int], rng: np.random.Generator) -> FloatArray:
+    """Return millimetres of relief: strands that run from the crown down, over broader waves."""
+    relief = np.zeros(size)
+    for amplitude, sigma in ((0.6, (9, 1.2)), (1.3, (14, 3.5)), (2.2, (12, 14))):
+        noise = gaussian_filter(rng.normal(size=size), sigma, mode=("nearest", "wrap"))
+        relief += amplitude * noise / noise.std()
+    return relief
+
+
+def shoulder_sheet(
+    vertices: FloatArray, rng: np.random.Generator, *, size: tuple[int, int] = (50, 130)
+) -> Mesh:
+    """Return a sheet of clothes below a face: over both shoulders, open at the neck, with folds."""
+    origin = nose_tip(vertices)
+    rows, columns = size
+    x = np.linspace(-185, 185, columns)[None] * np.ones((rows, 1))
+    down = np.linspace(0, 1, rows)[:, None] * np.ones((1, columns))
+    crest = -126 - 50 * np.abs(x / 185) ** 1.5
+    folds = gaussian_filter(rng.normal(size=size), (6, 2.5))
+    y = crest - 105 * down**1.2
+    z = -135 + 78 * np.sin(down * np.pi / 2) - 35 * (x / 185) ** 2 + 2.5 * folds / folds.std()
+    sheet = np.stack([x, y, z], -1).reshape(-1, 3) + origin
+    faces = grid_faces(rows, columns)
+    flat_x, flat_down = x.ravel(), down.ravel()
+    opening = np.abs(flat_x) < 58 * (1 - flat_down) + 3 * np.sin(9 * flat_down)
+    return compact(sheet, faces[~opening[faces].any(1)])
+
+
+def crumbs(vertices: FloatArray, rng: np.random.Generator, count: int) -> list[Mesh]:
+    """Return `count` loose patches of a few triangles floating near the surface."""
+    parts = []
+    for _ in range(count):
+        anchor = vertices[rng.integers(len(vertices))]
+        outward = anchor - vertices.mean(0)
+        center = anchor + outward / np.linalg.norm(outward) * rng.uniform(6, 30)
+        points = center + rng.normal(scale=rng.uniform(1.5, 4), size=(9, 3))
+        parts.append((points, grid_faces(3, 3)))
+    return parts
+
+
+def with_holes(mesh: Mesh, centers: FloatArray, radii_mm: FloatArray) -> Mesh:
+    """Return the mesh without the faces whose corners lie inside one of the balls."""
+    vertices, faces = mesh
+    inside = np.zeros(len(vertices), bool)
+    for center, radius in zip(centers, radii_mm, strict=True):
+        inside |= np.linalg.norm(vertices - center, axis=1) < radius
+    return compact(vertices, faces[~inside[faces].any(1)])
+
+
+def compact(vertices: FloatArray, faces: IntArray) -> Mesh:
+    """Return the mesh without unreferenced vertices."""
+    kept, renumbered = without_unreferenced(vertices, faces)
+    return vertices[kept], renumbered
+
+
 _NECK_RADII_MM = (62.0, 60.0)
 _NECK_AXIS_BEHIND_NOSE_MM = 118.0
 _NECK_BASE_BELOW_NOSE_MM = 190.0
+_COLLAR_RINGS = 60
+"""Rings of vertices from the rim outward, the rim included."""
 
 
 def head_around(
-    vertices: FloatArray, faces: IntArray, normals: FloatArray, *, rings: int = 60
+    vertices: FloatArray, faces: IntArray, normals: FloatArray
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Return skull and neck as one collar around a face's rim.
 
@@ -26,21 +169,19 @@ def head_around(
     ----------
     vertices, faces, normals : (V, 3) mm, (F, 3), (V, 3)
         A disc-shaped face looking along +z.
-    rings : int
-        Rings of vertices from the rim outward, the rim included.
 
     Returns
     -------
-    vertices : (rings B, 3) float64
+    vertices : (60 B, 3) float64
         Ring by ring, ring 0 on the rim's B vertices.
     faces : (F', 3) int64
-    uv : (rings B, 2) float64
+    uv : (60 B, 2) float64
         Around and along, in units of the face's chart (about 1 for 200 mm).
     """
     loop = boundary_loop(faces)
     rim, tip = vertices[loop], nose_tip(vertices)
     outward = _conormals(vertices, normals, loop)
-    share = np.linspace(0, 1, rings)[:, None, None]
+    share = np.linspace(0, 1, _COLLAR_RINGS)[:, None, None]
     middle_y = (rim[:, 1].max() + rim[:, 1].min()) / 2
     # 0 at the crown, pi at the chin.
     angle = np.abs(np.arctan2(rim[:, 0], rim[:, 1] - middle_y))
@@ -50,7 +191,7 @@ def head_around(
     )
     around = np.cumsum(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1))
     uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
-    return collar.reshape(-1, 3), grid_faces(rings, len(loop), wrap=True), uv.reshape(-1, 2)
+    return collar.reshape(-1, 3), grid_faces(_COLLAR_RINGS, len(loop), wrap=True), uv.reshape(-1, 2)
 
 
 def boundary_loop(faces: IntArray) -> IntArray:

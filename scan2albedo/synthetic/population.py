@@ -13,7 +13,7 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
-from scan2albedo.synthetic.identity import Expression
+from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.sitter import sit_down

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
-from scan2albedo.synthetic.clutter import (
+from scan2albedo.synthetic.head import (
     HEAD_AXIS_FROM_NOSE_MM,
     crumbs,
     hair_shell,
@@ -19,7 +19,7 @@ from scan2albedo.synthetic.clutter import (
     shoulder_sheet,
     with_holes,
 )
-from scan2albedo.synthetic.range_scan import capture, two_pods
+from scan2albedo.synthetic.scanner import capture, two_pods
 
 FloatArray = NDArray[np.float64]
 

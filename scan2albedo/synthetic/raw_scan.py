@@ -13,13 +13,11 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.synthetic.clutter import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
-from scan2albedo.synthetic.face_chart import face_geometry_image
-from scan2albedo.synthetic.flash_pictures import flash_pictures
-from scan2albedo.synthetic.identity import Expression
-from scan2albedo.synthetic.range_scan import Pod, RangeMesh, capture, two_pods
+from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
+from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
 from scan2albedo.synthetic.raw_like import disturbed, random_pose
 from scan2albedo.synthetic.renderer import Material
+from scan2albedo.synthetic.scanner import Pod, RangeMesh, capture, flash_pictures, two_pods
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
 from scan2albedo.synthetic.sitter import Sitter, sit_down
 
@@ -27,6 +25,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _PICTURE_CENTER_FROM_NOSE_MM = np.array([0.0, -15.0, -70.0])
+_PICTURE_REACH_MM = 205.0
+"""Half of what a picture spans at the head: hair and shoulders are in it."""
+_PICTURE_NOISE = 0.004
+"""Standard deviation, white = 1: that of a good camera's 8-bit pictures."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +47,6 @@ class RawScanOptions:
         Random pose, as in `RawLikeOptions`.
     picture_size : int
         Height and width of each pod's picture in pixels.
-    picture_reach_mm : float
-        Half of what a picture spans at the head.
-    picture_noise : float
-        Standard deviation of the pictures' noise, white = 1.
     size : int
         Texels of the truth's geometry image.
     """
@@ -61,8 +59,6 @@ class RawScanOptions:
     rotation_max_deg: float = 180.0
     translation_max_mm: float = 300.0
     picture_size: int = 900
-    picture_reach_mm: float = 205.0
-    picture_noise: float = 0.004
     size: int = 512
 
 
@@ -156,7 +152,7 @@ def scan_of(
     Ambient light and lamps have `colors` (1 + L, 3), white when omitted.
     """
     tip = nose_tip(sitter.face.vertices)
-    pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=settings.picture_reach_mm)
+    pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=_PICTURE_REACH_MM)
     measured = capture(
         sitter.vertices,
         sitter.faces,
@@ -172,7 +168,7 @@ def scan_of(
         flashes,
         finish,
         size=settings.picture_size,
-        noise=settings.picture_noise,
+        noise=_PICTURE_NOISE,
         rng=rng,
         colors=colors,
     )

@@ -1,4 +1,4 @@
-"""A reference renderer written straight from the papers, for ground truth only.
+"""A reference renderer, written straight from the papers: rays, shading and shadows for ground truth only.
 
 It shares neither shading nor shadow code with the estimators, so that an error in one of them shows.
 """
@@ -12,12 +12,89 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.point_light import PointLight
+from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.synthetic.ray_scene import RayScene
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SceneHits:
+    """First hits: `face` (N,) with -1 for none, `barycentric` (N, 3), `distance` (N,) with inf for none."""
+
+    face: IntArray
+    barycentric: FloatArray
+    distance: FloatArray
+
+
+class RayScene:
+    """Shoot rays at one mesh with Open3D's `RaycastingScene` (float32, so the mesh is centred first).
+
+    Parameters
+    ----------
+    vertices : (V, 3) array_like of float
+        Millimetres.
+    faces : (F, 3) array_like of int
+
+    Raises
+    ------
+    MissingDependencyError
+        When Open3D or a system library it needs is not there.
+    """
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
+        o3d = _open3d()
+        xyz = np.asarray(vertices, np.float64)
+        self._center = (xyz.min(0) + xyz.max(0)) / 2
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            self._tensor((xyz - self._center).astype(np.float32)),
+            self._tensor(np.ascontiguousarray(faces, np.uint32)),
+        )
+
+    def _rays(self, origins: ArrayLike, directions: ArrayLike):  # type: ignore[no-untyped-def]
+        start = np.asarray(origins, np.float64) - self._center
+        heading = np.broadcast_to(np.asarray(directions, np.float64), start.shape)
+        return self._tensor(np.concatenate([start, heading], 1).astype(np.float32))
+
+    def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> SceneHits:
+        """Return the first hit of each ray from `origins` (N, 3) along unit `directions` (N, 3)."""
+        answer = self._scene.cast_rays(self._rays(origins, directions))
+        distance = answer["t_hit"].numpy().astype(np.float64)
+        face = answer["primitive_ids"].numpy().astype(np.int64)
+        u, v = answer["primitive_uvs"].numpy().astype(np.float64).T
+        face[~np.isfinite(distance)] = -1
+        barycentric = np.stack([1 - u - v, u, v], 1)
+        barycentric[face < 0] = 0
+        return SceneHits(face, barycentric, distance)
+
+    def occluded(
+        self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf
+    ) -> NDArray[np.bool_]:
+        """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""
+        rays = self._rays(origins, directions)
+        limit = np.asarray(reach, np.float64)
+        if limit.ndim == 0:
+            return self._scene.test_occlusions(rays, 0.0, float(limit)).numpy().astype(bool)
+        nearest = self._scene.cast_rays(rays)["t_hit"].numpy()
+        return nearest < limit
+
+
+def _open3d():  # type: ignore[no-untyped-def]
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise MissingDependencyError(
+            f"Open3D cannot be loaded ({error}); run `scan2albedo doctor` for the command that mends it"
+        ) from error
+    return open3d
+
 
 _GRAZING_RAD = np.deg2rad(89.99)
+_SHADOW_OFFSET_MM = 0.15
+"""Start of shadow rays above the surface: rays are float32."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +148,6 @@ def render(
     occluder: RayScene | None = None,
     view_direction: ArrayLike = (0.0, 0.0, 1.0),
     specular_scale: ArrayLike = 1.0,
-    shadow_offset_mm: float = 0.15,
 ) -> Rendered:
     """Shade surface points under ambient light 1 and `lights`.
 
@@ -91,8 +167,6 @@ def render(
         Unit vectors toward the viewer.
     specular_scale : float or (N,) array_like
         Factor of the highlights, from the annotation.
-    shadow_offset_mm : float
-        Start of the shadow rays above the surface.
     """
     xyz, n = np.asarray(position, float), np.asarray(normal, float)
     v = np.broadcast_to(np.asarray(view_direction, float), xyz.shape)
@@ -102,7 +176,7 @@ def render(
         toward, reach, irradiance = incident_light(xyz, light)
         lit = np.einsum("ij,ij->i", n, toward) > 0
         if occluder is not None:
-            start = xyz[lit] + shadow_offset_mm * n[lit]
+            start = xyz[lit] + _SHADOW_OFFSET_MM * n[lit]
             lit[lit] = ~occluder.occluded(start, toward[lit], reach[lit] if np.isfinite(reach[0]) else np.inf)
         visible[:, column] = lit
         arriving = irradiance * lit

@@ -14,11 +14,9 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.camera import auto_exposure, photograph
-from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface
 from scan2albedo.synthetic.face_paint import paint_face
-from scan2albedo.synthetic.identity import Expression, person
-from scan2albedo.synthetic.ray_scene import RayScene
-from scan2albedo.synthetic.renderer import Material, render
+from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person
+from scan2albedo.synthetic.renderer import Material, RayScene, render
 from scan2albedo.synthetic.textures import plain, skin, smooth_noise, wood
 
 FloatArray = NDArray[np.float64]

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.synthetic.clutter import hair_shell, join, shoulder_sheet
-from scan2albedo.synthetic.face_chart import FaceSurface, face_surface, with_relief
 from scan2albedo.synthetic.face_paint import paint_face
-from scan2albedo.synthetic.head import boundary_loop, head_around
-from scan2albedo.synthetic.identity import Expression, person
+from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surface, person, with_relief
+from scan2albedo.synthetic.head import boundary_loop, hair_shell, head_around, join, shoulder_sheet
 from scan2albedo.synthetic.textures import skin, smooth_noise
 
 FloatArray = NDArray[np.float64]

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from mitsuba_set import FOLDER, load_scenes, scene_names
 
-from scan2albedo.synthetic.ray_scene import RayScene
-from scan2albedo.synthetic.renderer import Material, render
+from scan2albedo.synthetic.renderer import Material, RayScene, render
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.synthetic import identity
+from scan2albedo.synthetic import face_shape
 
 MODEL = s2a.AnnotatedFaceModel.default()
 LEVEL = 2
@@ -35,7 +35,7 @@ def surface_of(control_points):
 
 
 def synthetic(seed, expression="neutral"):
-    made = identity.person(MODEL, np.random.default_rng(seed), expression=expression)
+    made = face_shape.person(MODEL, np.random.default_rng(seed), expression=expression)
     return surface_of(made)
 
 
@@ -47,7 +47,7 @@ def slid(mesh, mm):
 
 
 def test_control_points_come_back_from_their_surface():
-    control = identity.person(MODEL, np.random.default_rng(3))
+    control = face_shape.person(MODEL, np.random.default_rng(3))
     found = limit_control_points(surface_of(control).vertices, MODEL.subdivision(LEVEL))
     np.testing.assert_allclose(found, control, atol=1e-6)
 

@@ -12,8 +12,7 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.lighting.asrm import Reflectance, shade_points
 from scan2albedo.synthetic import hemisphere, light_at
-from scan2albedo.synthetic.ray_scene import RayScene
-from scan2albedo.synthetic.renderer import render
+from scan2albedo.synthetic.renderer import RayScene, render
 
 LIGHTS = [
     light_at(0, 0),

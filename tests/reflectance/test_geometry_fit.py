@@ -27,7 +27,7 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.geometry_search import GeometryObjective, GeometryState
 from scan2albedo.reflectance.geometry_terms import LandmarkTerm, PhotometricTerm
 from scan2albedo.reflectance.picture_samples import SmoothImage
-from scan2albedo.synthetic import identity
+from scan2albedo.synthetic import face_shape
 
 SHAPE = (260, 220)
 CAMERA = look_at([40.0, 20.0, 900.0], [0.0, 0.0, 0.0], focal_px=1000.0, shape=SHAPE)
@@ -41,10 +41,10 @@ NO_MARKS = np.full((68, 2), np.nan)
 @pytest.fixture(scope="module")
 def model():
     rng = np.random.default_rng(0)
-    neutral = [TO_SURFACE @ identity.person(AFM, rng) for _ in range(40)]
+    neutral = [TO_SURFACE @ face_shape.person(AFM, rng) for _ in range(40)]
     offsets = [
-        TO_SURFACE @ identity.person(AFM, rng, strength=0.0, expression=name) - REST
-        for name in get_args(identity.Expression)[1:]
+        TO_SURFACE @ face_shape.person(AFM, rng, strength=0.0, expression=name) - REST
+        for name in get_args(face_shape.Expression)[1:]
     ]
     nearest = np.linalg.norm(REST - AFM.landmarks[:, None], axis=2).argmin(1)
     return MorphableShapeModel.from_samples(neutral, offsets, FACES, nearest)
@@ -72,8 +72,8 @@ class Portrait:
 def portrait(model, seed, light=LIGHT, noise=0.01):
     """A person of none of the model's samples, their picture, and landmarks with 1 px noise."""
     rng = np.random.default_rng([seed, 5])
-    name = get_args(identity.Expression)[rng.integers(6)]
-    shape = TO_SURFACE @ identity.person(AFM, rng, expression=name, expression_strength=0.5)
+    name = get_args(face_shape.Expression)[rng.integers(6)]
+    shape = TO_SURFACE @ face_shape.person(AFM, rng, expression=name, expression_strength=0.5)
     pose = compose(rotation_from_vector(rng.normal(size=3) * 0.15), rng.normal(size=3) * 10)
     vertices = transform_points(pose, shape)
     normals = vertex_normals(vertices, FACES)

@@ -9,7 +9,7 @@ import pytest
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_angle_rad, transform_points
 from scan2albedo.synthetic import RawLikeOptions, raw_like
-from scan2albedo.synthetic.identity import person
+from scan2albedo.synthetic.face_shape import person
 
 FACE_PART = 6706
 

@@ -8,9 +8,16 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.synthetic import Material, face, light_at
-from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface, with_relief
 from scan2albedo.synthetic.face_paint import landmark_uv, paint_face
-from scan2albedo.synthetic.identity import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement, person
+from scan2albedo.synthetic.face_shape import (
+    EXPRESSION_BUMPS,
+    IDENTITY_BUMPS,
+    displacement,
+    face_geometry_image,
+    face_surface,
+    person,
+    with_relief,
+)
 
 
 @pytest.fixture(scope="module")

@@ -43,9 +43,7 @@ def rig_of(capture):
 
 def samples_of(capture, noise=0.01):
     olat = extract_olat(capture.flash, capture.room, options=OlatOptions(noise=noise, saturation=0.98))
-    options = SamplingOptions(
-        reference_distance_mm=capture.options.distance_mm if capture.options.falloff else None
-    )
+    options = SamplingOptions(reference_distance_mm=capture.options.distance_mm)
     return sample_vertices(
         olat, rig_of(capture), capture.vertices, capture.faces, normals=capture.normals, options=options
     )

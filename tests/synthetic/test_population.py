@@ -5,11 +5,10 @@ import pytest
 
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.synthetic import Material, PopulationOptions, RawScanOptions, light_at, population_scan
-from scan2albedo.synthetic.face_chart import face_geometry_image, face_surface
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
-from scan2albedo.synthetic.flash_pictures import flash_pictures
+from scan2albedo.synthetic.face_shape import face_geometry_image, face_surface
 from scan2albedo.synthetic.population import _painter, _random_lights
-from scan2albedo.synthetic.range_scan import two_pods
+from scan2albedo.synthetic.scanner import flash_pictures, two_pods
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import sit_down
 

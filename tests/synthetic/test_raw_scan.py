@@ -10,7 +10,7 @@ from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_components
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import Material, RawScanOptions, raw_scan
 from scan2albedo.synthetic.head import boundary_loop, head_around
-from scan2albedo.synthetic.range_scan import two_pods
+from scan2albedo.synthetic.scanner import two_pods
 from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, HEAD, sit_down
 
 SMALL = RawScanOptions(picture_size=400, size=128, spacing_mm=3.5)

@@ -9,8 +9,7 @@ import trimesh
 
 import scan2albedo.synthetic
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.synthetic.ray_scene import RayScene
-from scan2albedo.synthetic.renderer import Material, incident_light, oren_nayar, phong, render
+from scan2albedo.synthetic.renderer import Material, RayScene, incident_light, oren_nayar, phong, render
 
 LAMBERT = Material(sigma_rad=0.0)
 

@@ -21,7 +21,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
-from scan2albedo.synthetic import FacePhotographOptions, face_photograph, identity
+from scan2albedo.synthetic import FacePhotographOptions, face_photograph, face_shape
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 
 CAMERA_MM = np.array([0.0, 0.0, 900.0])
@@ -103,10 +103,10 @@ def shape_model(people: int = 120) -> MorphableShapeModel:
     to_surface = model.subdivision(_SHAPE_LEVEL).matrix
     rest, faces = model.surface(_SHAPE_LEVEL)
     rng = np.random.default_rng(1)
-    neutral = [to_surface @ identity.person(model, rng) for _ in range(people)]
+    neutral = [to_surface @ face_shape.person(model, rng) for _ in range(people)]
     offsets = [
-        to_surface @ identity.person(model, rng, strength=0.0, expression=name) - rest
-        for name in get_args(identity.Expression)[1:]
+        to_surface @ face_shape.person(model, rng, strength=0.0, expression=name) - rest
+        for name in get_args(face_shape.Expression)[1:]
         for _ in range(8)
     ]
     assert model.landmarks is not None

@@ -15,7 +15,7 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, SyntheticTruth, raw_scan
-from scan2albedo.synthetic.identity import Expression
+from scan2albedo.synthetic.face_shape import Expression
 
 FloatArray = NDArray[np.float64]
 

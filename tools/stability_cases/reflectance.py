@@ -45,7 +45,7 @@ from scan2albedo.reflectance import (
     sample_vertices,
     shade_environment,
 )
-from scan2albedo.synthetic import identity
+from scan2albedo.synthetic import face_shape
 from stability_cases.case import Cases, Measured, assert_finite
 
 CASES = Cases()
@@ -660,8 +660,8 @@ def _shapes() -> tuple[MorphableShapeModel, FloatArray]:
     afm = AnnotatedFaceModel.default()
     to_surface, (rest, faces) = afm.subdivision(0).matrix, afm.surface(0)
     rng = np.random.default_rng(0)
-    neutral = [to_surface @ identity.person(afm, rng) for _ in range(10)]
-    smile = to_surface @ identity.person(afm, rng, strength=0.0, expression="smile") - rest
+    neutral = [to_surface @ face_shape.person(afm, rng) for _ in range(10)]
+    smile = to_surface @ face_shape.person(afm, rng, strength=0.0, expression="smile") - rest
     nearest = np.linalg.norm(rest - afm.landmarks[:, None], axis=2).argmin(1)
     return MorphableShapeModel.from_samples(neutral, [smile], faces, nearest), neutral[3]
 

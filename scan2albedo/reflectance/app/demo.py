@@ -330,7 +330,7 @@ def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptur
         gamma=options.gamma,
         noise=max(options.noise, 0.5 / 255),
         saturation=_SATURATION,
-        falloff_distance=options.distance_mm if options.falloff else None,
+        falloff_distance=options.distance_mm,
         flash_strength=capture.exposure,
         intrinsics=capture.intrinsics.tolist(),
         poses=tuple(PoseEntry.model_validate(pose) for pose in poses),

@@ -26,8 +26,7 @@ from scan2albedo.geometry.pinhole import (
     project,
 )
 from scan2albedo.synthetic import GlassesShape, eyeglasses
-from scan2albedo.synthetic.face_chart import face_surface
-from scan2albedo.synthetic.identity import person
+from scan2albedo.synthetic.face_shape import face_surface, person
 
 FLAT = eyeglasses(shape=GlassesShape(wrap_radius=1e9))
 """Both rims in one plane across z."""
