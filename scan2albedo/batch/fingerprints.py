@@ -10,7 +10,7 @@ from pathlib import Path
 
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ModelError
-from scan2albedo.io.input_hash import files_of_scan
+from scan2albedo.io.input_hash import file_sha256, files_of_scan
 from scan2albedo.pipeline.options import ProcessOptions
 
 
@@ -41,12 +41,6 @@ def options_sha256(options: ProcessOptions, model_hash: str | None) -> str:
     if options.model not in ("default", "none"):
         told["model"] = Path(str(options.model)).name  # its place does not count
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
-
-
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file; OSError when it cannot be read."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def folder_sha256(folder: Path) -> dict[str, str]:

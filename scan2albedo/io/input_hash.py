@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 def input_sha256(source: str | Path | RawScan) -> str:
     """Return the SHA-256 of a scan file with its material libraries and textures, or of a `RawScan`'s arrays.
 
+    Take it when the file is read, not when results are written: what changes in between is not what they
+    were made from.
+
     Parameters
     ----------
     source : path or RawScan
@@ -41,6 +44,12 @@ def input_sha256(source: str | Path | RawScan) -> str:
     except OSError as error:
         raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
     return digest.hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of one file; raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def files_of_scan(path: Path) -> tuple[Path, ...]:

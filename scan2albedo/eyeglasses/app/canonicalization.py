@@ -30,7 +30,6 @@ from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import PARENTS
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.atomic import make_folder, result_folder
-from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_records import InputRecord, PlanRecord
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
@@ -181,7 +180,7 @@ def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Pa
         name=frame.name,
         input=InputRecord(
             file=str(frame.mesh_file),
-            sha256=input_sha256(frame.mesh_file),
+            sha256=frame.mesh_sha256,
             vertices=len(frame.scan.vertices),
             faces=len(frame.scan.faces),
             texture_size=None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan_with
 from scan2albedo.io.units import MM_PER_UNIT, glasses_millimetres_per_unit
 
@@ -37,17 +37,15 @@ class GlassesFrame:
     mm_per_unit: float
     """Of the mesh's file."""
     mesh_file: Path
+    mesh_sha256: str
+    """Of the file as read, with those it refers to."""
     keypoints_file: Path
+    keypoints_sha256: str
 
     @property
     def name(self) -> str:
         """The mesh file's stem."""
         return self.scan.name
-
-    @property
-    def keypoints_sha256(self) -> str:
-        """SHA-256 of the key-point file."""
-        return hashlib.sha256(self.keypoints_file.read_bytes()).hexdigest()
 
 
 def keypoints_beside(mesh: Path) -> Path:
@@ -87,7 +85,15 @@ def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") ->
 
     scan = load_scan_with(mesh, decide)
     factor = mm_per_unit if marks.unit == "unknown" else MM_PER_UNIT[marks.unit]
-    return GlassesFrame(scan, marks.points * factor, mm_per_unit, mesh, marks_file)
+    return GlassesFrame(
+        scan=scan,
+        keypoints=marks.points * factor,
+        mm_per_unit=mm_per_unit,
+        mesh_file=mesh,
+        mesh_sha256=input_sha256(mesh),
+        keypoints_file=marks_file,
+        keypoints_sha256=file_sha256(marks_file),
+    )
 
 
 def _unit_of(

@@ -14,13 +14,12 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import InsertedLens, LensMaterial, LensPictureOptions, Surface
-from scan2albedo.eyeglasses.app.lens_input import LensInput, file_sha256
+from scan2albedo.eyeglasses.app.lens_input import LensInput
 from scan2albedo.eyeglasses.app.lenses import LensView, RenderedLenses, render_lenses
 from scan2albedo.eyeglasses.app.records import FileRecord, LensesRecord, LensRecord, LensViewRecord
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import installed_versions, listed_files, write_record
 from scan2albedo.io.result_records import InputRecord
 from scan2albedo.report.eyeglasses_views import LENS_COLUMNS, lens_panels, preview
@@ -96,13 +95,13 @@ def _record(rendered: RenderedLenses, source: LensInput, files: tuple[str, ...])
         versions=installed_versions(),
         name=frame.name,
         options=asdict(rendered.options),
-        input=_input(frame.mesh_file, frame.scan),
-        keypoints=_file(frame.keypoints_file),
+        input=_input(frame.mesh_file, frame.mesh_sha256, frame.scan),
+        keypoints=FileRecord(file=str(frame.keypoints_file), sha256=frame.keypoints_sha256),
         mm_per_unit=frame.mm_per_unit,
-        head=_input(source.head_file, source.head),
-        cameras=_file(source.cameras_file),
-        pictures=tuple(_file(path) for path in source.picture_files),
-        environment=None if environment is None else _file(environment),
+        head=_input(source.head_file, source.hashes[source.head_file], source.head),
+        cameras=_file(source, source.cameras_file),
+        pictures=tuple(_file(source, path) for path in source.picture_files),
+        environment=None if environment is None else _file(source, environment),
         light=rendered.environment,
         exposure=rendered.exposure,
         lenses=tuple(_lens(lens) for lens in rendered.lenses),
@@ -116,19 +115,19 @@ def _record(rendered: RenderedLenses, source: LensInput, files: tuple[str, ...])
     )
 
 
-def _input(path: Path, scan: RawScan) -> InputRecord:
+def _input(path: Path, sha256: str, scan: RawScan) -> InputRecord:
     texture = scan.texture_linear
     return InputRecord(
         file=str(path),
-        sha256=input_sha256(path),
+        sha256=sha256,
         vertices=len(scan.vertices),
         faces=len(scan.faces),
         texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
     )
 
 
-def _file(path: Path) -> FileRecord:
-    return FileRecord(file=str(path), sha256=file_sha256(path))
+def _file(source: LensInput, path: Path) -> FileRecord:
+    return FileRecord(file=str(path), sha256=source.hashes[path])
 
 
 def _lens(lens: InsertedLens) -> LensRecord:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import Camera, LensMaterial, Surface, read_cameras
 from scan2albedo.eyeglasses.app.input import GlassesFrame, keypoints_beside, read_frame
 from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan
 from scan2albedo.io.units import MM_PER_UNIT
 
@@ -47,6 +47,8 @@ class LensInput:
     environment: FloatArray | None
     """(H, W, 3)"""
     environment_file: Path | None
+    hashes: Mapping[Path, str]
+    """SHA-256 of the files as read; of meshes with those they refer to."""
 
     @property
     def frame_surface(self) -> Surface:
@@ -93,6 +95,7 @@ def read_lens_input(
     chosen = _chosen(read_cameras(cameras), views, cameras)
     marks = keypoints if keypoints is not None else _keypoints_of(frame)
     files = _matched(pictures, chosen)
+    others = (cameras, *files, environment)
     return LensInput(
         frame=read_frame(frame, marks, unit),
         head=load_scan(head, unit),
@@ -103,6 +106,7 @@ def read_lens_input(
         picture_files=files,
         environment=None if environment is None else np.asarray(read_image_linear(environment), np.float64),
         environment_file=environment,
+        hashes={head: input_sha256(head)} | {path: file_sha256(path) for path in others if path is not None},
     )
 
 
@@ -169,11 +173,6 @@ def check_unit(unit: str) -> None:
     """Raise ValueError unless it is auto, mm, cm or m."""
     if unit != "auto" and unit not in MM_PER_UNIT:
         raise ValueError(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
-
-
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]:

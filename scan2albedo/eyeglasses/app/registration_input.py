@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.eyeglasses.app.input import read_frame
 from scan2albedo.eyeglasses.files.camera_files import mask_path
 from scan2albedo.io import load_scan
-from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -178,7 +177,7 @@ def _read_frame(files: RegistrationFiles, notes: list[str], hashes: dict[str, tu
         )
     read = read_frame(mesh, files.keypoints, files.unit)
     notes += _told(mesh, read.scan)
-    hashes["mesh"] = (mesh, input_sha256(mesh))
+    hashes["mesh"] = (mesh, read.mesh_sha256)
     hashes["keypoints"] = (read.keypoints_file, read.keypoints_sha256)
     return RestFrame(read.scan.vertices, read.scan.faces, read.keypoints, None, read.mm_per_unit)
 
@@ -203,6 +202,6 @@ def _name(mesh: Path) -> str:
 
 def _hashed(path: Path) -> tuple[Path, str]:
     try:
-        return path, hashlib.sha256(path.read_bytes()).hexdigest()
+        return path, file_sha256(path)
     except OSError as error:
         raise EyeglassesError(f"{path}: {error.strerror}; check the path") from error

@@ -1,5 +1,6 @@
 """Canonical eyeglasses from files and to files, and the command for it."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -21,9 +22,10 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app import canonicalization as glasses_files
 from scan2albedo.eyeglasses.app.canonicalization import canonicalize_frames
-from scan2albedo.eyeglasses.app.input import read_frame
+from scan2albedo.eyeglasses.app.input import keypoints_beside, read_frame
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.io import load_scan
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
 pytestmark = pytest.mark.slow
@@ -155,6 +157,16 @@ def test_nothing_is_left_half_written(done, tmp_path, monkeypatch):
         glasses_files.write_canonical_files(result, tmp_path / "out")
     assert {p: p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()} == before
     assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_the_record_has_the_hashes_of_what_was_read(tmp_path):
+    path, _ = save(tmp_path)
+    marks = keypoints_beside(path)
+    expected = input_sha256(path), hashlib.sha256(marks.read_bytes()).hexdigest()
+    frame = read_frame(path)
+    for file in (path, marks):
+        file.write_bytes(b"changed while the frame was worked on")
+    assert (frame.mesh_sha256, frame.keypoints_sha256) == expected
 
 
 @pytest.mark.parametrize("unit", MM)

@@ -1,6 +1,8 @@
 """Lenses in registered frames from files and to files, and the command for it."""
 
+import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import jsonschema
@@ -28,6 +30,7 @@ from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.synthetic import eyeglasses
 
 pytestmark = pytest.mark.slow
@@ -77,6 +80,21 @@ def run(monkeypatch, folder, *arguments, frame="registered.glb", **given):
     return CliRunner().invoke(
         app, ["glasses", "lenses", str(folder / frame), *options, *map(str, (*QUICK, *arguments))]
     )
+
+
+def test_the_input_has_the_hashes_of_what_was_read(files, tmp_path):
+    shutil.copytree(files, tmp_path / "copy")
+    copied = sorted((tmp_path / "copy").iterdir())
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in copied}
+    frame, head, cameras, room = (
+        tmp_path / "copy" / name for name in ("registered.glb", "head.ply", "cameras.json", "room.exr")
+    )
+    source = read_lens_input(frame, head, cameras, environment=room)
+    expected = {path: digests[path] for path in (cameras, room)} | {head: input_sha256(head)}
+    for path in copied:
+        path.write_bytes(b"changed while pictures were drawn")
+    assert source.hashes == expected
+    assert source.frame.keypoints_sha256 == digests[source.frame.keypoints_file]
 
 
 def test_drawn_views_and_their_files(files, tmp_path, monkeypatch):
