@@ -4,18 +4,20 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-quick lint bench clean
+.PHONY: demo test test-slow lint bench clean
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
 	$(BIN)/scan2albedo demo -o demo_out
 
-# All tests. Two workers: the tests are single-threaded for the most part.
-test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+# Two workers, for most tests are single-threaded; an idle one takes over tests of the other.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
-test-quick: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+test: $(STAMP)
+	$(PYTEST) -m "not slow"
+
+test-slow: $(STAMP)
+	$(PYTEST) -m slow
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -89,8 +89,9 @@ def test_readme_names_the_two_make_commands():
     assert targets == ["demo", "test"]
 
 
-def test_continuous_integration_runs_the_test_command():
-    assert "make test" in text_of(ROOT / ".ci" / "run")
+def test_continuous_integration_runs_both_test_commands():
+    commands = text_of(ROOT / ".ci" / "run").splitlines()
+    assert commands[-2:] == ["make test", "make test-slow"]
 
 
 @every_page

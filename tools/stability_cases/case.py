@@ -98,6 +98,13 @@ def run(case: Case) -> Outcome:
     return Outcome("right answer", figure)
 
 
+def assert_ends_as_it_must(case: Case) -> None:
+    """Assert that an extreme ends in what is expected of it, and shows how by a figure or a message."""
+    outcome = run(case)
+    assert outcome.ending == case.expected, outcome.figure
+    assert outcome.figure, "a figure or a message must show what happened"
+
+
 def raised_on_purpose(error: BaseException) -> bool:
     """Return whether a `raise` of the package made the error: NumPy's complaints name no cause."""
     last = traceback.extract_tb(error.__traceback__)[-1]
