@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.pictures import auto_exposure, padded
+from scan2albedo.applications.pictures import auto_exposure
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
@@ -292,7 +293,7 @@ def _write_images(face: ProcessedFace, folder: Path) -> None:
     write_geometry_image(folder / "geometry_image.npz", face.image)
     write_exr(folder / "albedo.exr", face.albedo_linear)
     factor = auto_exposure(face.albedo_linear[face.mask])
-    preview = encode_srgb_bytes(np.clip(factor * padded(face.albedo_linear, face.mask), 0, 1))
+    preview = encode_srgb_bytes(np.clip(factor * filled_from_nearest(face.albedo_linear, face.mask), 0, 1))
     write_png(folder / "albedo.png", np.where(face.mask[..., None], preview, np.uint8(255)))
     write_glb(folder / "fitted.glb", face.mesh.vertices, face.mesh.faces, face.mesh.uv, preview)
     write_png(folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())

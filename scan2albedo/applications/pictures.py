@@ -17,7 +17,7 @@ from scan2albedo.geometry.pinhole import (
     pixel_directions,
     project,
 )
-from scan2albedo.geometry.rasterization import pixels_from_uv
+from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.lighting.shadow_map import ShadowMap
@@ -231,29 +231,8 @@ def _pooled(values: FloatArray, samples: int) -> NDArray[np.float32]:
 def _lookup(face: ProcessedFace, uv: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     """Return albedo (N, 3) and scale of highlights (N,) or None at chart coordinates, bilinearly."""
     pixels = pixels_from_uv(uv, face.image.shape)
-    albedo = _bilinear(padded(face.albedo_linear, face.mask), pixels)
+    albedo = bilinear(filled_from_nearest(face.albedo_linear, face.mask), pixels)
     given = face.image.specular_scale
-    return albedo, None if given is None else _bilinear(padded(given[..., None], face.mask), pixels)[:, 0]
-
-
-def padded(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> FloatArray:
-    """Return (H, W, C) values carried on from the nearest texel of `mask` to all others.
-
-    Interpolation at the chart's rim must not mix in the nothing beside it.
-    """
-    from scipy.ndimage import distance_transform_edt
-
-    row, column = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return values[row, column].astype(np.float64)
-
-
-def _bilinear(values: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return (N, C) values (H, W, C) at pixels (N, 2), column and row."""
-    limit = np.array(values.shape[1::-1]) - 1
-    at = np.clip(pixels, 0, limit)
-    low = np.minimum(at.astype(np.int64), np.maximum(limit - 1, 0))
-    high, part = np.minimum(low + 1, limit), at - low
-    column, row = part[:, :1], part[:, 1:]
-    top = values[low[:, 1], low[:, 0]] * (1 - column) + values[low[:, 1], high[:, 0]] * column
-    bottom = values[high[:, 1], low[:, 0]] * (1 - column) + values[high[:, 1], high[:, 0]] * column
-    return np.asarray(top * (1 - row) + bottom * row)
+    return albedo, None if given is None else bilinear(
+        filled_from_nearest(given[..., None], face.mask), pixels
+    )[:, 0]

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, padded, photograph
+from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, photograph
 from scan2albedo.applications.processed_face import ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import write_glb
@@ -80,7 +81,7 @@ class RelitFace:
         """
         mask = self.face.mask
         factor = auto_exposure(self.texture_linear[mask]) if exposure is None else checked_exposure(exposure)
-        texture = encode_srgb_bytes(np.clip(factor * padded(self.texture_linear, mask), 0, 1))
+        texture = encode_srgb_bytes(np.clip(factor * filled_from_nearest(self.texture_linear, mask), 0, 1))
         mesh = self.face.mesh
         write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True)
 

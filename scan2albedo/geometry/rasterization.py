@@ -1,4 +1,4 @@
-"""Rasterise triangles given in image space: which face covers each pixel centre, and where in it."""
+"""Triangles to pixels and back: which face covers each pixel centre and where, and images between pixels."""
 
 from __future__ import annotations
 
@@ -128,3 +128,28 @@ def interpolate(
     corners = values[faces[raster.face[inside]]]
     result[inside] = np.einsum("nk,nk...->n...", raster.barycentric[inside], corners)
     return result
+
+
+def bilinear(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, C) of an image (H, W, C) at pixels (N, 2), column and row; its edges continue outside."""
+    (rows, columns), (column, row) = image.shape[:2], pixels.T
+    column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
+    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
+    right, below = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
+    across, down = (column - left)[:, None], (row - top)[:, None]
+    upper = (1 - across) * image[top, left] + across * image[top, right]
+    lower = (1 - across) * image[below, left] + across * image[below, right]
+    return np.asarray((1 - down) * upper + down * lower)
+
+
+def filled_from_nearest(image: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return an image (H, W, ...) whose pixels outside of `mask` have the value of the nearest one inside.
+
+    Interpolation and averages at the mask's border then mix in no empty pixel.
+    """
+    if mask.all():
+        return image.astype(np.float64)
+    from scipy.ndimage import distance_transform_edt
+
+    row, column = distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    return image[row, column].astype(np.float64)

@@ -98,16 +98,6 @@ def without_holes(mask: BoolArray, radius: float) -> BoolArray:
     return np.asarray(closed[reach:-reach, reach:-reach] > 0)
 
 
-def filled(image: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return the image with the nearest valid pixel outside its mask, whose outline is no feature."""
-    if mask.all():
-        return image
-    from scipy.ndimage import distance_transform_edt
-
-    rows, columns = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return np.asarray(image[rows, columns])
-
-
 def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatArray:
     """Return the image over its mean in the mask.
 

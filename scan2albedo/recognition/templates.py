@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.recognition.options import TemplateOptions
 from scan2albedo.recognition.preparation import (
     averaged_down,
     carried_mask,
     checked_image,
-    filled,
     mirrored,
     scaled_to_unit_mean,
     without_holes,
@@ -174,7 +174,7 @@ def image_coefficients(
         raise RecognitionError(
             f"{what}: no coefficient lies {options.step // 2} pixels inside its mask; widen the mask"
         )
-    padded = mirrored(filled(pixels, valid), 2**options.scales)
+    padded = mirrored(filled_from_nearest(pixels, valid), 2**options.scales)
     if min(padded.shape) < 2 ** (options.scales + 2):
         raise RecognitionError(
             f"{what} has {' x '.join(map(str, pixels.shape))} pixels, too few for {options.scales} scales; "

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import RecognitionError
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.recognition import TemplateOptions, Templates, albedo_templates, similarity_matrix
-from scan2albedo.recognition.preparation import averaged_down, carried_mask, filled, without_holes
+from scan2albedo.recognition.preparation import averaged_down, carried_mask, without_holes
 from scan2albedo.recognition.pyramid import coarsest_bands
 
 
@@ -57,7 +58,7 @@ def test_a_coefficient_is_valid_when_its_surroundings_are():
 
 def test_the_outline_of_a_mask_is_no_feature(face_like_mask):
     flat = np.where(face_like_mask, 0.5, 0.0)
-    assert (filled(flat, face_like_mask) == 0.5).all()
+    assert (filled_from_nearest(flat, face_like_mask) == 0.5).all()
     coefficients = albedo_templates([flat], ["ann"], masks=[face_like_mask]).coefficients
     assert np.abs(coefficients).max() < 1e-4
 

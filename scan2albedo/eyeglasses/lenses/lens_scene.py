@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.light_kernels import seen_normals
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.rasterization import pixels_from_uv
+from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster, RayHits
 
 FloatArray = NDArray[np.float64]
@@ -164,18 +164,6 @@ class LensScene:
                 local = points.face[own] - self.face_starts[number]
                 albedo[own] = surface.albedo(local, points.barycentric[own])
         return albedo
-
-
-def bilinear(image: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Return (N, C) of an image (H, W, C) at pixels (N, 2) (column, row); edges go on outside."""
-    (rows, columns), (column, row) = image.shape[:2], pixels.T
-    column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
-    right, below = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
-    across, down = (column - left)[:, None], (row - top)[:, None]
-    upper = (1 - across) * image[top, left] + across * image[top, right]
-    lower = (1 - across) * image[below, left] + across * image[below, right]
-    return np.asarray((1 - down) * upper + down * lower)
 
 
 def _checked(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
 
 FloatArray = NDArray[np.float64]
@@ -171,21 +172,17 @@ def texture_entry(
         By which it is multiplied before it is encoded; when omitted the one that uses the 8 bits well. The
         viewer divides by it.
     """
-    from scan2albedo.applications.pictures import padded
-
     if factor is None:
         bright = float(np.percentile(linear[mask].max(-1), _BRIGHT_PERCENTILE)) if mask.any() else 0.0
         factor = 1 / bright if bright > 0 else 1.0
-    pixels = encode_srgb_bytes(np.clip(factor * _fitted(padded(linear, mask), style.size), 0, 1))
+    pixels = encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), style.size), 0, 1))
     return {"factor": factor, **picture_entry(pixels, style.quality)}
 
 
 def gray_entry(values: FloatArray, mask: NDArray[np.bool_], style: TextureStyle) -> dict[str, Any]:
     """Return values (H, W) as 8 bits of their greatest, without loss; the viewer multiplies by `scale`."""
-    from scan2albedo.applications.pictures import padded
-
     scale = float(values[mask].max()) if mask.any() else 0.0
-    parts = padded(values[..., None], mask) / (scale or 1.0)
+    parts = filled_from_nearest(values[..., None], mask) / (scale or 1.0)
     pixels = np.round(255 * np.clip(_fitted(np.repeat(parts, 3, 2), style.size)[..., 0], 0, 1))
     return {"scale": scale, **picture_entry(pixels.astype(np.uint8), None)}
 

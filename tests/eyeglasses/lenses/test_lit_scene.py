@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface, bilinear
+from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
 from scan2albedo.eyeglasses.lenses.light_kernels import AWAY, shade
 from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneRays
+from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.lighting.brdf import oren_nayar, phong
 from scan2albedo.lighting.environment import DistantLights
 

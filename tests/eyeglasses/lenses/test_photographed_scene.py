@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface, bilinear
+from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
 from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
 from scan2albedo.eyeglasses.lenses.traced_rays import SceneRays
 from scan2albedo.geometry.pinhole import look_at, project
+from scan2albedo.geometry.rasterization import bilinear
 
 SHAPE = (120, 160)
 CAMERA = look_at([0, 0, 600], [0, 0, 0], focal_px=600, shape=SHAPE)
