@@ -62,11 +62,13 @@ class Damping:
     """How the damping, a factor of the matrix's diagonal, follows the success of the steps."""
 
     first: float = 1e-3
+    """Of the first step."""
     decrease: float = 0.2
     """Factor after a step that lowered the cost."""
     increase: float = 8.0
     """Factor after one that did not."""
     least: float = 1e-9
+    """Never less than this."""
     after_failure: float = 0.0
     """Least damping after a step that did not lower the cost: skips trials that would hardly differ."""
     largest: float = 1e10
@@ -78,6 +80,7 @@ class Descent(Generic[Point]):
     """Where `minimize` ended."""
 
     best: Point
+    """The start where nothing better was found."""
     converged: bool
     """True at a minimum as far as the tolerances tell, False when trials, steps or budget ended first."""
     steps: int
@@ -157,7 +160,14 @@ def minimize(
 
 
 def damped_step(model: NormalEquations, damping: float) -> FloatArray:
-    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay."""
+    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay.
+
+    Parameters
+    ----------
+    model : NormalEquations
+    damping : float
+        Factor of the matrix's diagonal that is added to it.
+    """
     free = np.ones(len(model.gradient), bool)
     if model.lower is not None:
         free &= (model.lower < 0) | (model.gradient <= 0)

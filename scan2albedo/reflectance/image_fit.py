@@ -79,7 +79,7 @@ def fit_image(
 
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
     re-weighted squares. P is a function of the caller's. The paper's penalty on coloured light is left out:
-    at the published weight the albedo's error rose from 0.067 to 0.135, and also where all light was grey.
+    at the published weight the albedo's error rose from 0.067 to 0.135, and to 0.070 where all light was grey.
 
     Parameters
     ----------
