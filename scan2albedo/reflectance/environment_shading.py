@@ -61,25 +61,10 @@ class LightResponse:
 
 
 def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe = "tilted") -> LightResponse:
-    """Return how vertices answer to light, from their normals and the directions to the camera.
+    """Return how vertices respond to light, from their unit normals and directions to the camera (V, 3).
 
-    Parameters
-    ----------
-    normals, toward_camera : (V, 3) array_like of float
-        Unit vectors n and v.
-    lobe : {"tilted", "full"}
-        Which lobe stands where: see `Lobe`.
-
-    Raises
-    ------
-    ReflectanceError
-        When a vector is not a unit vector; names the first vertex.
-    ValueError
-        When shapes disagree, or for an unknown lobe.
-
-    Notes
-    -----
-    Memory: 2.6 kB a vertex.
+    Needs 2.6 kB a vertex. Raises `ReflectanceError` when a vector is not a unit vector, `ValueError` when
+    shapes disagree or for an unknown `Lobe`.
     """
     n, v = unit_vectors(normals, "normals"), unit_vectors(toward_camera, "toward_camera")
     if n.shape != v.shape:
@@ -110,8 +95,8 @@ def shade_environment(
     light : (81, 3) array_like of float
         Coefficients L_lm of the radiance, as from `project_environment`.
     lobe : {"tilted", "full"}
-        `full` is the formula as published, the one above; `tilted` is nearest to the truth at oblique views,
-        for it puts the lobe's mean direction in the place of r.
+        `full` is the paper's formula, the one above; `tilted` replaces r by the lobe's mean direction, which
+        is nearest to the truth at oblique views.
 
     Returns
     -------
@@ -199,15 +184,9 @@ class ShadingGradient:
 def shading_gradient(
     reflectance: VertexReflectance, normals: FloatArray, toward_camera: FloatArray, light: FloatArray
 ) -> ShadingGradient:
-    """Return the derivatives of `shade_environment`'s radiance, lobes "tilted".
+    """Return the derivatives of `shade_environment`'s radiance under light (81, 3), lobes "tilted".
 
-    Parameters
-    ----------
-    reflectance : VertexReflectance
-        Of V known vertices.
-    normals, toward_camera : (V, 3) float64
-        Unit vectors, v on the side of n.
-    light : (81, 3) float64
+    The V vertices are known, their normals and directions to the camera unit vectors with n.v > 0.
     """
     attenuated = lambert_coefficients(ORDER)[_DEGREES][:, None] * light
     diffuse = np.einsum("vhi,hj->vji", harmonics_gradient(normals, ORDER), attenuated, optimize=True)

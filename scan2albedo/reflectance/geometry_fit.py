@@ -97,9 +97,9 @@ def refine_geometry(
         r = (I(p(x_v)) - c_v D(n_v) L - sum_s w_vs S_s(n_v, v_v) L) / unit,
 
     q in mm at the face's depth, by Levenberg-Marquardt with analytic derivatives on re-weighted squares. In r
-    both the image moves under a vertex and the shading turns with its normal. Which vertices U are seen is
-    found by rays, anew every few steps. The result with photometry is taken only when the objective over
-    what both shapes show falls, landmarks stay near, and the colours are explained; else that of landmarks.
+    both the image moves under a vertex and the shading turns with its normal. Rays find which vertices U are
+    seen, anew every few steps. The result with photometry is accepted only when the objective over what both
+    shapes show falls, landmarks stay near, and the colours are explained; otherwise that of landmarks is.
 
     Parameters
     ----------
@@ -145,11 +145,9 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. How far away a face is and how large cannot be told apart but by the prior.
-    The published objective weights landmarks far less, for those of networks are several mm off;
-    tools/bench_reflectance_geometry.py tells what weights do.
-
-    Cost of a step: 3 U (N_S + N_E)^2.
+    Cast shadows are not modelled. One image cannot tell how far away a face is from how large it is, but for
+    the prior. The published objective weights landmarks far less, since those of networks are several mm off;
+    tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
 
     References
     ----------

@@ -119,18 +119,9 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
     the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation, and
     the rotation is the Procrustes one from points to where their projections lie.
 
-    Parameters
-    ----------
-    camera : (3, 4) float64
-        Pixels from mm in the scene, normalised.
-    points_mm : (N, 3) float64
-        Four or more, not on a line, in the model's frame.
-    pixels : (N, 2) float64
-
-    Raises
-    ------
-    ReflectanceError
-        When the pixels are all one, or no pose found has the points in front of the camera.
+    Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line, and their
+    pixels (N, 2). Raises `ReflectanceError` when the pixels coincide, or no pose found has the points in
+    front of the camera.
 
     References
     ----------

@@ -213,19 +213,9 @@ class PhotometricTerm:
 
 
 class Photometry:
-    """An image, its camera, and the face's reflectance in a light: makes terms over what is seen.
+    """An image, a camera and the face's reflectance in a light: makes terms over the vertices that are seen.
 
-    Parameters
-    ----------
-    images : sequence of SmoothImage
-        The same one, from smooth to sharp.
-    camera : (3, 4) float64
-        Normalised.
-    faces : (F, 3) int64
-    reflectance : VertexReflectance
-        Of V vertices.
-    light : (81, 3) float64
-    options : GeometryFitOptions
+    The images are the same one, from smooth to sharp.
     """
 
     def __init__(

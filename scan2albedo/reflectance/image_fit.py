@@ -79,19 +79,20 @@ def fit_image(
 
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
     re-weighted squares. P is a function of the caller's. The paper's penalty on coloured light is left out:
-    at the published weight the albedo's error rose from 0.067 to 0.135, and to 0.070 where all light was grey.
+    at the published weight the albedo's error rose from 0.067 to 0.135, and to 0.070 where all light was
+    grey.
 
     Parameters
     ----------
     observation : ImageObservation
         Colours, normals and directions to the camera of the model's V vertices. Give it the transfer of
-        `light_transfer`, or shadows that the face casts on itself pass for skin.
+        `light_transfer`; without it, shadows that the face casts on itself are taken for dark skin.
     model : MorphableReflectanceModel
     lighting : LightingModel, optional
         `LightingModel.default()` when omitted.
     perceptual : callable, optional
         P: from predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value
-        and its gradient (V, 3) by the predicted ones; what it returns at vertices not used does not count.
+        and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count.
     options : ImageFitOptions
     budget : Budget or float, optional
         Evaluations or seconds after which the best so far is returned with `converged=False`.
@@ -115,16 +116,13 @@ def fit_image(
 
     Notes
     -----
-    The perceptual value is taken to bend alike along every colour: its second derivative is that along the
-    step before, and at first that of a squared distance whose least value is 0. A step that does not lower
-    the whole objective is refused whatever was assumed, so this decides the pace and not the end. A gradient
-    that is not the value's ends the search early.
+    The second derivative of P is taken as the same along every colour: that along the step before, and at
+    first that of a squared distance whose least value is 0. Steps that do not lower the objective are refused
+    in any case, so this decides the pace and not the end. A wrong gradient ends the search early.
 
-    How bright the skin is and how bright the light cannot be told apart but by the models' priors.
-
-    In pictures with ray-traced shadows the albedo of faces that the model was not learned from is 0.067 off
-    with a transfer, 0.078 without, that of the mean face 0.079 and the nearest of the model 0.052, and
-    radiance in other light 0.053 and 0.100 off, as tools/bench_reflectance_model.py tells.
+    One image cannot tell bright skin from bright light, but for the models' priors. In pictures with
+    ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
+    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
 
     Cost of a step: 3 U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a
     second of CPU in all.

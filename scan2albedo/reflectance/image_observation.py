@@ -86,14 +86,10 @@ class ImageObservation:
         return float(np.asarray(self.observed_linear)[np.asarray(self.seen)].mean())
 
     def response(self, used: ArrayLike, lobe: Lobe = "tilted") -> LightResponse:
-        """Return how vertices `used` (U,) answer to light: the transfer's rows, or those without shadows.
+        """Return how vertices `used` (U,), all seen, respond to light: rows of the transfer, or without
+        shadows.
 
-        Parameters
-        ----------
-        used : (U,) array_like of int
-            Seen vertices.
-        lobe : {"tilted", "full"}
-            See `light_response`; a transfer was made with one already.
+        `lobe` applies without a transfer, see `light_response`; a transfer has its own.
         """
         rows = np.asarray(used)
         if self.transfer is not None:

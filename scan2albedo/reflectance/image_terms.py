@@ -161,18 +161,7 @@ class PerceptualValue:
 
 
 class PerceptualTerm:
-    """Calls the caller's function and checks what it returns.
-
-    Parameters
-    ----------
-    distance : callable
-        See `PerceptualDistance`.
-    used : (U,) int64
-        Vertices whose colours are predicted.
-    observed_linear : (U, 3) float64
-    count : int
-        V.
-    """
+    """The caller's function over the vertices `used` (U,) of `count`; checks what it returns."""
 
     def __init__(
         self, distance: PerceptualDistance, used: NDArray[np.int64], observed_linear: FloatArray, count: int

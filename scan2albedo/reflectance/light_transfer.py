@@ -32,19 +32,17 @@ def light_transfer(
     directions: int = 1024,
     offset_mm: float = RAY_OFFSET_MM,
 ) -> LightResponse:
-    """Return how vertices answer to light when the surface casts shadows on itself.
+    """Return how vertices respond to light when the surface casts shadows on itself.
 
     With V(w) = 1 where a ray from the vertex along w leaves the surface, and K the diffuse lobe
     max(0, n.w) / pi or a highlight's (s + 2) / (8 pi) max(0, n.h)^s, n.w > 0,
 
         T_lm = integral over the sphere of V(w) K(w) Y_lm(w) dw.
 
-    Sums Q over directions stand for the integral. The diffuse lobe's is known where nothing is hidden, A in
-    closed form, so that sums enter only as far as shadow reaches: with h the hidden share of the lobe,
+    Sums Q over directions approximate the integral. Without shadow the diffuse response A is known in closed
+    form; with h the hidden share of the lobe, sums therefore enter only as far as shadow reaches:
 
-        T = Q[V K] + (1 - h) (A - Q[K]),
-
-    which is A for h = 0 and 0 for h = 1.
+        T = Q[V K] + (1 - h) (A - Q[K]).
 
     Parameters
     ----------
@@ -55,7 +53,7 @@ def light_transfer(
     normals, toward_camera : (V, 3) array_like of float
         Unit vectors n and v. A vertex whose normal is 0 receives nothing.
     directions : int
-        Number of directions of the sums, a Fibonacci spiral over the sphere.
+        Of the sums, a Fibonacci spiral over the sphere; 64 to 100,000.
     offset_mm : float
         Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`.
 
@@ -69,17 +67,15 @@ def light_transfer(
     ReflectanceError
         When vertices are not finite, a vector is not a unit vector, or there are no triangles.
     ValueError
-        When shapes disagree, or for fewer than 64 or more than 100,000 directions.
+        When shapes disagree, or the number of directions is out of range.
 
     Notes
     -----
-    Highlights are those of each vertex and view, nearer to the truth than any `Lobe` also where there is no
-    shadow. Of light received by a face, 1,024 directions leave 0.5 % of the diffuse part and 1 to 3 % of the
-    highlights wrong, most of it beyond order 8 for the sharpest; without shadows 16 to 25 % would be, as
-    tools/bench_reflectance_model.py tells. The same input gives the same bits.
+    1,024 directions leave errors of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the
+    highlights, most of it beyond order 8; without shadows they are 16 to 25 %
+    (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
 
-    Cost: V directions / 2 rays, 10 V directions 81 operations, V directions bytes. Light that the surface
-    sends onto itself is left out.
+    Cost: V directions / 2 rays, 10 V directions 81 operations, V directions bytes.
 
     References
     ----------

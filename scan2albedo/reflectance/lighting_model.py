@@ -1,4 +1,4 @@
-"""`LightingModel`: what light in everyday places is like, as a mean and directions of change."""
+"""`LightingModel`: light of everyday places as a mean and directions of change, and the maps behind it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.lighting.environment_harmonics import map_directions, project_environment, row_projection
+from scan2albedo.lighting.environment_harmonics import map_directions, row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.sample_statistics import sample_eigenvectors
 
@@ -27,13 +27,11 @@ _KELVIN = {"candle": 1900.0, "tungsten": 2800.0, "neutral": 4200.0, "daylight": 
 
 @dataclass(frozen=True)
 class LightingModel:
-    """Light L = scale_rgb * (mean + sum g_i basis_i), g of unit variance.
+    """Light L = scale_rgb * (mean + sum g_i basis_i) of everyday places, with g of unit variance.
 
-    Every map is divided by its mean radiance channel by channel, so scale_rgb is that mean radiance and the
-    directions hold only how light is spread: brightness and white balance have one place, not two.
-
-    This is a prior for fits rather than a source of light: lamps are rare and strong, and coefficients drawn
-    from a normal distribution make places that are darker than dark.
+    Every map is divided by its mean radiance in each channel, so that scale_rgb is that mean radiance and the
+    directions describe only how light is distributed. Use it as a prior for fits, not as a source of light:
+    lamps are rare and strong, and normally distributed coefficients give places with negative light.
 
     Parameters
     ----------
@@ -59,20 +57,17 @@ class LightingModel:
 
     @classmethod
     def generate(cls, *, count: int = 600, components: int = COMPONENTS, seed: int = 0) -> LightingModel:
-        """Learn a model from `count` maps that `generated_environment` draws; the same seed, the same model.
+        """Learn a model from `count` (2 or more) maps of `generated_environment`; same seed, same model.
 
         Parameters
         ----------
-        count : int
-            2 or more.
-        components : int
-            Directions to keep.
-        seed : int
+        count, components, seed : int
+            Maps, directions to keep, and what the maps are drawn from.
 
         Raises
         ------
         ReflectanceError
-            When `count` is 1 or less, which has no directions.
+            When `count` is below 2, which has no directions.
         """
         if count < 2:
             raise ReflectanceError(
@@ -84,31 +79,11 @@ class LightingModel:
         return cls.from_coefficients(np.stack([projection @ image for image in maps]), components=components)
 
     @classmethod
-    def from_environments(
-        cls, environments_linear: ArrayLike, *, components: int = COMPONENTS
-    ) -> LightingModel:
-        """Learn a model from maps (K, H, W, 3) of your own.
-
-        Raises
-        ------
-        ReflectanceError, ValueError
-            As `from_coefficients` does, and for maps of another shape.
-        """
-        maps = np.asarray(environments_linear, np.float64)
-        if maps.ndim != 4:
-            raise ValueError(f"environments_linear must have shape (K, H, W, 3), got {maps.shape}")
-        return cls.from_coefficients(project_environment(maps), components=components)
-
-    @classmethod
     def from_coefficients(cls, lights: ArrayLike, *, components: int = COMPONENTS) -> LightingModel:
-        """Learn a model from coefficients (K, 81, 3) of light.
+        """Learn a model from the coefficients (K, 81, 3) of lights.
 
-        Raises
-        ------
-        ReflectanceError
-            When a light is not finite, or a channel of it has no light.
-        ValueError
-            For another shape.
+        Raises `ValueError` for another shape, `ReflectanceError` when a light is not finite or has a dark
+        channel.
         """
         samples = _checked_lights(lights)
         spread = samples * (_WHITE / samples[:, :1])
@@ -123,20 +98,10 @@ class LightingModel:
         """N, the number of coefficients."""
         return len(self.deviation)
 
-    @property
-    def explained(self) -> FloatArray:
-        """(N,) shares of the variance that the directions hold one by one."""
-        return self.deviation**2 / max(self.total_variance, 1e-300)
-
     def light(self, coefficients: ArrayLike, *, scale_rgb: ArrayLike = (1.0, 1.0, 1.0)) -> FloatArray:
         """Return coefficients (81, 3) of light with mean radiance `scale_rgb` (3,).
 
-        Raises
-        ------
-        ReflectanceError
-            When a number is not finite.
-        ValueError
-            For another shape.
+        Raises `ValueError` for another shape, `ReflectanceError` for numbers that are not finite.
 
         Examples
         --------
@@ -158,12 +123,7 @@ class LightingModel:
     def project(self, light: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return coefficients (N,) and scale_rgb (3,) of the model's light nearest to one (81, 3).
 
-        Raises
-        ------
-        ReflectanceError
-            When it is not finite, or a channel has no light.
-        ValueError
-            For another shape.
+        Raises `ValueError` for another shape, `ReflectanceError` when it is not finite or has a dark channel.
         """
         target = _checked_lights(np.asarray(light, np.float64)[None])[0]
         off = target * (_WHITE / target[0]) - self.mean
@@ -195,14 +155,15 @@ def _projection() -> FloatArray:
 
 
 def generated_environment(seed: int | np.random.Generator) -> FloatArray:
-    """Return a map (32, 64, 3) of linear radiance, drawn from four kinds of places.
+    """Return a map (32, 64, 3) of linear radiance: a sky, a room with windows, one with lamps, or a studio.
 
-    Rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x; no azimuth is likelier than
-    another. The same seed gives the same map.
+    Rows go from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x; all azimuths are equally
+    likely.
 
     Parameters
     ----------
     seed : int or numpy.random.Generator
+        The same seed gives the same map.
 
     Examples
     --------

@@ -69,8 +69,9 @@ def lobe_coefficients(exponent: float, order: int = ORDER) -> FloatArray:
 def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, FloatArray]:
     """Return coefficients (..., 9) of the true lobe, averaged around its mean direction, and that direction.
 
-    Lobes lean from r towards the normal, broad ones most: light from below the horizon is missing, and n.h
-    falls more slowly that way.
+    Lobes lean from the mirrored view towards the normal, broad ones most: light from below the horizon is
+    missing, and n.h falls more slowly that way. The second array is the tilt in rad from n to the mean
+    direction, in the plane of n and v away from v; the mirrored view has the tilt `angle_rad`.
 
     Parameters
     ----------
@@ -78,12 +79,6 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
         Between n and v; pi / 2 and more (a surface that is not seen) give coefficients 0.
     exponent : float
         s, more than 0.
-
-    Returns
-    -------
-    coefficients : (..., 9) float64
-    tilt_rad : (...) float64
-        From n to the mean direction, in the plane of n and v away from v; r has the tilt `angle_rad`.
 
     Raises
     ------
@@ -93,9 +88,7 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
     Notes
     -----
     In generated light the highlights of s = 1, 8 and 64 seen at 60 degrees are 3, 3 and 12 % off; with the
-    full lobe 79, 72 and 86 % (tools/bench_reflectance_model.py).
-
-    Quadrature at 33 views, once an exponent, and a cubic spline between.
+    full lobe 79, 72 and 86 % (tools/bench_reflectance_model.py). The table has 33 views, splines between.
 
     Examples
     --------

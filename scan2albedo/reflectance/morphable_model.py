@@ -234,14 +234,9 @@ class MorphableReflectanceModel:
         return self.deviation**2 / max(self.total_variance, 1e-300)
 
     def reconstruct(self, coefficients: ArrayLike) -> ModelReflectance:
-        """Return the reflectance of coefficients (N,), negatives clipped to 0 and counted.
+        """Return the reflectance of coefficients (N,), negatives set to 0 and counted.
 
-        Raises
-        ------
-        ReflectanceError
-            When a coefficient is not finite.
-        ValueError
-            When there are not N.
+        Raises `ValueError` when there are not N, `ReflectanceError` when one is not finite.
         """
         b = self._checked(coefficients)
         diffuse = self.diffuse_mean + np.tensordot(b, self.diffuse_basis, 1)
@@ -264,14 +259,8 @@ class MorphableReflectanceModel:
     def project(self, reflectance: VertexReflectance, *, prior: float = 0.0) -> Projection:
         """Return the reflectance of the model whose albedo is nearest, over vertices known to both.
 
-        Minimises sum |c - c0 - sum b_i C_i|^2 + prior |b|^2; the weights follow b.
-
-        Parameters
-        ----------
-        reflectance : VertexReflectance
-            Of V vertices.
-        prior : float
-            0 or more; something above 0 when few vertices are known.
+        Minimises sum |c - c0 - sum b_i C_i|^2 + prior |b|^2; the weights follow b. Use a prior above 0 when
+        few vertices are known.
 
         Raises
         ------
@@ -334,12 +323,7 @@ class ReflectanceModelHeader(BaseModel):
 def write_model(path: str | Path, model: MorphableReflectanceModel) -> None:
     """Write a model as an .npz file, whole or not at all; same model, same bytes.
 
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    OutputError
-        When the file cannot be written.
+    Raises `ValueError` when the name does not end in .npz, `OutputError` when it cannot be written.
     """
     header = ReflectanceModelHeader(
         exponents=EXPONENTS,
@@ -353,12 +337,8 @@ def write_model(path: str | Path, model: MorphableReflectanceModel) -> None:
 
 
 def read_model(path: str | Path) -> MorphableReflectanceModel:
-    """Return the model of a file that `write_model` wrote.
-
-    Raises
-    ------
-    ReflectanceError
-        When the file is missing, damaged or something else; names it.
+    """Read a model; raises `ReflectanceError`, naming the file, when it is missing, damaged or something
+    else.
     """
     header, arrays = read_npz_record(
         path,

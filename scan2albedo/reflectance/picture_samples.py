@@ -29,14 +29,10 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, NDA
 
 
 def checked_normals(xyz: FloatArray, faces: NDArray[np.int64], normals: ArrayLike | None) -> FloatArray:
-    """Return normals (V, 3) of a mesh, those given or its own; 0 where there are none.
+    """Return the normals (V, 3) given, or those of the mesh; 0 where there are none.
 
-    Raises
-    ------
-    ValueError
-        When normals have another shape than the vertices.
-    ReflectanceError
-        When vertices or normals are not finite or not unit, or faces hold no triangles of the vertices.
+    Raises `ValueError` for another shape, `ReflectanceError` when vertices or normals are not finite, normals
+    not unit, or faces hold no triangles of the vertices.
     """
     if not np.isfinite(xyz).all():
         raise ReflectanceError("vertices are not all finite")
@@ -104,10 +100,7 @@ def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, varia
 def picture_values(picture: NDArray[Any], name: str, saturation: float) -> FloatArray:
     """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits.
 
-    Raises
-    ------
-    ReflectanceError
-        When floats reach twice the saturation, which is no picture with white = 1, or for another dtype.
+    Raises `ReflectanceError` for another dtype, or when floats reach twice the saturation.
     """
     array = np.asarray(picture)
     if array.dtype in (np.uint8, np.uint16):
@@ -130,23 +123,11 @@ def linear_values(values: FloatArray, gamma: float) -> FloatArray:
 
 
 class SmoothImage:
-    """A linear image, smoothed by a Gaussian over its valid pixels only, between pixels bilinear.
+    """A linear image, smoothed by a Gaussian over its valid pixels only, bilinear between pixels.
 
-    Parameters
-    ----------
-    image_linear : (H, W, 3) array_like of float
-        NaN and infinite pixels are gaps.
-    mask : (H, W) array_like of bool or None
-        False where the image shows something else.
-    blur_px : float
-        Standard deviation of the Gaussian; 0 for none.
-
-    Raises
-    ------
-    ReflectanceError
-        When no pixel is left.
-    ValueError
-        When shapes are others.
+    Takes colours (H, W, 3), where pixels that are not finite are gaps, a mask (H, W), False where the image
+    shows something else, or None, and the Gaussian's standard deviation, 0 for none. Raises
+    `ReflectanceError` when no pixel is left, `ValueError` for other shapes.
     """
 
     def __init__(self, image_linear: ArrayLike, mask: ArrayLike | None, blur_px: float) -> None:

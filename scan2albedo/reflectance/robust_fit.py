@@ -122,13 +122,8 @@ class ReflectanceFitOptions:
 class Observations:
     """What the vertices are fitted to.
 
-    Parameters
-    ----------
-    observed, precision : (J, V, 3) float64
-        1 / sigma^2; 0 where there is no observation.
-    lobes : (J, V, 4) float64
-    mean, prior : (6,) float64
-        Means and precisions of the prior.
+    observed, precision (J, V, 3) with 1 / sigma^2, 0 where there is no observation; lobes (J, V, 4); mean and
+    prior (6,), means and precisions of the prior.
     """
 
     observed: FloatArray

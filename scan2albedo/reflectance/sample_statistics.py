@@ -37,13 +37,7 @@ class SampleStack:
 
 
 def stack_samples(samples: Sequence[VertexReflectance]) -> SampleStack:
-    """Return samples of one topology as arrays.
-
-    Raises
-    ------
-    ReflectanceError
-        When there is no sample, or they differ in their number of vertices.
-    """
+    """Return samples of one topology as arrays; raises `ReflectanceError` for none, or several topologies."""
     if not samples:
         raise ReflectanceError("there is no sample to learn from; give one or more")
     sizes = [len(sample.known) for sample in samples]

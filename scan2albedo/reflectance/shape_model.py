@@ -188,12 +188,7 @@ class MorphableShapeModel:
     def shape(self, identity: ArrayLike, expression: ArrayLike) -> FloatArray:
         """Return the vertices (V, 3) in mm of coefficients (N_S,) and (N_E,).
 
-        Raises
-        ------
-        ReflectanceError
-            When a coefficient is not finite.
-        ValueError
-            When there are not N_S and N_E.
+        Raises `ValueError` when there are not as many, `ReflectanceError` when one is not finite.
         """
         a = checked_coefficients(identity, self.identity_components, "identity")
         b = checked_coefficients(expression, self.expression_components, "expression")
@@ -254,12 +249,7 @@ class ShapeModelHeader(BaseModel):
 def write_shape_model(path: str | Path, model: MorphableShapeModel) -> None:
     """Write a model as an .npz file, whole or not at all; same model, same bytes.
 
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    OutputError
-        When the file cannot be written.
+    Raises `ValueError` when the name does not end in .npz, `OutputError` when it cannot be written.
     """
     header = ShapeModelHeader(
         vertices=len(model.mean),
@@ -271,12 +261,8 @@ def write_shape_model(path: str | Path, model: MorphableShapeModel) -> None:
 
 
 def read_shape_model(path: str | Path) -> MorphableShapeModel:
-    """Return the model of a file that `write_shape_model` wrote.
-
-    Raises
-    ------
-    ReflectanceError
-        When the file is missing, damaged or something else; names it.
+    """Read a model; raises `ReflectanceError`, naming the file, when it is missing, damaged or something
+    else.
     """
     header, arrays = read_npz_record(
         path,

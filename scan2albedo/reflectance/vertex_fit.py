@@ -307,11 +307,10 @@ def divided_by_gain(data: Observations, light: IntArray, gain: FloatArray) -> Ob
 def find_light_gains(
     data: Observations, light: IntArray, rows: IntArray, options: ReflectanceFitOptions, meter: Meter
 ) -> tuple[FloatArray, bool]:
-    """Return gains (L, 3), mean 1 over the flashes that lit something (NaN for the others), and convergence.
+    """Return gains (L, 3) of mean 1, NaN for flashes that lit nothing, and whether they converged.
 
-    Reflectance for fixed gains and gains for fixed reflectance are found in turn, g = sum u p y m / sum u p
-    m^2 over a flash's observations y of radiance m, with the robust weights u; gain times reflectance is one
-    scale a channel, fixed by the mean.
+    Alternates between reflectance for fixed gains and gains for fixed reflectance, g = sum u p y m /
+    sum u p m^2 over a flash's observations y of radiance m, with robust weights u. The mean fixes the scale.
     """
     few = rows[:: max(1, len(rows) // options.gain_vertices)]
     subset = replace(

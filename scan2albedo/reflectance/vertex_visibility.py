@@ -28,14 +28,7 @@ _MOST_SLOPE = 5.0
 
 
 class VertexVisibility:
-    """Rays between the vertices of a face and its cameras and flashes; what was asked once is kept.
-
-    Parameters
-    ----------
-    vertices, normals : (V, 3) float64
-        Millimetres; unit.
-    faces : (F, 3) int64
-    """
+    """Rays between the V vertices of a face (mm) and its cameras and flashes; answers are kept."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray) -> None:
         self._vertices, self._normals = vertices, normals
