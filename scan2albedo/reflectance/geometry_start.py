@@ -11,7 +11,8 @@ from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, proje
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.reflectance.geometry_search import GeometryState
 from scan2albedo.reflectance.geometry_terms import GeometryFitOptions, LandmarkTerm
-from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel, checked_coefficients
+from scan2albedo.reflectance.sample_statistics import checked_coefficients
+from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
 
 FloatArray = NDArray[np.float64]
 

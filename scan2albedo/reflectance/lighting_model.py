@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment_harmonics import map_directions, row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
-from scan2albedo.reflectance.sample_statistics import sample_eigenvectors
+from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
 
 FloatArray = NDArray[np.float64]
 
@@ -89,9 +89,8 @@ class LightingModel:
         spread = samples * (_WHITE / samples[:, :1])
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
-        vectors, deviation, variance = sample_eigenvectors(off, components, size=float(np.sum(spread**2)))
-        basis = np.tensordot(vectors.T / np.sqrt(max(len(samples) - 1, 1)), off, 1)
-        return cls(spread.mean(0), basis, deviation, variance)
+        found = principal_directions(off, components, size=float(np.sum(spread**2)))
+        return cls(spread.mean(0), found.of(off), found.deviation, found.total_variance)
 
     @property
     def components(self) -> int:
@@ -110,14 +109,8 @@ class LightingModel:
         >>> (light[0] / np.sqrt(4 * np.pi)).round(6).tolist()
         [1.0, 2.0, 3.0]
         """
-        gamma, scale = np.asarray(coefficients, np.float64), np.asarray(scale_rgb, np.float64)
-        if gamma.shape != (self.components,) or scale.shape != (3,):
-            raise ValueError(
-                f"coefficients and scale_rgb must have shapes ({self.components},) and (3,), got "
-                f"{gamma.shape} and {scale.shape}"
-            )
-        if not (np.isfinite(gamma).all() and np.isfinite(scale).all()):
-            raise ReflectanceError("coefficients of light hold NaN or infinite values; give finite ones")
+        gamma = checked_coefficients(coefficients, self.components, "coefficients")
+        scale = checked_coefficients(scale_rgb, 3, "scale_rgb")
         return scale * (self.mean + np.tensordot(gamma, self.basis, 1))
 
     def project(self, light: ArrayLike) -> tuple[FloatArray, FloatArray]:

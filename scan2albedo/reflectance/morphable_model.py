@@ -13,7 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.sample_statistics import mean_and_deviations, sample_eigenvectors, stack_samples
+from scan2albedo.reflectance.sample_statistics import (
+    checked_coefficients,
+    mean_and_deviations,
+    principal_directions,
+    stack_samples,
+)
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, refuse_other_lobes
 
 FloatArray = NDArray[np.float64]
@@ -33,6 +38,24 @@ _ARRAYS = {
     "deviation": "f",
 }
 """Names of the arrays in a file and their kinds."""
+
+
+class ReflectanceModelHeader(BaseModel):
+    """The text "header" in a file of a morphable reflectance model, as JSON.
+
+    Beside it stand known (V,), support (V,), diffuse_mean (V, 3), diffuse_basis (N, V, 3), sum_mean (V,),
+    sum_basis (N, V), share_mean (V, 3), share_basis (N, V, 3) and deviation (N,).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo morphable reflectance model")
+
+    format: Literal["scan2albedo reflectance model"] = "scan2albedo reflectance model"
+    format_version: Literal[1] = 1
+    exponents: tuple[float, float, float] = Field(description="Of the Blinn-Phong lobes, in their order.")
+    samples: int = Field(ge=1, description="K, reflectances the model was learned from.")
+    vertices: int = Field(ge=1, description="V.")
+    components: int = Field(ge=0, description="N, directions of change.")
+    total_variance: float = Field(ge=0, description="Of the samples' albedo, all vertices together.")
 
 
 @dataclass(frozen=True)
@@ -196,32 +219,58 @@ class MorphableReflectanceModel:
         diffuse, diffuse_off = mean_and_deviations(stack.diffuse, stack_known, 0.0)
         total, total_off = mean_and_deviations(stack.total, stack_known, 0.0)
         share, share_off = mean_and_deviations(stack.share, shared, 1 / 3)
-        vectors, deviation, variance = sample_eigenvectors(
-            diffuse_off, components, size=float(np.sum(diffuse**2))
-        )
-        directions = vectors.T / np.sqrt(max(len(samples) - 1, 1))
+        directions = principal_directions(diffuse_off, components, size=float(np.sum(diffuse**2)))
         return cls(
             known,
             support.astype(np.int64),
             diffuse,
-            np.tensordot(directions, diffuse_off, 1),
+            directions.of(diffuse_off),
             total,
-            np.tensordot(directions, total_off, 1),
+            directions.of(total_off),
             np.where(known[:, None], share, 0.0),
-            np.tensordot(directions, share_off, 1),
-            deviation,
-            variance,
+            directions.of(share_off),
+            directions.deviation,
+            directions.total_variance,
             len(samples),
         )
 
     @classmethod
     def load(cls, path: str | Path) -> MorphableReflectanceModel:
-        """Read a model that `save` wrote; raises `ReflectanceError` when the file is something else."""
-        return read_model(path)
+        """Read a model that `save` wrote; raises `ReflectanceError`, naming the file, for anything else."""
+        header, arrays = read_npz_record(
+            path,
+            ReflectanceModelHeader,
+            _ARRAYS,
+            what="reflectance model",
+            advice="give a file that its `save` wrote (data_schemas/reflectance_model.schema.json)",
+            error=ReflectanceError,
+        )
+        refuse_other_lobes(header.exponents, f"reflectance model {path}")
+        found = arrays["deviation"].shape, arrays["known"].shape
+        if found != ((header.components,), (header.vertices,)):
+            raise ReflectanceError(
+                f"reflectance model {path}: its header says {header.components} components of "
+                f"{header.vertices} vertices, the arrays are {found[0]} and {found[1]}; write the file again"
+            )
+        try:
+            return cls(**arrays, total_variance=header.total_variance, samples=header.samples)
+        except ReflectanceError as error:
+            raise ReflectanceError(f"{path}: {error}; write the file again") from error
 
     def save(self, path: str | Path) -> None:
-        """Write the model as an .npz file, whole or not at all; raises `OutputError`."""
-        write_model(path, self)
+        """Write the model as an .npz file, whole or not at all; same model, same bytes.
+
+        Raises `ValueError` when the name does not end in .npz, `OutputError` when it cannot be written.
+        """
+        header = ReflectanceModelHeader(
+            exponents=EXPONENTS,
+            samples=self.samples,
+            vertices=len(self.known),
+            components=self.components,
+            total_variance=self.total_variance,
+        )
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_npz_record(path, header, arrays, what="reflectance model")
 
     @property
     def components(self) -> int:
@@ -238,7 +287,7 @@ class MorphableReflectanceModel:
 
         Raises `ValueError` when there are not N, `ReflectanceError` when one is not finite.
         """
-        b = self._checked(coefficients)
+        b = checked_coefficients(coefficients, self.components, "coefficients")
         diffuse = self.diffuse_mean + np.tensordot(b, self.diffuse_basis, 1)
         total = self.sum_mean + np.tensordot(b, self.sum_basis, 1)
         share = self.share_mean + np.tensordot(b, self.share_basis, 1)
@@ -289,75 +338,6 @@ class MorphableReflectanceModel:
             _rms(made.weights[common] - reflectance.weights[common]),
         )
 
-    def _checked(self, coefficients: ArrayLike) -> FloatArray:
-        b = np.array(coefficients, np.float64)
-        if b.shape != (self.components,):
-            raise ValueError(f"coefficients must have shape ({self.components},), got {b.shape}")
-        if not np.isfinite(b).all():
-            raise ReflectanceError("coefficients hold NaN or infinite values; give finite ones")
-        return b
-
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-class ReflectanceModelHeader(BaseModel):
-    """The text "header" in a file of a morphable reflectance model, as JSON.
-
-    Beside it stand known (V,), support (V,), diffuse_mean (V, 3), diffuse_basis (N, V, 3), sum_mean (V,),
-    sum_basis (N, V), share_mean (V, 3), share_basis (N, V, 3) and deviation (N,).
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo morphable reflectance model")
-
-    format: Literal["scan2albedo reflectance model"] = "scan2albedo reflectance model"
-    format_version: Literal[1] = 1
-    exponents: tuple[float, float, float] = Field(description="Of the Blinn-Phong lobes, in their order.")
-    samples: int = Field(ge=1, description="K, reflectances the model was learned from.")
-    vertices: int = Field(ge=1, description="V.")
-    components: int = Field(ge=0, description="N, directions of change.")
-    total_variance: float = Field(ge=0, description="Of the samples' albedo, all vertices together.")
-
-
-def write_model(path: str | Path, model: MorphableReflectanceModel) -> None:
-    """Write a model as an .npz file, whole or not at all; same model, same bytes.
-
-    Raises `ValueError` when the name does not end in .npz, `OutputError` when it cannot be written.
-    """
-    header = ReflectanceModelHeader(
-        exponents=EXPONENTS,
-        samples=model.samples,
-        vertices=len(model.known),
-        components=model.components,
-        total_variance=model.total_variance,
-    )
-    arrays = {name: getattr(model, name) for name in _ARRAYS}
-    write_npz_record(path, header, arrays, what="reflectance model")
-
-
-def read_model(path: str | Path) -> MorphableReflectanceModel:
-    """Read a model; raises `ReflectanceError`, naming the file, when it is missing, damaged or something
-    else.
-    """
-    header, arrays = read_npz_record(
-        path,
-        ReflectanceModelHeader,
-        _ARRAYS,
-        what="reflectance model",
-        advice="give a file that its `save` wrote (data_schemas/reflectance_model.schema.json)",
-        error=ReflectanceError,
-    )
-    refuse_other_lobes(header.exponents, f"reflectance model {path}")
-    found = arrays["deviation"].shape, arrays["known"].shape
-    if found != ((header.components,), (header.vertices,)):
-        raise ReflectanceError(
-            f"reflectance model {path}: the header tells {header.components} components of {header.vertices} "
-            f"vertices, the arrays are {found[0]} and {found[1]}; write the file again"
-        )
-    try:
-        return MorphableReflectanceModel(
-            **arrays, total_variance=header.total_variance, samples=header.samples
-        )
-    except ReflectanceError as error:
-        raise ReflectanceError(f"{path}: {error}; write the file again") from error

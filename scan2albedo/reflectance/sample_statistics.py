@@ -1,4 +1,4 @@
-"""Mean and principal directions of samples with gaps."""
+"""What models learned from samples share: means over gaps, principal directions, coefficients."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
@@ -67,13 +67,26 @@ def mean_and_deviations(
     return mean, np.where(mask, values - mean, 0.0)
 
 
-def sample_eigenvectors(
-    deviations: FloatArray, most: int | None, *, size: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return eigenvectors U (K, N) of the Gram matrix X X^T, deviations sqrt(eig / (K - 1)), total variance.
+@dataclass(frozen=True)
+class PrincipalDirections:
+    """N directions of K samples, as sums of their deviations from the mean."""
 
-    Rounding is left out, of X and of values whose squares sum to `size`: N is at most the rank, K - 1, and
-    `most`. The largest entry of each eigenvector is positive.
+    weights: FloatArray
+    """(N, K): of the samples' deviations in each direction of unit variance."""
+    deviation: FloatArray
+    """(N,) standard deviations of the samples along them, largest first."""
+    total_variance: float
+
+    def of(self, deviations: FloatArray) -> FloatArray:
+        """Return the directions (N, ...) of deviations (K, ...)."""
+        return np.asarray(np.tensordot(self.weights, deviations, 1))
+
+
+def principal_directions(deviations: FloatArray, most: int | None, *, size: float) -> PrincipalDirections:
+    """Return the directions in which deviations X (K, ...) vary most.
+
+    X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1), the largest entry of u_i positive. Rounding,
+    of X and of values whose squares sum to `size`, is left out: N is at most the rank, K - 1, and `most`.
     """
     count = len(deviations)
     rows = deviations.reshape(count, -1)
@@ -84,4 +97,15 @@ def sample_eigenvectors(
     largest = np.abs(vectors).argmax(0)
     sign = np.where(vectors[largest, np.arange(count)] < 0, -1.0, 1.0)
     spread = max(count - 1, 1)
-    return (vectors * sign)[:, :kept], np.sqrt(values[:kept] / spread), float(values.sum() / spread)
+    weights = (vectors * sign)[:, :kept].T / np.sqrt(spread)
+    return PrincipalDirections(weights, np.sqrt(values[:kept] / spread), float(values.sum() / spread))
+
+
+def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray:
+    """Return coefficients as (count,), or raise `ValueError` for the shape, `ReflectanceError` for NaN."""
+    coefficients = np.array(values, np.float64)
+    if coefficients.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},), got {coefficients.shape}")
+    if not np.isfinite(coefficients).all():
+        raise ReflectanceError(f"{name} holds NaN or infinite values; give finite coefficients")
+    return coefficients

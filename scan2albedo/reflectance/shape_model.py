@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.sample_statistics import sample_eigenvectors
+from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,6 +27,22 @@ _ARRAYS = {
     "landmark_vertices": "iu",
 }
 """Names of the arrays in a file and their kinds."""
+
+
+class ShapeModelHeader(BaseModel):
+    """The text "header" in a file of a morphable shape model, as JSON.
+
+    Beside it stand mean (V, 3), identity_basis (N_S, V, 3) and expression_basis (N_E, V, 3) in mm,
+    faces (F, 3) and landmark_vertices (68,).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo morphable shape model")
+
+    format: Literal["scan2albedo shape model"] = "scan2albedo shape model"
+    format_version: Literal[1] = 1
+    vertices: int = Field(ge=1, description="V.")
+    identity_components: int = Field(ge=0, description="N_S.")
+    expression_components: int = Field(ge=0, description="N_E.")
 
 
 @dataclass(frozen=True)
@@ -163,12 +179,39 @@ class MorphableShapeModel:
 
     @classmethod
     def load(cls, path: str | Path) -> MorphableShapeModel:
-        """Read a model that `save` wrote; raises `ReflectanceError` when the file is something else."""
-        return read_shape_model(path)
+        """Read a model that `save` wrote; raises `ReflectanceError`, naming the file, for anything else."""
+        header, arrays = read_npz_record(
+            path,
+            ShapeModelHeader,
+            _ARRAYS,
+            what="shape model",
+            advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
+            error=ReflectanceError,
+        )
+        found = tuple(len(np.atleast_1d(arrays[n])) for n in ("mean", "identity_basis", "expression_basis"))
+        expected = header.vertices, header.identity_components, header.expression_components
+        if found != expected:
+            raise ReflectanceError(
+                f"shape model {path}: its header says (vertices, identity, expression) = {expected}, the "
+                f"arrays hold {found}; write the file again"
+            )
+        try:
+            return cls(**arrays)
+        except ReflectanceError as error:
+            raise ReflectanceError(f"{path}: {error}; write the file again") from error
 
     def save(self, path: str | Path) -> None:
-        """Write the model as an .npz file, whole or not at all; raises `OutputError`."""
-        write_shape_model(path, self)
+        """Write the model as an .npz file, whole or not at all; same model, same bytes.
+
+        Raises `ValueError` when the name does not end in .npz, `OutputError` when it cannot be written.
+        """
+        header = ShapeModelHeader(
+            vertices=len(self.mean),
+            identity_components=self.identity_components,
+            expression_components=self.expression_components,
+        )
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        write_npz_record(path, header, arrays, what="shape model")
 
     @property
     def identity_components(self) -> int:
@@ -196,21 +239,10 @@ class MorphableShapeModel:
         return np.asarray(self.mean + moved)
 
 
-def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray:
-    """Return coefficients as (count,), or raise `ValueError` for the shape, `ReflectanceError` for NaN."""
-    coefficients = np.array(values, np.float64)
-    if coefficients.shape != (count,):
-        raise ValueError(f"{name} must have shape ({count},), got {coefficients.shape}")
-    if not np.isfinite(coefficients).all():
-        raise ReflectanceError(f"{name} holds NaN or infinite values; give finite coefficients")
-    return coefficients
-
-
 def _directions(deviations: FloatArray, most: int, size: float) -> FloatArray:
     if len(deviations) == 0:
         return deviations
-    vectors, _, _ = sample_eigenvectors(deviations, most, size=size)
-    return np.asarray(np.tensordot(vectors.T / np.sqrt(max(len(deviations) - 1, 1)), deviations, 1))
+    return principal_directions(deviations, most, size=size).of(deviations)
 
 
 def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
@@ -228,58 +260,3 @@ def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
             f"{name}: shape {int(np.flatnonzero(bad)[0])} holds NaN or infinite values; leave it out"
         )
     return stack
-
-
-class ShapeModelHeader(BaseModel):
-    """The text "header" in a file of a morphable shape model, as JSON.
-
-    Beside it stand mean (V, 3), identity_basis (N_S, V, 3) and expression_basis (N_E, V, 3) in mm,
-    faces (F, 3) and landmark_vertices (68,).
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo morphable shape model")
-
-    format: Literal["scan2albedo shape model"] = "scan2albedo shape model"
-    format_version: Literal[1] = 1
-    vertices: int = Field(ge=1, description="V.")
-    identity_components: int = Field(ge=0, description="N_S.")
-    expression_components: int = Field(ge=0, description="N_E.")
-
-
-def write_shape_model(path: str | Path, model: MorphableShapeModel) -> None:
-    """Write a model as an .npz file, whole or not at all; same model, same bytes.
-
-    Raises `ValueError` when the name does not end in .npz, `OutputError` when it cannot be written.
-    """
-    header = ShapeModelHeader(
-        vertices=len(model.mean),
-        identity_components=model.identity_components,
-        expression_components=model.expression_components,
-    )
-    arrays = {name: getattr(model, name) for name in _ARRAYS}
-    write_npz_record(path, header, arrays, what="shape model")
-
-
-def read_shape_model(path: str | Path) -> MorphableShapeModel:
-    """Read a model; raises `ReflectanceError`, naming the file, when it is missing, damaged or something
-    else.
-    """
-    header, arrays = read_npz_record(
-        path,
-        ShapeModelHeader,
-        _ARRAYS,
-        what="shape model",
-        advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
-        error=ReflectanceError,
-    )
-    found = tuple(len(np.atleast_1d(arrays[n])) for n in ("mean", "identity_basis", "expression_basis"))
-    told = header.vertices, header.identity_components, header.expression_components
-    if found != told:
-        raise ReflectanceError(
-            f"shape model {path}: the header tells (vertices, identity, expression) = {told}, the arrays "
-            f"hold {found}; write the file again"
-        )
-    try:
-        return MorphableShapeModel(**arrays)
-    except ReflectanceError as error:
-        raise ReflectanceError(f"{path}: {error}; write the file again") from error
