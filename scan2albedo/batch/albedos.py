@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from scan2albedo.batch.catalogue import load_catalogue
 from scan2albedo.errors import BatchError
 from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.npz import read_npz
 
 _LEAST_WEIGHT = 0.5
 
@@ -76,13 +76,15 @@ def load_albedos(
 def _stored(file: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     albedo = read_image_linear(file)
     image = file.parent / "geometry_image.npz"
-    try:
-        with np.load(image, allow_pickle=False) as arrays:
-            seen = arrays["mask"]
-            if "texture_valid" in arrays:
-                seen = seen & arrays["texture_valid"]
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise BatchError(f"{image}: cannot be read ({error}); run the batch with --resume") from error
+    arrays = read_npz(
+        image,
+        ("mask",),
+        optional=("texture_valid",),
+        what="geometry image",
+        advice="run the batch with --resume",
+        error=BatchError,
+    )
+    seen = arrays["mask"] & arrays.get("texture_valid", True)
     if seen.shape != albedo.shape[:2]:
         raise BatchError(f"{file}: has {albedo.shape[:2]} texels, {image.name} {seen.shape}: not of one run")
     return albedo, seen

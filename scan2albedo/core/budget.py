@@ -72,7 +72,7 @@ def checked_seed(seed: int) -> int:
 ProgressCallback = Callable[[TraceRow], None]
 
 GRACE_SHARE, GRACE_S = 0.2, 0.3
-"""How far a budget in seconds may be overrun to finish what was found: this part of it, or these seconds."""
+"""A budget in seconds may be overrun by this part of it, or these seconds, to bring an answer to its end."""
 
 
 def grace(seconds: float) -> float:

@@ -169,6 +169,6 @@ class GeometryImage:
         vertices, normals = self.position[self.mask], self.normal[self.mask]
         corners = vertices[stacked]
         outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        # One by one: of charts that were cut apart, some lie mirrored.
+        # Face by face: a chart may be cut into pieces, some of them mirrored.
         against = np.einsum("ij,ij->i", outward, normals[stacked].sum(1)) < 0
         return vertices, np.where(against[:, None], stacked[:, ::-1], stacked)

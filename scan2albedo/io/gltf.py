@@ -15,7 +15,7 @@ from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.gltf_skins import GltfFile, skinning_transforms
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
-from scan2albedo.io.repair import refuse_wrong_indices
+from scan2albedo.io.repair import require_valid_indices
 
 if TYPE_CHECKING:
     import trimesh
@@ -65,7 +65,7 @@ def _read_parts(path: Path) -> ParsedMesh:
 
     file = GltfFile.read(path)
     skinned = bool(file.tree.get("skins"))
-    scene = _load_scene(path, file.telling_skins() if skinned else None)
+    scene = _load_scene(path, file.with_marked_skins() if skinned else None)
     textured = _textured_material_names(file.tree)
     materials: dict[int, Material] = {}
     parts = []
@@ -74,8 +74,8 @@ def _read_parts(path: Path) -> ParsedMesh:
         mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
             part = _part(mesh, materials, path.name)
-            held = skinning_transforms(file, scene, node, mesh) if skinned else None
-            parts.append(_placed(part, np.asarray(transform, np.float64) if held is None else held))
+            by_joints = skinning_transforms(file, scene, node, mesh) if skinned else None
+            parts.append(_placed(part, np.asarray(transform, np.float64) if by_joints is None else by_joints))
     lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
     notes = (
         f"the texture of {name} is missing, damaged or of an unknown kind: went on without it"
@@ -85,9 +85,9 @@ def _read_parts(path: Path) -> ParsedMesh:
 
 
 def _load_scene(path: Path, data: bytes | None) -> trimesh.Scene:
-    """Load a file, or `data` in its place, through trimesh; what it warns of becomes an error.
+    """Load a file, or `data` in its place, through trimesh; its warnings become errors.
 
-    It would go on with zeros.
+    It warns of a compression that it cannot decode, and goes on with zeros.
     """
     import trimesh
 
@@ -117,7 +117,7 @@ def _textured_material_names(tree: dict[str, Any]) -> set[str]:
 
 
 class _Warnings(logging.Handler):
-    """Keeps what trimesh warns of, such as a compression it cannot decode."""
+    """Collects trimesh's warnings."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -135,7 +135,7 @@ def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], name: str) -> P
         materials[id(source)] = _material(source)
     faces = np.asarray(mesh.faces, np.int64)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
-    refuse_wrong_indices(faces, len(mesh.vertices), name)
+    require_valid_indices(faces, len(mesh.vertices), name)
     uv = getattr(visual, "uv", None)
     colors = visual.vertex_colors if visual.kind == "vertex" else visual.vertex_attributes.get("color")
     return ParsedMesh(

@@ -1,4 +1,4 @@
-"""Skinned meshes in glTF files: where joints put their vertices, in place of their node's transform."""
+"""Skinned meshes in glTF files: the joints' transforms of their vertices, which replace their node's."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class GltfFile:
         end = _JSON_START + int.from_bytes(data[12:16], "little")
         return cls(path, json.loads(data[_JSON_START:end].decode("utf-8", "replace")), data[end:], True)
 
-    def telling_skins(self) -> bytes:
+    def with_marked_skins(self) -> bytes:
         """Return the file's bytes with nodes named by number and skin attributes marked for trimesh."""
         tree = json.loads(json.dumps(self.tree))
         for number, node in enumerate(tree.get("nodes", [])):
@@ -96,7 +96,7 @@ def skinning_transforms(
     ----------
     file : GltfFile
     scene : trimesh.Scene
-        Of `GltfFile.telling_skins`.
+        Of `GltfFile.with_marked_skins`.
     frame : str
         Name of the mesh's node in the scene.
     mesh : trimesh.Trimesh

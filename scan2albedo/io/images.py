@@ -37,16 +37,12 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
     ScanError
         When the file is missing, unreadable, damaged or holds NaN; the message names it.
     """
-    file = Path(path)
-    data = _file_bytes(file)
-    if data[:4] == _EXR_MAGIC:
-        return _checked_float(_exr_rgb(file), file)
-    pixels = _decode_pixels(data, file)
-    if pixels.dtype in (np.uint8, np.uint16):
-        return decode_srgb_integers(cast("NDArray[np.uint8]", pixels))
-    if pixels.dtype.kind != "f":
-        raise _wrong_samples(pixels, file)
-    return _checked_float(pixels, file)
+    samples = read_image_values(path)
+    if samples.dtype in (np.uint8, np.uint16):
+        return decode_srgb_integers(cast("NDArray[np.uint8]", samples))
+    if not np.isfinite(samples).all():
+        raise ScanError(f"image {path} holds NaN or infinite samples; re-export it")
+    return cast("NDArray[np.float32]", samples)
 
 
 def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
@@ -58,24 +54,16 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
         When the file is missing, unreadable or damaged; the message names it.
     """
     file = Path(path)
-    data = _file_bytes(file)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
     pixels = _exr_rgb(file) if data[:4] == _EXR_MAGIC else _decode_pixels(data, file)
     if pixels.dtype in (np.uint8, np.uint16):
         return cast("NDArray[np.uint8]", pixels)
     if pixels.dtype.kind != "f":
-        raise _wrong_samples(pixels, file)
+        raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
     return np.ascontiguousarray(pixels, np.float32)
-
-
-def _file_bytes(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
-
-
-def _wrong_samples(pixels: NDArray[np.generic], file: Path) -> ScanError:
-    return ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
 
 
 def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:
@@ -96,13 +84,6 @@ def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:
         first = pixels if pixels.ndim == 2 else pixels[..., 0]
         return np.repeat(first[..., None], 3, axis=2)
     return np.asarray(pixels[..., 2::-1])
-
-
-def _checked_float(pixels: NDArray[np.generic], file: Path) -> NDArray[np.float32]:
-    linear = np.ascontiguousarray(pixels, np.float32)
-    if not np.isfinite(linear).all():
-        raise ScanError(f"image {file} holds NaN or infinite samples; re-export it")
-    return linear
 
 
 def _exr_rgb(file: Path) -> NDArray[np.float32]:
@@ -157,11 +138,6 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 def write_exr(path: str | Path, linear: ArrayLike) -> None:
     """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
 
-    Parameters
-    ----------
-    path : str or Path
-    linear : array_like of float
-
     Raises
     ------
     OutputError
@@ -178,14 +154,7 @@ def write_exr(path: str | Path, linear: ArrayLike) -> None:
 
 
 def write_png(path: str | Path, image: ArrayLike) -> None:
-    """Write a PNG atomically.
-
-    Parameters
-    ----------
-    path : str or Path
-    image : (H, W, 3), (H, W, 4) or (H, W) array_like
-        uint8, uint16 and bool are written as they are (sRGB, bool as 0 and 255); floats are linear
-        colour and are encoded to 8-bit sRGB, clipped to [0, 1].
+    """Write a PNG atomically; see `encode_image` for what each dtype means.
 
     Raises
     ------
@@ -198,13 +167,7 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
 
 
 def write_image(path: str | Path, image: ArrayLike) -> None:
-    """Write an image in the format its extension names: .exr through `write_exr`, others as `write_png` does.
-
-    Parameters
-    ----------
-    path : str or Path
-    image : array_like
-        Floats for .exr, uint8 sRGB for others.
+    """Write an image in the format its extension names: `write_exr`, or 8-bit sRGB as `write_png` does.
 
     Raises
     ------
@@ -225,7 +188,11 @@ def write_image(path: str | Path, image: ArrayLike) -> None:
 
 
 def encode_image(image: ArrayLike, extension: str) -> bytes:
-    """Return the bytes of an image file; see `write_png` for what each dtype means."""
+    """Return the bytes of an image file, (H, W, 3), (H, W, 4) or (H, W).
+
+    uint8, uint16 and bool are stored as they are (sRGB, bool as 0 and 255); floats are linear colour and are
+    encoded to 8-bit sRGB, clipped to [0, 1].
+    """
     import cv2
 
     array = np.asarray(image)

@@ -85,7 +85,7 @@ def _of_gltf(path: Path) -> list[str]:
         entries = [*tree.get("buffers", ()), *tree.get("images", ())]
         uris = [entry.get("uri", "") for entry in entries]
     except (ValueError, AttributeError, TypeError):
-        return []  # load_scan tells what is wrong with the file
+        return []  # load_scan says what is wrong with the file
     return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
 
 

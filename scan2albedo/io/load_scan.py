@@ -42,13 +42,13 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     Returns
     -------
     RawScan
-        Its `notes` tell the unit, every repair, missing textures and the number of loose components.
+        Its `notes` name the unit, every repair, missing textures and the number of loose components.
 
     Raises
     ------
     ScanError
         When the file is missing, of an unsupported kind, damaged, without faces, of a size that is no head in
-        any unit, or so far from the origin that its numbers hold no shape. The message names the file, what
+        any unit, or so far from the origin that rounding destroys its shape. The message names the file, what
         is wrong and what to do.
     ValueError
         For an unknown unit.
@@ -78,13 +78,13 @@ def load_scan_with(
     """
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.geometry.mesh import vertex_components
-    from scan2albedo.io.repair import refuse_unusable, repair
+    from scan2albedo.io.repair import repair, require_usable
     from scan2albedo.io.texture_atlas import pack_texture
     from scan2albedo.io.units import largest_extent, rounding_note
 
     file = Path(path)
     parsed = read_mesh_file(file)
-    refuse_unusable(parsed, file.name)
+    require_usable(parsed, file.name)
     mesh = repair(parsed)
     if len(mesh.faces) == 0:
         raise ScanError(f"{file.name}: every face has zero area; the scan holds no surface: export it again")

@@ -69,6 +69,7 @@ def read_npz(
     path: str | Path,
     names: Collection[str] | None = None,
     *,
+    optional: Collection[str] = (),
     what: str,
     advice: str,
     error: type[Scan2AlbedoError],
@@ -79,7 +80,9 @@ def read_npz(
     ----------
     path : str or Path
     names : collection of str, optional
-        Of the arrays that must be there, others are not read; all when omitted.
+        Of the arrays that must be there; all are read when omitted.
+    optional : collection of str
+        Of further ones that are read when they are there.
     what, advice : str
         The thing in the file and what to do about a wrong one, for messages.
     error : type of Scan2AlbedoError
@@ -97,10 +100,11 @@ def read_npz(
             if not isinstance(stored, NpzFile):
                 raise ValueError("it holds a single array, no archive of them")
             with stored:
-                return {name: stored[name] for name in (stored.files if names is None else names)}
+                there = [name for name in optional if name in stored.files]
+                return {name: stored[name] for name in (stored.files if names is None else (*names, *there))}
     except (OSError, *_DAMAGE) as cause:
-        told = " ".join(str(cause).split())
-        raise error(f"{what} {path} cannot be read ({told}); {advice}") from cause
+        reason = " ".join(str(cause).split())
+        raise error(f"{what} {path} cannot be read ({reason}); {advice}") from cause
 
 
 def write_npz_record(

@@ -53,11 +53,11 @@ class _Lines:
 
         lines = self.of(kind)
         values, counts = parse_float_lines(self.text, self.starts[lines], self.ends[lines], width)
-        self.refuse(lines[counts < least], f"expected at least {least} numbers")
+        self.raise_for(lines[counts < least], f"expected at least {least} numbers")
         return values, counts
 
-    def refuse(self, lines: IntArray, expected: str) -> None:
-        """Raise for the first of the given lines."""
+    def raise_for(self, lines: IntArray, expected: str) -> None:
+        """Raise a `ScanError` for the first of the given lines, if there is any."""
         if len(lines):
             shown = self.words(int(lines[0]))[:40]
             raise ScanError(
@@ -107,18 +107,19 @@ def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntA
     rows = lines.of(tables.FACE)
     starts, ends = lines.starts[rows], lines.ends[rows]
     counts = tables.count_tokens(lines.text, starts, ends)
-    lines.refuse(rows[counts < 3], "expected at least 3 corners")
+    lines.raise_for(rows[counts < 3], "expected at least 3 corners")
     corners, bad = tables.parse_corners(lines.text, starts, counts)
-    lines.refuse(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
-    kinds = (tables.VERTEX, tables.TEXTURE_COORDINATE)
-    for column, kind, total in zip((0, 1), kinds, (vertex_count, uv_count), strict=True):
+    lines.raise_for(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
+    line_of_corner = np.repeat(rows, counts)
+    vertices = (tables.VERTEX, vertex_count, "vertices")
+    coordinates = (tables.TEXTURE_COORDINATE, uv_count, "texture coordinates")
+    for column, (kind, total, name) in enumerate((vertices, coordinates)):
         written = corners[:, column]
         if (written < 0).any():
             before = np.repeat(np.searchsorted(lines.of(kind), rows), counts)
             written = np.where(written < 0, before + written + 1, written)
-            lines.refuse(np.repeat(rows, counts)[(written < 1) & (corners[:, column] < 0)], "index before 1")
-        outside = np.repeat(rows, counts)[written > total] if (written > total).any() else rows[:0]
-        lines.refuse(outside, f"but there are {total} {'vertices' if column == 0 else 'texture coordinates'}")
+            lines.raise_for(line_of_corner[(written < 1) & (corners[:, column] < 0)], "index before 1")
+        lines.raise_for(line_of_corner[written > total], f"but there are {total} {name}")
         corners[:, column] = written - 1
     return corners, counts
 

@@ -84,6 +84,6 @@ def fan_triangles(counts: IntArray) -> Fans:
 
 
 def cut_note(counts: IntArray) -> tuple[str, ...]:
-    """Return the note that tells how many polygons were cut, if any."""
+    """Return a note on how many polygons were cut, if any."""
     cut = int((counts > 3).sum())
     return (f"polygons cut into triangles: {cut}",) if cut else ()

@@ -161,14 +161,14 @@ def _columns_of_table(path: Path, element: Element, table: NDArray[np.float64], 
 
 
 def _converted(path: Path, element: Element, prop: Property, values: NDArray[np.float64]) -> NDArray[Any]:
-    """Return numbers of a text file in the property's own type; what an integer cannot hold is refused."""
+    """Return numbers of a text file in the property's own type; raise for what an integer cannot hold."""
     if prop.item_type.kind in "iu":
         limits = np.iinfo(prop.item_type)
-        held = (values >= limits.min) & (values < float(limits.max) + 1)
-        if not held.all():
-            wrong = f"{values[~held][0]:g}, which is no {prop.item_type.name}"
+        fits = (values >= limits.min) & (values < float(limits.max) + 1)
+        if not fits.all():
+            wrong = f"{values[~fits][0]:g}, which is no {prop.item_type.name}"
             raise _damaged(path, f"{prop.name} of {element.name} holds {wrong}")
-    with np.errstate(over="ignore"):  # beyond float32 is infinite, which is refused where it matters
+    with np.errstate(over="ignore"):  # beyond float32 is infinite; infinite vertices in use raise later
         return values.astype(prop.item_type)
 
 

@@ -46,7 +46,7 @@ Matrix = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(plain_json)]
 
 
 class Record(BaseModel):
-    """Base of every record: unknown fields are refused, values are fixed, numbers are finite."""
+    """Base of every record: unknown fields and numbers that are not finite raise; values are fixed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

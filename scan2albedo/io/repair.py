@@ -1,4 +1,4 @@
-"""Harmless repairs of raw meshes, each told in a note; what cannot be repaired is refused."""
+"""Harmless repairs of raw meshes, each with a note, and errors for what cannot be repaired."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _AREA_FLOOR = 1e-12
 _HASH_PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 
 
-def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
+def require_usable(mesh: ParsedMesh, name: str) -> None:
     """Raise `ScanError` for a mesh without faces, with wrong indices, or with non-finite vertices in use."""
     count = len(mesh.vertices)
     if len(mesh.faces) == 0:
@@ -29,7 +29,7 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
             f"{name}: holds {what}; a surface is needed: mesh the points first, or export the scan again "
             "if the file was cut short"
         )
-    refuse_wrong_indices(mesh.faces, count, name)
+    require_valid_indices(mesh.faces, count, name)
     bad = ~(np.abs(mesh.vertices) <= LARGEST_COORDINATE).all(axis=1)
     if bad.any():
         used = np.zeros(count, bool)
@@ -43,7 +43,7 @@ def refuse_unusable(mesh: ParsedMesh, name: str) -> None:
             )
 
 
-def refuse_wrong_indices(faces: IntArray, vertex_count: int, name: str) -> None:
+def require_valid_indices(faces: IntArray, vertex_count: int, name: str) -> None:
     """Raise `ScanError` when a face refers to a vertex that is not there."""
     low, high = int(faces.min(initial=0)), int(faces.max(initial=-1))
     if low < 0 or high >= vertex_count:
@@ -119,8 +119,8 @@ def _drop_faces(mesh: ParsedMesh) -> ParsedMesh:
     keep[np.flatnonzero(keep)[repeats]] = False
     if keep.all():
         return mesh
-    told = ((int(flat.sum()), "zero-area"), (int(repeats.sum()), "duplicate"))
-    notes = tuple(f"{kind} faces dropped: {count}" for count, kind in told if count)
+    dropped = (("zero-area", int(flat.sum())), ("duplicate", int(repeats.sum())))
+    notes = tuple(f"{kind} faces dropped: {count}" for kind, count in dropped if count)
     return replace(
         mesh,
         faces=mesh.faces[keep],

@@ -72,7 +72,7 @@ def write_skinned_glb(
         Joint that carries each joint along, -1 for none. What hangs on a missing one hangs on that one's own.
     influences : int or None
         Joints a vertex keeps, the rest cut off and the weights divided by what is left; None keeps all that
-        32 bits tell from 0.
+        are not 0 in 32 bits.
         Files hold sets of four, and most viewers read the first set only, so it holds the largest four.
 
     Returns

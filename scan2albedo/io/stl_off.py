@@ -42,7 +42,7 @@ def read_stl(path: Path) -> ParsedMesh:
         raise _damaged(path, str(error), "STL") from error
     text = "face_attributes" not in loaded  # which are those of binary files
     if text and b"endsolid" not in data[-4096:].lower():
-        raise _damaged(path, "it has not the length that its header tells, nor ends with endsolid", "STL")
+        raise _damaged(path, "its length is not that of its header, and it does not end with endsolid", "STL")
     solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
     if not solids:
         raise _damaged(path, "it holds no triangles", "STL")
@@ -56,7 +56,7 @@ def read_off(path: Path) -> ParsedMesh:
     Raises
     ------
     ScanError
-        When the file is damaged, binary, or shorter than its header says; the message names it.
+        When the file is damaged, binary, or shorter than its header declares; the message names it.
     """
     from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines
 

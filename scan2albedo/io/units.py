@@ -20,7 +20,7 @@ of one to whole goggles (about 250 mm); less than a decade again."""
 _TRIM_PERCENT = 0.5
 
 _FINE_STEP, _COARSE_STEP = 1e-4, 1e-2
-"""Parts of a scan's extent that rounding may be: untold up to the first, refused beyond the second."""
+"""Rounding as a part of a scan's extent: no note up to the first, an error beyond the second."""
 
 
 def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64]) -> float:
@@ -45,7 +45,7 @@ def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64])
 def millimetres_per_unit(
     vertices: NDArray[np.float64], components: NDArray[np.int64], unit: str, name: str
 ) -> tuple[float, str]:
-    """Return (factor to millimetres, note that tells unit and size).
+    """Return (factor to millimetres, note on unit and size).
 
     Raises
     ------
@@ -58,7 +58,7 @@ def millimetres_per_unit(
 
 
 def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: float, name: str) -> str:
-    """Return what single precision costs a scan that lies far from the origin; "" when next to nothing.
+    """Return a note on how single precision rounds a scan far from the origin, "" when it hardly does.
 
     Raises
     ------
@@ -71,17 +71,17 @@ def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: flo
     step = float(np.spacing(np.float32(distance)))
     if step <= _FINE_STEP * extent:
         return ""
-    told = (
+    note = (
         f"positions are rounded to {step * mm_per_unit:.2g} mm, since the file holds single precision at "
         f"{distance * mm_per_unit:.2g} mm from the origin: move the scan to the origin before it is exported"
     )
     if step > _COARSE_STEP * extent:
-        raise ScanError(f"{name}: {told}")
-    return told
+        raise ScanError(f"{name}: {note}")
+    return note
 
 
 def glasses_millimetres_per_unit(keypoints: NDArray[np.float64], unit: str, name: str) -> tuple[float, str]:
-    """Return (factor to millimetres, note that tells unit and size) of a pair of glasses.
+    """Return (factor to millimetres, note on unit and size) of a pair of glasses.
 
     The size is that of its key points (K, 3), NaN for missing ones: of a mesh of many parts, a screw may hold
     most of the vertices.

@@ -77,5 +77,5 @@ def test_a_missing_file_and_no_albedo_are_told(batch_of):
 def test_a_geometry_image_that_is_gone_is_told(batch_of):
     out = batch_of({"a": 0.25}, {"a": 8}, {"a": "m"})
     (out / "a" / "geometry_image.npz").unlink()
-    with pytest.raises(BatchError, match=r"geometry_image.npz: cannot be read .*--resume"):
+    with pytest.raises(BatchError, match=r"geometry_image.npz cannot be read .*--resume"):
         load_albedos(out)

@@ -9,7 +9,7 @@ from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.io import load_scan
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
-from scan2albedo.io.repair import first_equal_row, refuse_unusable, repair
+from scan2albedo.io.repair import first_equal_row, repair, require_usable
 
 SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
 VERTICES, FACES = np.asarray(SPHERE.vertices, float), np.asarray(SPHERE.faces, np.int64)
@@ -79,12 +79,12 @@ def test_slivers_go_and_thin_triangles_stay_at_any_scale(scale, offset):
 def test_broken_vertices_count_only_when_faces_use_them(tmp_path):
     vertices = np.concatenate([VERTICES, [[np.nan, 0, 0]]])
     assert len(repair(ParsedMesh(vertices, FACES)).vertices) == len(VERTICES)
-    refuse_unusable(ParsedMesh(vertices, FACES), "a.obj")
+    require_usable(ParsedMesh(vertices, FACES), "a.obj")
     vertices[[5, 9], 1] = np.inf, 1e200
     with pytest.raises(
         ScanError, match=r"a\.obj: 2 vertices used by faces are NaN or infinite .*, the first is vertex 5 "
     ):
-        refuse_unusable(ParsedMesh(vertices, FACES), "a.obj")
+        require_usable(ParsedMesh(vertices, FACES), "a.obj")
 
 
 def test_a_scan_of_zero_area_faces_only_holds_no_surface(tmp_path):

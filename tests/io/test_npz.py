@@ -1,0 +1,68 @@
+"""NPZ files and their records: what is wrong is told by one error that names the file."""
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.io.npz import read_npz, read_npz_record, write_npz, write_npz_record
+
+MESSAGES = {"what": "thing", "advice": "write it again", "error": ScanError}
+
+
+class Header(BaseModel):
+    """A record beside arrays."""
+
+    unit: str
+
+
+def test_arrays_come_back_by_name(tmp_path):
+    arrays = {"a": np.arange(3), "b": np.eye(2)}
+    write_npz(tmp_path / "x.npz", arrays, what="thing", compressed=True)
+    np.testing.assert_equal(read_npz(tmp_path / "x.npz", **MESSAGES), arrays)
+    chosen = read_npz(tmp_path / "x.npz", ["b"], optional=["a", "c"], **MESSAGES)
+    np.testing.assert_equal(chosen, arrays)
+    assert list(read_npz(tmp_path / "x.npz", ["b"], **MESSAGES)) == ["b"]
+    with pytest.raises(ScanError, match=r"thing .*x\.npz cannot be read .*c.*; write it again"):
+        read_npz(tmp_path / "x.npz", ["c"], **MESSAGES)
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path):
+    for name in ("x.npz", "y.npz"):
+        write_npz(tmp_path / name, {"a": np.arange(9)}, what="thing", compressed=False)
+    assert (tmp_path / "x.npz").read_bytes() == (tmp_path / "y.npz").read_bytes()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 0.97])
+def test_damaged_files_are_named(tmp_path, share):
+    file = tmp_path / "x.npz"
+    write_npz(file, {"a": np.random.default_rng(0).random(999)}, what="thing", compressed=True)
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    with pytest.raises(ScanError, match=r"x\.npz cannot be read"):
+        read_npz(file, **MESSAGES)
+
+
+def test_what_is_no_archive_is_named(tmp_path):
+    np.save(tmp_path / "x.npz", np.eye(2), allow_pickle=False)
+    (tmp_path / "x.npz.npy").rename(tmp_path / "x.npz")
+    with pytest.raises(ScanError, match="no archive"):
+        read_npz(tmp_path / "x.npz", **MESSAGES)
+    with pytest.raises(ScanError, match="No such file"):
+        read_npz(tmp_path / "none.npz", **MESSAGES)
+    with pytest.raises(ValueError, match=r"things are written as \.npz"):
+        write_npz(tmp_path / "x.zip", {}, what="thing", compressed=False)
+    with pytest.raises(OutputError, match="nowhere"):
+        write_npz(tmp_path / "nowhere" / "x.npz", {}, what="thing", compressed=False)
+
+
+def test_a_record_stands_beside_the_arrays(tmp_path):
+    file = tmp_path / "x.npz"
+    write_npz_record(file, Header(unit="mm"), {"a": np.arange(3)}, what="thing")
+    header, arrays = read_npz_record(file, Header, {"a": "iu"}, **MESSAGES)
+    assert header.unit == "mm"
+    assert arrays["a"].tolist() == [0, 1, 2]
+    with pytest.raises(ScanError, match=r"x\.npz: a holds int64"):
+        read_npz_record(file, Header, {"a": "f"}, **MESSAGES)
+    write_npz(file, {"header": np.array("{}"), "a": np.arange(3)}, what="thing", compressed=False)
+    with pytest.raises(ScanError, match=r"x\.npz: unit: Field required .*; write it again"):
+        read_npz_record(file, Header, {"a": "iu"}, **MESSAGES)
