@@ -29,6 +29,7 @@ from scan2albedo.core import Budget
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import (
+    Similarity,
     compose,
     invert_rigid,
     procrustes,
@@ -39,7 +40,6 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.io.units import millimetres_per_unit
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
-from scan2albedo.registration.robust_icp import SimilarPose
 from scan2albedo.registration.template import Template
 from scan2albedo.synthetic import RawLikeOptions, raw_like
 
@@ -307,7 +307,7 @@ def same_person(shapes: Shapes, repeats: int) -> None:
 
 def annealing_rate(model: s2a.AnnotatedFaceModel) -> None:
     template = Template.of(model, RegistrationOptions().model_spacing_mm, 0)
-    rest = SimilarPose(np.eye(3), np.zeros(3))
+    rest = Similarity(np.eye(3), np.zeros(3))
     for size in (32, 64, 128):
         objective = DepthDerivativeObjective(*model.surface(2), template, rest, size)
         trials = np.random.default_rng(0).normal(scale=0.03, size=(1000, 5))

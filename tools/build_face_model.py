@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 from face_model_generator.build import build_face_model
+from face_model_generator.chart_distortion import chart_distortion
 
 from scan2albedo.face_model.files import save_model
-from scan2albedo.geometry.parametrization import chart_distortion
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ROOT / "scan2albedo" / "face_model" / "data" / "afm.json"

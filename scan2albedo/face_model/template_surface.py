@@ -12,6 +12,7 @@ from scan2albedo.geometry.mesh import (
     edges_with_faces,
     face_areas,
     face_cross_products,
+    far_vertices,
     vertex_components,
 )
 from scan2albedo.geometry.rigid import compose
@@ -86,20 +87,15 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
         )
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
+    far = int(far_vertices(xyz[used], np.ones(len(used), bool)).sum())
     notes = (
         f"unit {unit}",
-        *_note(_far_count(xyz[used]), "vertices far from the rest, which bend the surface: remove them"),
+        *_note(far, "vertices far from the rest, which bend the surface: remove them"),
         *_note(len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
         *_note(dropped, "faces dropped at edges with three faces and at pinched points"),
     )
     back = compose(np.eye(3) / UNITS_MM[unit], origin)
     return TemplateSurface(xyz, _outward(xyz, mesh), unit, back, notes)
-
-
-def _far_count(xyz: FloatArray) -> int:
-    """Return how many vertices lie 4 times farther from their median than 98 % of them."""
-    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
-    return int((distance > 4 * np.percentile(distance, 98)).sum())
 
 
 def _note(count: int, text: str) -> tuple[str, ...]:

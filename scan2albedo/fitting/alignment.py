@@ -7,8 +7,6 @@ first; the bending starts from there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
@@ -18,7 +16,7 @@ from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 
 FloatArray = NDArray[np.float64]
 
@@ -41,24 +39,6 @@ LAST_GATE_MM = 6.0
 ROBUST_MM = (3.0, 1.5)
 
 
-@dataclass(frozen=True)
-class Similarity:
-    """x -> scale R x + t, from the model at rest into the scan as posed so far (model's frame, mm)."""
-
-    scale: float
-    rotation: FloatArray
-    translation: FloatArray
-
-    def apply(self, points: FloatArray) -> FloatArray:
-        """Return the (N, 3) points moved."""
-        return self.scale * points @ self.rotation.T + self.translation
-
-    @property
-    def correction(self) -> FloatArray:
-        """(4, 4) rigid transform that takes the scan to the model scaled by `scale` in its own frame."""
-        return invert_rigid(compose(self.rotation, self.translation))
-
-
 def refine_similarity(
     scan: ScanSurface,
     samples: SurfaceSamples,
@@ -70,7 +50,7 @@ def refine_similarity(
     scale_range: tuple[float, float],
     meter: Meter,
 ) -> Similarity:
-    """Return the similarity that lays the model's rigid regions on the scan.
+    """Return the similarity that lays the model's rigid regions on the scan as posed so far.
 
     Gauss-Newton on (rotation, translation, log scale) of
     sum_i w_i [ (n_i . d_i)^2 + t |d_i - (n_i . d_i) n_i|^2 ], d_i = y_i - x_i, with the closest points
@@ -92,7 +72,7 @@ def refine_similarity(
     meter : Meter
     """
     points = samples.matrix @ rest
-    pose = Similarity(1.0, np.eye(3), np.zeros(3))
+    pose = Similarity(np.eye(3), np.zeros(3))
     wide, narrow = gates
     reach = wide.distance_mm
     forces: ScanForces | None = None
@@ -159,7 +139,7 @@ def _updated(pose: Similarity, step: FloatArray, scale_range: tuple[float, float
     turn = rotation_from_vector(step[:3])
     scale = float(np.clip(pose.scale * np.exp(np.clip(step[6], -0.2, 0.2)), *scale_range))
     growth = scale / pose.scale
-    return Similarity(scale, turn @ pose.rotation, growth * turn @ pose.translation + step[3:6])
+    return Similarity(turn @ pose.rotation, growth * turn @ pose.translation + step[3:6], scale)
 
 
 def _largest_motion(step: FloatArray, points: FloatArray) -> float:

@@ -12,7 +12,7 @@ from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.fitting.alignment import Similarity, proportioned, refine_similarity
+from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.forces import ForceGates
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
@@ -22,6 +22,7 @@ from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.rigid import Similarity, invert_rigid
 
 FloatArray = NDArray[np.float64]
 
@@ -100,8 +101,9 @@ def fit(
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     surface = _scan_surface(scan, model, pose, chosen)
     similarity = _refined(surface, model, chosen, meter, scan.name)
-    pose = similarity.correction @ pose
-    surface = surface.moved(similarity.correction)
+    # The scan comes to the model, which keeps its frame and takes the size.
+    correction = invert_rigid(similarity.rigid())
+    pose, surface = correction @ pose, surface.moved(correction)
     reference = similarity.scale * model.control_vertices
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
+from scan2albedo.geometry.mesh import neighbouring_faces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -65,7 +66,8 @@ class FoldFinder:
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray) -> None:
-        self._faces, self._pairs = faces, _neighbours(faces)
+        first, second, _ = neighbouring_faces(faces)
+        self._faces, self._pairs = faces, np.stack([first, second], 1)
         angle = np.arccos(np.clip(self._cosine(rest), -1, 1))
         self._least = np.minimum(FOLD_COSINE, np.cos(np.minimum(angle + FOLD_CHANGE_RAD, np.pi)))
 
@@ -76,15 +78,6 @@ class FoldFinder:
     def _cosine(self, vertices: FloatArray) -> FloatArray:
         normals = surface_normals(vertices, self._faces)[1]
         return np.asarray(np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]]))
-
-
-def _neighbours(faces: IntArray) -> IntArray:
-    """Return (E, 2) pairs of faces that share an edge."""
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    keys = directed.min(1) * (np.int64(faces.max()) + 1) + directed.max(1)
-    order = np.argsort(keys, kind="stable")
-    shared = np.flatnonzero(keys[order][1:] == keys[order][:-1])
-    return np.stack([order[shared], order[shared + 1]], 1) // 3
 
 
 @njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+FAR_FACTOR, FAR_PERCENT = 4.0, 98.0
 _LONG_ROW = 64
 """Neighbours, each as often as faces name it, from which insertion sorts them slower than `numpy.sort`."""
 
@@ -156,7 +157,7 @@ def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:
     >>> turned_against_neighbours(np.array([[0, 1, 2], [2, 1, 3], [2, 4, 3]])).tolist()
     [False, False, True]
     """
-    first, second, alike = _neighbours(faces)
+    first, second, alike = neighbouring_faces(faces)
     count = len(faces)
     if not alike.any():
         return np.zeros(count, bool)
@@ -171,7 +172,7 @@ def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:
     return np.where(balance[part] >= 0, ~side, side) & (kept != reverse)
 
 
-def _neighbours(faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
+def neighbouring_faces(faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
     """Return pairs of faces that alone share an edge, and whether both run along it the same way."""
     start, end = faces.ravel().astype(np.int64), faces[:, [1, 2, 0]].ravel().astype(np.int64)
     key = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
@@ -190,6 +191,15 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
     renumber = np.full(len(vertices), -1, np.int64)
     renumber[kept] = np.arange(len(kept))
     return kept, renumber[faces]
+
+
+def far_vertices(vertices: FloatArray, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (V,) True for vertices 4 times farther from the median of those used than 98 % of them are.
+
+    Scanners throw vertices far away, which swell every box and moment.
+    """
+    distance = np.linalg.norm(vertices - np.median(vertices[used], axis=0), axis=1)
+    return distance > FAR_FACTOR * np.percentile(distance[used], FAR_PERCENT)
 
 
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:

@@ -16,50 +16,21 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+SQUARENESS = 2.5
+"""Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
+3 fills 88 %. The corners take up some angular distortion."""
+PADDING_TEXELS, RESOLUTION_TEXELS = 2, 512
+"""Margin that xatlas leaves around the chart, at this resolution."""
+
+
 @dataclass(frozen=True)
 class ChartOptions:
-    """How `parametrize_disc` draws a chart.
+    """How `parametrize_disc` draws a chart."""
 
-    Parameters
-    ----------
-    squareness : float
-        Exponent p > 1 of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square),
-        2.5 fills 85 %, 3 fills 88 %. The corners take up some angular distortion.
-    boundary_weight : float
-        Soft penalty that keeps the boundary on the curve during SLIM, relative to the surface's area.
-    slim_iterations : int
-        Newton-like iterations of SLIM; 0 leaves Tutte's map.
-    padding_texels, resolution_texels : int
-        Margin that xatlas leaves around the chart, at this resolution.
-    """
-
-    squareness: float = 2.5
     boundary_weight: float = 100.0
+    """Soft penalty that keeps the boundary on the curve during SLIM, relative to the surface's area."""
     slim_iterations: int = 30
-    padding_texels: int = 2
-    resolution_texels: int = 512
-
-
-@dataclass(frozen=True)
-class ChartDistortion:
-    """How far a chart is from an isometry, over faces weighted by their area.
-
-    Parameters
-    ----------
-    flipped : int
-        Faces of zero or negative area in the chart.
-    area : float
-        Root mean square of log(chart area / surface area) about its mean; 0 = equiareal.
-    conformal : float
-        Mean ratio of singular values of the face maps; 1 = conformal.
-    coverage : float
-        Part of the unit square that the chart covers.
-    """
-
-    flipped: int
-    area: float
-    conformal: float
-    coverage: float
+    """Newton-like iterations of SLIM; 0 leaves Tutte's map."""
 
 
 def parametrize_disc(
@@ -99,7 +70,7 @@ def parametrize_disc(
     chosen = ChartOptions() if options is None else options
     index = np.asarray(faces, np.int64)
     uv = flatten_disc(vertices, index, mirror=mirror, options=chosen)
-    uv = _packed(uv, index, chosen)
+    uv = _packed(uv, index)
     flipped = int(np.sum(signed_areas(uv, index) <= 0))
     if flipped:
         raise ModelError(
@@ -125,7 +96,7 @@ def flatten_disc(
     loop = boundary_loop(len(xyz), index)
     # SLIM's energy is not scale invariant: unit area on both sides.
     xyz = (xyz - xyz.mean(0)) / np.sqrt(face_areas(xyz, index).sum())
-    target = boundary_curve(xyz, loop, chosen.squareness)
+    target = boundary_curve(xyz, loop)
     uv = tutte(len(xyz), index, loop, target)
     if chosen.slim_iterations:
         uv = _slim(xyz, index, uv, loop, target, chosen)
@@ -177,7 +148,7 @@ def _walk(following: dict[int, int]) -> IntArray:
     return np.array(loop, np.int64)
 
 
-def boundary_curve(vertices: FloatArray, loop: IntArray, squareness: float) -> FloatArray:
+def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     """Return (B, 2) places of the boundary loop on ``|x|^p + |y|^p = r^p`` of unit area.
 
     Arc length is kept up to scale; the start is turned so that the loop's directions seen from the front
@@ -189,7 +160,7 @@ def boundary_curve(vertices: FloatArray, loop: IntArray, squareness: float) -> F
     weight = steps + np.roll(steps, 1)
     centered = points[:, :2] - np.average(points[:, :2], axis=0, weights=weight)
     direction = np.exp(1j * np.arctan2(centered[:, 1], centered[:, 0]))
-    angle, table = _superellipse(squareness)
+    angle, table = _superellipse(SQUARENESS)
     phase = np.angle(np.sum(weight * direction * np.exp(-2j * np.pi * arc))) / (2 * np.pi)
     at = (arc + phase) % 1.0
     return np.stack([np.interp(at, angle, table[:, 0]), np.interp(at, angle, table[:, 1])], 1)
@@ -248,7 +219,7 @@ def _symmetrized(uv: FloatArray, mirror: IntArray | None) -> FloatArray:
     return 0.5 * (offset + offset[mirror] * [-1.0, 1.0])
 
 
-def _packed(uv: FloatArray, faces: IntArray, options: ChartOptions) -> FloatArray:
+def _packed(uv: FloatArray, faces: IntArray) -> FloatArray:
     """Fill the unit square with the chart, xatlas's margin around it, its centre at 0.5."""
     import xatlas
 
@@ -257,7 +228,7 @@ def _packed(uv: FloatArray, faces: IntArray, options: ChartOptions) -> FloatArra
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(unit.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.padding, pack.resolution = options.padding_texels, options.resolution_texels
+    pack.padding, pack.resolution = PADDING_TEXELS, RESOLUTION_TEXELS
     pack.rotate_charts = pack.rotate_charts_to_axis = False
     atlas.generate(pack_options=pack)
     origin, _, packed = atlas.get_mesh(0)
@@ -274,32 +245,3 @@ def signed_areas(uv: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F,) signed areas of 2D triangles, positive when counter-clockwise."""
     a, b, c = uv[faces[:, 0]], uv[faces[:, 1]], uv[faces[:, 2]]
     return 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]))
-
-
-def chart_distortion(vertices: FloatArray, faces: IntArray, uv: FloatArray) -> ChartDistortion:
-    """Measure a chart (V, 2) of a surface (V, 3)."""
-    surface, chart = face_areas(vertices, faces), signed_areas(uv, faces)
-    weight = surface / surface.sum()
-    log_ratio = np.log(np.maximum(np.abs(chart), 1e-300) / np.maximum(surface, 1e-300))
-    spread = log_ratio - np.sum(weight * log_ratio)
-    ratio = _singular_value_ratio(vertices, faces, uv)
-    return ChartDistortion(
-        flipped=int(np.sum(chart <= 0)),
-        area=float(np.sqrt(np.sum(weight * spread**2))),
-        conformal=float(np.sum(weight * ratio)),
-        coverage=float(chart.sum()),
-    )
-
-
-def _singular_value_ratio(vertices: FloatArray, faces: IntArray, uv: FloatArray) -> FloatArray:
-    """(F,) ratio of the larger to the smaller stretch of each face map (surface to chart)."""
-    edge_1 = vertices[faces[:, 1]] - vertices[faces[:, 0]]
-    edge_2 = vertices[faces[:, 2]] - vertices[faces[:, 0]]
-    length = np.maximum(np.linalg.norm(edge_1, axis=1), 1e-300)
-    along = np.einsum("ij,ij->i", edge_2, edge_1) / length
-    height = np.maximum(np.sqrt(np.maximum(np.einsum("ij,ij->i", edge_2, edge_2) - along**2, 0)), 1e-300)
-    chart_1, chart_2 = uv[faces[:, 1]] - uv[faces[:, 0]], uv[faces[:, 2]] - uv[faces[:, 0]]
-    column_1 = chart_1 / length[:, None]
-    column_2 = (chart_2 - column_1 * along[:, None]) / height[:, None]
-    singular = np.linalg.svd(np.stack([column_1, column_2], 2), compute_uv=False)
-    return singular[:, 0] / np.maximum(singular[:, 1], 1e-300)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -32,6 +34,32 @@ def invert_rigid(target_from_source: ArrayLike) -> Matrix:
     matrix = np.asarray(target_from_source, float)
     rotation = matrix[:3, :3].T
     return compose(rotation, -rotation @ matrix[:3, 3])
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """x -> scale R x + t: `rotation` (3, 3), `translation` (3,), and a `scale` kept apart from them."""
+
+    rotation: Matrix
+    translation: Matrix
+    scale: float = 1.0
+
+    def apply(self, points: Matrix) -> Matrix:
+        """Return the (N, 3) points moved."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    def matrix(self) -> Matrix:
+        """Return (4, 4)."""
+        return compose(self.scale * self.rotation, self.translation)
+
+    def inverse(self) -> Matrix:
+        """Return (4, 4), the inverse of `matrix`."""
+        turned_back = self.rotation.T / self.scale
+        return compose(turned_back, -turned_back @ self.translation)
+
+    def rigid(self) -> Matrix:
+        """Return (4, 4) without the scale; the origin maps to the same point."""
+        return compose(self.rotation, self.translation)
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
-from scan2albedo.geometry.rigid import rotation_angle_rad
+from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad
 from scan2albedo.registration.coarse_search import CoarsePoses, Poses
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.oriented_points import OrientedPoints
-from scan2albedo.registration.robust_icp import SimilarPose, residuals, rigid_distance_mm, robust_icp
+from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, robust_icp
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.scoring import FaceScores, normal_relief
 from scan2albedo.registration.template import Template
@@ -43,7 +43,7 @@ _DOUBT_OF_MISSING = 0.4
 class Candidate:
     """A refined pose on the prepared scan, and its scores."""
 
-    pose: SimilarPose
+    pose: Similarity
     scores: FaceScores
 
     def is_face(self, certainty_needed: float = CERTAINTY_NEEDED) -> bool:
@@ -119,12 +119,12 @@ def with_refined(
     for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
         if candidates and meter.exhausted:
             break
-        pose = SimilarPose(rotation, translation)
+        pose = Similarity(rotation, translation)
         if target is not None:
             refined = target.refine(
                 samples, pose.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=options.icp_iterations
             )
-            pose = SimilarPose(refined[:3, :3], refined[:3, 3])
+            pose = Similarity(refined[:3, :3], refined[:3, 3])
             meter.count()
         if any(_near(pose, other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
             continue
@@ -137,12 +137,12 @@ def with_refined(
 
 
 def _scored(
-    scan: PreparedScan, template: Template, samples: OrientedPoints, start: SimilarPose, iterations: int
+    scan: PreparedScan, template: Template, samples: OrientedPoints, start: Similarity, iterations: int
 ) -> Candidate:
     """Refine pose and size, and score the result."""
     pose = robust_icp(scan.samples, samples, samples.areas, start, iterations=iterations, sigma_mm=(6.0, 3.0))
     rms_mm = residuals(scan.samples, samples, pose).trimmed_rms_mm(samples.areas)
-    scores = template.image.scores(scan.vertices, scan.faces, pose.model_from_scan(), rms_mm)
+    scores = template.image.scores(scan.vertices, scan.faces, pose.inverse(), rms_mm)
     return Candidate(pose, scores)
 
 
@@ -170,7 +170,7 @@ def confidence(candidates: tuple[Candidate, ...]) -> float:
     return float(np.clip(min(clear, alone), 0, 1))
 
 
-def _near(a: SimilarPose, b: SimilarPose, angle_rad: float, distance_mm: float) -> bool:
+def _near(a: Similarity, b: Similarity, angle_rad: float, distance_mm: float) -> bool:
     return (
         float(np.linalg.norm(a.translation - b.translation)) < distance_mm
         and rotation_angle_rad(a.rotation @ b.rotation.T) < angle_rad

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scan2albedo.core import Meter
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image, render_depth
 from scan2albedo.geometry.rasterization import interpolate, rasterize
-from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
 from scan2albedo.optimization import AnnealingOptions, AnnealingResult, simulated_annealing
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.robust_icp import SimilarPose, Tightened, rigid_distance_mm, tightened
+from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm, tightened
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
@@ -35,7 +35,7 @@ Note = tuple[str, bool, str, str]
 class AnnealedPose:
     """What annealing found: the pose, the objective before and at it, and whether the schedule ended."""
 
-    pose: SimilarPose
+    pose: Similarity
     start_error: float
     error: float
     converged: bool
@@ -45,7 +45,7 @@ class AnnealedPose:
 class Annealed:
     """The pose after annealing (or before, when that was better), its objective and the note for the plan."""
 
-    pose: SimilarPose
+    pose: Similarity
     depth_error: float | None
     note: Note
 
@@ -63,7 +63,7 @@ class DepthDerivativeObjective:
     ----------
     scan_vertices, scan_faces : (V, 3) float64 mm, (F, 3) int64
     template : Template
-    start : SimilarPose
+    start : Similarity
     size : int
         Pixels a side.
     """
@@ -73,14 +73,14 @@ class DepthDerivativeObjective:
         scan_vertices: FloatArray,
         scan_faces: IntArray,
         template: Template,
-        start: SimilarPose,
+        start: Similarity,
         size: int,
     ) -> None:
         frame = DepthFrame(template.image.frame.center, template.image.frame.width, size)
         self._vertices, self._faces = template.coarse_vertices, template.coarse_faces
         self._view = (frame.center[0], frame.center[1], frame.pixel)
         limit = float(self._vertices[:, 2].max()) + _LOOK_THROUGH_MM
-        self._scan = depth_image(scan_vertices, scan_faces, frame, start.model_from_scan(), z_limit=limit)
+        self._scan = depth_image(scan_vertices, scan_faces, frame, start.inverse(), z_limit=limit)
         self._weights = _weight_image(self._vertices, self._faces, template.coarse_stiffness, frame)
         self._pixels, self._slopes = _scan_slopes(self._scan, self._weights)
         self._pixel_weights = self._weights.ravel()[self._pixels]
@@ -115,7 +115,7 @@ def anneal_depth_derivatives(
     scan_vertices: FloatArray,
     scan_faces: IntArray,
     template: Template,
-    start: SimilarPose,
+    start: Similarity,
     *,
     size: int,
     evaluations: int,
@@ -130,7 +130,7 @@ def anneal_depth_derivatives(
     ----------
     scan_vertices, scan_faces : (V, 3) float64 mm, (F, 3) int64
     template : Template
-    start : SimilarPose
+    start : Similarity
         Its scale is kept.
     size : int
         Pixels a side of the depth images.
@@ -162,7 +162,7 @@ def anneal_depth_derivatives(
     delta = _moved(result.x, fine.depth_shift_mm(result.x))
     rotation = start.rotation @ delta[:3, :3]
     translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
-    pose = SimilarPose(rotation, translation, start.scale)
+    pose = Similarity(rotation, translation, start.scale)
     return AnnealedPose(pose, start_error, result.cost, rough.converged and result.converged)
 
 
@@ -267,8 +267,8 @@ def annealed(
 def _annealing_note(
     better: bool,
     found: AnnealedPose,
-    start: SimilarPose,
-    polished: SimilarPose,
+    start: Similarity,
+    polished: Similarity,
     before_mm: list[float],
     after_mm: list[float],
     evaluations: int,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
-from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.template import Template
 
@@ -25,38 +25,6 @@ _RIGID_PART = 0.3
 _NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
 _HARDLY_MOVING = 0.02
 _TIGHTEST_MM, _WIDEST_MM = 0.35, 3.0
-
-
-@dataclass(frozen=True)
-class SimilarPose:
-    """A pose of the model on the scan: x -> scale R x + t.
-
-    Parameters
-    ----------
-    rotation : (3, 3) float64
-        From the model's frame to the scan's.
-    translation : (3,) float64
-        Millimetres, of the model's origin.
-    scale : float
-        Size of the face relative to the model.
-    """
-
-    rotation: FloatArray
-    translation: FloatArray
-    scale: float = 1.0
-
-    def similarity(self) -> FloatArray:
-        """Return (4, 4) `scan_from_model` with the scale."""
-        return compose(self.scale * self.rotation, self.translation)
-
-    def model_from_scan(self) -> FloatArray:
-        """Return (4, 4), the inverse of `similarity`."""
-        turned_back = self.rotation.T / self.scale
-        return compose(turned_back, -turned_back @ self.translation)
-
-    def rigid(self) -> FloatArray:
-        """Return (4, 4) `scan_from_model` without the scale; the model's origin maps to the same point."""
-        return compose(self.rotation, self.translation)
 
 
 @dataclass(frozen=True)
@@ -99,13 +67,13 @@ class Residuals:
         return float(sigma_mm * np.sqrt(weights @ (1 - trust * (1 - near)) / weights.sum()))
 
 
-def residuals(scan: OrientedPoints, model: OrientedPoints, pose: SimilarPose) -> Residuals:
+def residuals(scan: OrientedPoints, model: OrientedPoints, pose: Similarity) -> Residuals:
     """Measure the model samples at a pose against the scan."""
     return _correspond(scan, model, pose)[0]
 
 
 def _correspond(
-    scan: OrientedPoints, model: OrientedPoints, pose: SimilarPose
+    scan: OrientedPoints, model: OrientedPoints, pose: Similarity
 ) -> tuple[Residuals, tuple[FloatArray, FloatArray]]:
     turned = pose.scale * model.points @ pose.rotation.T
     normals = model.normals @ pose.rotation.T
@@ -123,11 +91,11 @@ def robust_icp(
     scan: OrientedPoints,
     model: OrientedPoints,
     weights: FloatArray,
-    start: SimilarPose,
+    start: Similarity,
     *,
     iterations: int,
     sigma_mm: tuple[float, float],
-) -> SimilarPose:
+) -> Similarity:
     """Refine a pose by iteratively reweighted point-to-plane ICP over rotation, translation and scale.
 
     Minimises sum_i w_i rho_i (n_i . (s R p_i + t - q_i))^2 + W (sigma log s / 0.1)^2 (W a fiftieth of the
@@ -142,7 +110,7 @@ def robust_icp(
         (M,) samples.
     weights : (M,) float64
         Larger where the model is rigid.
-    start : SimilarPose
+    start : Similarity
     iterations : int
     sigma_mm : (float, float)
         Scale of the weights at the first and last iteration, geometric in between.
@@ -157,11 +125,11 @@ def settled_icp(
     scan: OrientedPoints,
     model: OrientedPoints,
     weights: FloatArray,
-    start: SimilarPose,
+    start: Similarity,
     *,
     sigma_mm: float,
     iterations: int,
-) -> tuple[SimilarPose, int, float]:
+) -> tuple[Similarity, int, float]:
     """Repeat the step of `robust_icp` at one scale until it moves nothing.
 
     Also return the steps taken and the length of the last (the larger of degrees and mm).
@@ -177,8 +145,8 @@ def settled_icp(
 
 
 def _stepped(
-    scan: OrientedPoints, model: OrientedPoints, weights: FloatArray, pose: SimilarPose, sigma_mm: float
-) -> tuple[SimilarPose, float]:
+    scan: OrientedPoints, model: OrientedPoints, weights: FloatArray, pose: Similarity, sigma_mm: float
+) -> tuple[Similarity, float]:
     """Take one reweighted Gauss-Newton step; also return its length (the larger of degrees and mm)."""
     measured, (turned, target) = _correspond(scan, model, pose)
     r = measured.plane_mm
@@ -194,7 +162,7 @@ def _stepped(
     gram[6, 6] += prior
     gradient[6] -= prior * np.log(pose.scale)
     step = np.linalg.solve(gram, gradient)
-    moved = SimilarPose(
+    moved = Similarity(
         rotation_from_vector(step[:3]) @ pose.rotation,
         pose.translation + step[3:6],
         pose.scale * float(np.exp(np.clip(step[6], -0.05, 0.05))),
@@ -206,7 +174,7 @@ def _stepped(
 class Tightened:
     """The pose of the tight ICP, the scale of its weights, and its last step (degrees or mm)."""
 
-    pose: SimilarPose
+    pose: Similarity
     sigma_mm: float
     last_step: float
 
@@ -217,7 +185,7 @@ class Tightened:
 
 
 def tightened(
-    scan: OrientedPoints, template: Template, start: SimilarPose, settling_iterations: int, meter: Meter
+    scan: OrientedPoints, template: Template, start: Similarity, settling_iterations: int, meter: Meter
 ) -> Tightened:
     """Refine a pose on all samples, weighted to the rigid regions; records the loss at the last scale.
 
@@ -245,12 +213,12 @@ def tightened(
 
 
 def rigid_distance_mm(
-    scan: OrientedPoints, template: Template, pose: SimilarPose, sigma_mm: float = 1.0
+    scan: OrientedPoints, template: Template, pose: Similarity, sigma_mm: float = 1.0
 ) -> float:
     """Return the robust distance of the model's samples to the scan, weighted to the rigid regions."""
     return residuals(scan, template.samples, pose).robust_cost(template.rigidity, sigma_mm)
 
 
-def rms_mm(scan: OrientedPoints, template: Template, pose: SimilarPose) -> float:
+def rms_mm(scan: OrientedPoints, template: Template, pose: Similarity) -> float:
     """Return the RMS distance of the model's inlying samples to the scan's tangent planes."""
     return residuals(scan, template.samples, pose).trimmed_rms_mm(template.samples.areas)

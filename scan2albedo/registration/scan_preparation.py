@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
+from scan2albedo.geometry.mesh import far_vertices
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 
@@ -21,8 +22,6 @@ _FEWEST_SAMPLES = 150
 _FACE_MM = 200.0
 _LARGEST_MM = 6000.0
 _TRIM_PERCENT = 2.0
-_NEAR_PERCENT = 98.0
-_STRAY_FACTOR = 4.0
 
 
 @dataclass(frozen=True)
@@ -124,8 +123,7 @@ def without_stray_faces(vertices: FloatArray, faces: IntArray) -> IntArray:
     """
     used = np.zeros(len(vertices), bool)
     used[faces] = True
-    distance = np.linalg.norm(vertices - np.median(vertices[used], axis=0), axis=1)
-    stray = distance > _STRAY_FACTOR * np.percentile(distance[used], _NEAR_PERCENT)
+    stray = far_vertices(vertices, used)
     return faces[~stray[faces].any(1)] if (stray & used).any() else faces
 
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.scoring import FaceImage
 
@@ -89,6 +90,4 @@ def _vertex_stiffness(model: AnnotatedFaceModel, vertex_count: int, faces: IntAr
     of_face = model.region_values("stiffness")[model.region]
     if of_face.mean() <= 0:
         return np.ones(vertex_count)
-    corners = np.repeat(np.clip(of_face / of_face.mean(), *_WEIGHT_RANGE), 3)
-    total = np.bincount(faces.ravel(), corners, minlength=vertex_count)
-    return total / np.maximum(np.bincount(faces.ravel(), minlength=vertex_count), 1)
+    return vertex_average(vertex_count, faces, np.clip(of_face / of_face.mean(), *_WEIGHT_RANGE))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from face_model_generator.anthropometry import Measurements
 from face_model_generator.build import build_face_model
+from face_model_generator.chart_distortion import chart_distortion
 from face_model_generator.key_points import half_face
 from face_model_generator.landmarks import LEFT_TO_RIGHT, MIDDLE
 from face_model_generator.regions import MIDDLE_REGIONS
@@ -13,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas
-from scan2albedo.geometry.parametrization import boundary_loop, chart_distortion, signed_areas
+from scan2albedo.geometry.parametrization import boundary_loop, signed_areas
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from face_model_generator.chart_distortion import chart_distortion
 
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import refine
 from scan2albedo.geometry.parametrization import (
     ChartOptions,
     boundary_loop,
-    chart_distortion,
     parametrize_disc,
     signed_areas,
     tutte,
@@ -84,15 +84,6 @@ def test_tutte_puts_inner_vertices_at_the_mean_of_their_neighbours():
     centre = 12
     ring = np.setdiff1d(np.unique(f[(f == centre).any(1)]), [centre])
     np.testing.assert_allclose(uv[centre], uv[ring].mean(0), atol=1e-12)
-
-
-def test_distortion_of_known_maps():
-    v, f = grid(3, 3)
-    isometric = chart_distortion(v, f, v[:, :2])
-    np.testing.assert_allclose([isometric.area, isometric.conformal, isometric.coverage], [0, 1, 4])
-    stretched = chart_distortion(v, f, v[:, :2] * [3.0, 1.0])
-    np.testing.assert_allclose([stretched.area, stretched.conformal], [0, 3], atol=1e-12)
-    assert chart_distortion(v, f, v[:, :2] * [-1.0, 1.0]).flipped == len(f)
 
 
 def test_no_disc_is_refused_with_the_reason():

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import (
     DepthDerivativeObjective,
     anneal_depth_derivatives,
     annealed,
 )
-from scan2albedo.registration.robust_icp import SimilarPose, Tightened, rigid_distance_mm
+from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
-REST = SimilarPose(np.eye(3), np.zeros(3))
+REST = Similarity(np.eye(3), np.zeros(3))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_a_missing_part_of_the_scan_costs_nothing(template):
 @pytest.mark.parametrize("scale", [1.0, 0.93])
 def test_annealing_walks_back_from_four_degrees_and_four_millimetres(template, scale):
     scan = scale * template.coarse_vertices, template.coarse_faces
-    start = SimilarPose(rotation_from_vector(np.radians([2.5, -3, 1])), np.array([3.0, -2.0, 2.0]), scale)
+    start = Similarity(rotation_from_vector(np.radians([2.5, -3, 1])), np.array([3.0, -2.0, 2.0]), scale)
     meter = Meter("depth_annealing", "objective")
     found = anneal_depth_derivatives(*scan, template, start, size=64, evaluations=1500, seed=0, meter=meter)
     assert found.converged
@@ -62,7 +62,7 @@ def test_annealing_walks_back_from_four_degrees_and_four_millimetres(template, s
 
 def test_a_budget_ends_it_with_the_best_so_far(template):
     scan = template.coarse_vertices, template.coarse_faces
-    start = SimilarPose(rotation_from_vector([0.05, 0, 0]), np.zeros(3))
+    start = Similarity(rotation_from_vector([0.05, 0, 0]), np.zeros(3))
     meter = Meter("depth_annealing", "objective", Budget(evaluations=40))
     found = anneal_depth_derivatives(*scan, template, start, size=64, evaluations=1500, seed=0, meter=meter)
     assert not found.converged
@@ -77,7 +77,7 @@ def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, 
     scan = prepared_scan(example.scan, 4.0)
     truth = scan.prepared_from_scan @ invert_rigid(example.model_from_scan)
     turn = rotation_from_vector(np.radians(off_deg) * np.array([0.6, -0.64, 0.48]))
-    start = SimilarPose(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])
+    start = Similarity(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])
     meter = Meter("depth_annealing", "objective")
     unsettled = Tightened(start, 1.0, np.inf)
     options = RegistrationOptions(force_annealing=True)

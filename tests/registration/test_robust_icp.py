@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.rigid import random_rotation, rotation_angle_rad, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
-from scan2albedo.registration.robust_icp import SimilarPose, residuals, robust_icp, settled_icp
+from scan2albedo.registration.robust_icp import residuals, robust_icp, settled_icp
 
 
 @pytest.fixture(scope="module")
@@ -13,16 +13,16 @@ def samples(model) -> OrientedPoints:
     return oriented_points(*model.surface(1), 5.0)
 
 
-def scan_of(samples: OrientedPoints, pose: SimilarPose) -> OrientedPoints:
+def scan_of(samples: OrientedPoints, pose: Similarity) -> OrientedPoints:
     points = pose.scale * samples.points @ pose.rotation.T + pose.translation
     return OrientedPoints(points, samples.normals @ pose.rotation.T, samples.areas)
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
 def test_pose_and_size_are_recovered(samples, scale):
-    truth = SimilarPose(random_rotation(np.random.default_rng(0)), np.array([3.0, -9.0, 4.0]), scale)
+    truth = Similarity(random_rotation(np.random.default_rng(0)), np.array([3.0, -9.0, 4.0]), scale)
     scan = scan_of(samples, truth)
-    start = SimilarPose(
+    start = Similarity(
         rotation_from_vector([0.05, -0.06, 0.04]) @ truth.rotation, truth.translation + [3.0, 2.0, -4.0]
     )
     found = robust_icp(scan, samples, samples.areas, start, iterations=40, sigma_mm=(6.0, 1.0))
@@ -33,37 +33,37 @@ def test_pose_and_size_are_recovered(samples, scale):
 
 
 def test_a_raised_tenth_of_the_surface_does_not_pull(samples):
-    truth = SimilarPose(np.eye(3), np.zeros(3))
+    truth = Similarity(np.eye(3), np.zeros(3))
     scan = scan_of(samples, truth)
     raised = scan.points[:, 1] > np.quantile(scan.points[:, 1], 0.9)
     points = scan.points + 12 * raised[:, None] * scan.normals
     target = OrientedPoints(points, scan.normals, scan.areas)
-    start = SimilarPose(rotation_from_vector([0.03, 0.02, 0.0]), np.array([2.0, 1.0, 2.0]))
+    start = Similarity(rotation_from_vector([0.03, 0.02, 0.0]), np.array([2.0, 1.0, 2.0]))
     found = robust_icp(target, samples, samples.areas, start, iterations=30, sigma_mm=(4.0, 1.0))
     assert np.degrees(rotation_angle_rad(found.rotation)) < 0.7
     assert np.linalg.norm(found.translation) < 1.0
 
 
 def test_similarity_and_its_inverse():
-    pose = SimilarPose(random_rotation(np.random.default_rng(1)), np.array([1.0, 2.0, 3.0]), 1.07)
-    np.testing.assert_allclose(pose.model_from_scan() @ pose.similarity(), np.eye(4), atol=1e-14)
-    np.testing.assert_allclose(pose.rigid()[:3, 3], pose.similarity()[:3, 3])
+    pose = Similarity(random_rotation(np.random.default_rng(1)), np.array([1.0, 2.0, 3.0]), 1.07)
+    np.testing.assert_allclose(pose.inverse() @ pose.matrix(), np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(pose.rigid()[:3, 3], pose.matrix()[:3, 3])
     assert np.linalg.det(pose.rigid()[:3, :3]) == pytest.approx(1)
 
 
 def test_nothing_near_is_an_infinite_rms_and_the_worst_cost(samples):
-    scan = scan_of(samples, SimilarPose(np.eye(3), np.array([1e5, 0, 0])))
-    far = residuals(scan, samples, SimilarPose(np.eye(3), np.zeros(3)))
+    scan = scan_of(samples, Similarity(np.eye(3), np.array([1e5, 0, 0])))
+    far = residuals(scan, samples, Similarity(np.eye(3), np.zeros(3)))
     assert far.trimmed_rms_mm(samples.areas) == np.inf
     assert far.robust_cost(samples.areas, 2.0) == pytest.approx(6.0)
 
 
 def test_a_settled_pose_does_not_depend_on_where_it_began(samples):
-    truth = SimilarPose(random_rotation(np.random.default_rng(4)), np.array([1.0, 5.0, -2.0]))
+    truth = Similarity(random_rotation(np.random.default_rng(4)), np.array([1.0, 5.0, -2.0]))
     scan = scan_of(samples, truth)
     ends = []
     for turn, shift in ([0.02, -0.01, 0.0], [1.0, 0, 0]), ([-0.01, 0.02, 0.01], [0, -1.0, 0.5]):
-        start = SimilarPose(rotation_from_vector(turn) @ truth.rotation, truth.translation + shift)
+        start = Similarity(rotation_from_vector(turn) @ truth.rotation, truth.translation + shift)
         pose, steps, last = settled_icp(scan, samples, samples.areas, start, sigma_mm=3.0, iterations=60)
         assert steps < 60
         assert last < 1e-3
@@ -73,8 +73,8 @@ def test_a_settled_pose_does_not_depend_on_where_it_began(samples):
 
 
 def test_the_quantile_of_the_distances(samples):
-    scan = scan_of(samples, SimilarPose(np.eye(3), np.zeros(3)))
-    lifted = residuals(scan, samples, SimilarPose(np.eye(3), np.array([0.0, 0.0, 0.4])))
+    scan = scan_of(samples, Similarity(np.eye(3), np.zeros(3)))
+    lifted = residuals(scan, samples, Similarity(np.eye(3), np.array([0.0, 0.0, 0.4])))
     assert lifted.quantile_mm(samples.areas, 0.3) <= lifted.quantile_mm(samples.areas, 0.9) <= 0.41
-    far = residuals(scan, samples, SimilarPose(np.eye(3), np.array([1e5, 0, 0])))
+    far = residuals(scan, samples, Similarity(np.eye(3), np.array([1e5, 0, 0])))
     assert far.quantile_mm(samples.areas, 0.3) == np.inf
