@@ -108,14 +108,13 @@ class _Run:
     def result(self, source: str | Path | RawScan, name: str | None) -> ProcessResult:
         """Take the scan through the stages; no file is written."""
         with self.timed("load"):
-            if isinstance(source, RawScan):
-                file, sha256 = None, None
-                scan = source if name is None else replace(source, name=name)
+            file = None if isinstance(source, RawScan) else Path(source)
+            # Hashed before it is read: a file that changes meanwhile is stale at once.
+            sha256 = input_sha256(file) if file is not None and file.is_file() else None
+            if not isinstance(source, RawScan):
+                scan = load_scan(source, unit=self.options.unit, name=name)
             else:
-                file = Path(source)
-                # Hashed before it is read: a file that changes meanwhile is stale at once.
-                sha256 = input_sha256(file) if file.is_file() else None
-                scan = load_scan(file, unit=self.options.unit, name=name)
+                scan = source if name is None else replace(source, name=name)
             model = chosen_model(self.options.model)
         with _warnings_as_messages() as messages:
             registration, fitted = None, None
