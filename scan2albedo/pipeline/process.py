@@ -15,7 +15,7 @@ import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
+from scan2albedo.face_model import chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
@@ -68,14 +68,14 @@ def process(
     ValueError
         For options that `ProcessOptions` refuses.
     """
-    run = _Run(ProcessOptions(**options), on_progress)
+    chosen = ProcessOptions(**options)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         check_writable(Path(out))
-    result = run.result(source, name)
+    result = _processed(source, name, chosen, on_progress)
     if out is None:
         return result
-    return replace(result, out=write_result(result, Path(out), pictures=run.options.pictures))
+    return replace(result, out=write_result(result, Path(out), pictures=chosen.pictures))
 
 
 def _show_options() -> None:
@@ -95,133 +95,12 @@ _show_options()
 
 
 @dataclass
-class _Run:
-    """One scan on its way through the stages: clock, plan and trace."""
+class _Clock:
+    """Times the stages of one run, and shares what is left of its budget among them."""
 
     options: ProcessOptions
-    on_progress: ProgressCallback | None
-    plan: Plan = field(default_factory=Plan)
-    trace: Trace = field(default_factory=Trace)
     timings_s: dict[str, float] = field(default_factory=dict)
     start: float = field(default_factory=time.perf_counter)
-
-    def result(self, source: str | Path | RawScan, name: str | None) -> ProcessResult:
-        """Take the scan through the stages; no file is written."""
-        with self.timed("load"):
-            file = None if isinstance(source, RawScan) else Path(source)
-            # Hashed before it is read: a file that changes meanwhile is stale at once.
-            sha256 = input_sha256(file) if file is not None and file.is_file() else None
-            if not isinstance(source, RawScan):
-                scan = load_scan(source, unit=self.options.unit, name=name)
-            else:
-                scan = source if name is None else replace(source, name=name)
-            model = chosen_model(self.options.model)
-        with _warnings_as_messages() as messages:
-            registration, fitted = None, None
-            if model is None:
-                image = self.charts(scan)
-            else:
-                registration = self.registration(scan, model)
-                fitted = self.fit(scan, model, registration)
-                image = self.geometry_image(fitted, scan)
-            estimate = self.albedo(image, scan)
-        if fitted is not None:
-            messages += _cautions(fitted)
-        return ProcessResult(
-            scan=scan,
-            registration=registration,
-            fitted=fitted,
-            geometry_image=image,
-            albedo=estimate,
-            plan=self.plan,
-            trace=self.trace,
-            timings_s=self.timings_s,
-            options=self.options.recorded(model),
-            seed=self.options.seed,
-            input_sha256=sha256,
-            source=file,
-            messages=tuple(messages),
-        )
-
-    def registration(self, scan: RawScan, model: AnnotatedFaceModel) -> Registration | None:
-        """Register, unless the caller says that the scan lies in place."""
-        if "register" in self.options.skip:
-            self.note(
-                "register", False, "skipped by the caller: the scan is taken to lie in the model's frame"
-            )
-            return None
-        with self.timed("register"):
-            registration = register(
-                scan,
-                model,
-                self.share("register"),
-                self.options.seed,
-                options=_registration_options(self.options),
-                on_progress=self.on_progress,
-            )
-        self.trace += registration.trace
-        self.note("register", True, "pose of the face in the scan", f"rmse {registration.rmse_mm:.2f} mm")
-        for step, ran, reason, evidence in registration.notes:
-            self.note(f"register.{step}", ran, reason, evidence)
-        return registration
-
-    def fit(self, scan: RawScan, model: AnnotatedFaceModel, registration: Registration | None) -> FittedFace:
-        """Deform the model onto the scan."""
-        pose = np.eye(4) if registration is None else registration.model_from_scan
-        with self.timed("fit"):
-            fitted = fit(
-                scan,
-                model,
-                pose,
-                self.share("fit"),
-                options=self.options.stages.fit,
-                on_progress=self.on_progress,
-            )
-        self.trace += fitted.trace
-        evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
-        self.note("fit", True, "the model is deformed onto the scan", evidence)
-        return fitted
-
-    def geometry_image(self, fitted: FittedFace, scan: RawScan) -> GeometryImage:
-        """Sample the fitted face and the scan's colour over the model's chart."""
-        with self.timed("geometry_image"):
-            image = geometry_image(fitted, scan, self.options.texels)
-        evidence = _evenness(image)
-        if scan.has_color:
-            evidence += f", texture seen in {image.figures()['seen']:.1%} of them"
-        self.note("geometry_image", True, "the model's own chart", evidence)
-        return image
-
-    def charts(self, scan: RawScan) -> GeometryImage:
-        """Sample the scan itself, without a model."""
-        for stage in ("register", "fit"):
-            self.note(stage, False, "no model was asked for")
-        with self.timed("geometry_image"):
-            image = geometry_image_of_scan(scan, self.options.texels)
-        self.note("geometry_image", True, "charts cut by xatlas", _evenness(image))
-        return image
-
-    def albedo(self, image: GeometryImage, scan: RawScan) -> AlbedoEstimate | None:
-        """Estimate the albedo, unless skipped or there is no colour."""
-        if "albedo" in self.options.skip:
-            self.note("albedo", False, "skipped by the caller")
-            return None
-        if image.texture_linear is None:
-            self.note("albedo", False, "the scan has no usable colour", "; ".join(scan.notes))
-            return None
-        with self.timed("albedo"):
-            estimate = estimate_albedo(
-                image,
-                lights=self.options.lights,
-                brdf=self.options.brdf,
-                budget=self.share("albedo"),
-                seed=self.options.seed,
-                options=_estimate_options(self.options),
-                on_progress=self.on_progress,
-            )
-        self.trace += estimate.trace
-        self.plan += estimate.plan
-        return estimate
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -241,9 +120,74 @@ class _Run:
         left = budget.seconds - (time.perf_counter() - self.start) - texel_s * self.options.texels**2
         return replace(budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
-    def note(self, stage: str, ran: bool, reason: str, evidence: str = "") -> None:
-        """Add a row to the plan."""
-        self.plan += Plan((PlanStep(stage, ran, reason, evidence),))
+
+def _processed(
+    source: str | Path | RawScan,
+    name: str | None,
+    options: ProcessOptions,
+    on_progress: ProgressCallback | None,
+) -> ProcessResult:
+    """Take the scan through the stages; no file is written."""
+    clock = _Clock(options)
+    file = None if isinstance(source, RawScan) else Path(source)
+    with clock.timed("load"):
+        # Hashed before it is read: a file that changes meanwhile is stale at once.
+        sha256 = input_sha256(file) if file is not None and file.is_file() else None
+        if not isinstance(source, RawScan):
+            scan = load_scan(source, unit=options.unit, name=name)
+        else:
+            scan = source if name is None else replace(source, name=name)
+        model = chosen_model(options.model)
+    registration, fitted, estimate = None, None, None
+    with _warnings_as_messages() as messages:
+        if model is not None and "register" not in options.skip:
+            with clock.timed("register"):
+                registration = register(
+                    scan,
+                    model,
+                    clock.share("register"),
+                    options.seed,
+                    options=_registration_options(options),
+                    on_progress=on_progress,
+                )
+        if model is not None:
+            pose = np.eye(4) if registration is None else registration.model_from_scan
+            with clock.timed("fit"):
+                fitted = fit(
+                    scan, model, pose, clock.share("fit"), options=options.stages.fit, on_progress=on_progress
+                )
+        with clock.timed("geometry_image"):
+            if fitted is not None:
+                image = geometry_image(fitted, scan, options.texels)
+            else:
+                image = geometry_image_of_scan(scan, options.texels)
+        if image.texture_linear is not None and "albedo" not in options.skip:
+            with clock.timed("albedo"):
+                estimate = estimate_albedo(
+                    image,
+                    lights=options.lights,
+                    brdf=options.brdf,
+                    budget=clock.share("albedo"),
+                    seed=options.seed,
+                    options=_estimate_options(options),
+                    on_progress=on_progress,
+                )
+    ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
+    return ProcessResult(
+        scan=scan,
+        registration=registration,
+        fitted=fitted,
+        geometry_image=image,
+        albedo=estimate,
+        plan=_plan(options, scan, registration, fitted, image, estimate),
+        trace=sum((stage.trace for stage in ran), Trace()),
+        timings_s=clock.timings_s,
+        options=options.recorded(model),
+        seed=options.seed,
+        input_sha256=sha256,
+        source=file,
+        messages=(*messages, *_cautions(fitted)),
+    )
 
 
 def _registration_options(options: ProcessOptions) -> RegistrationOptions:
@@ -266,6 +210,45 @@ def _estimate_options(options: ProcessOptions) -> EstimateOptions:
         rectification=options.asked("albedo.rectification", preset.rectification),
         inpainting=options.asked("albedo.inpainting", preset.inpainting),
     )
+
+
+def _plan(
+    options: ProcessOptions,
+    scan: RawScan,
+    registration: Registration | None,
+    fitted: FittedFace | None,
+    image: GeometryImage,
+    estimate: AlbedoEstimate | None,
+) -> Plan:
+    """Return what ran, what was left out, and why."""
+    steps: list[PlanStep] = []
+    if registration is not None:
+        evidence = f"rmse {registration.rmse_mm:.2f} mm"
+        steps.append(PlanStep("register", True, "pose of the face in the scan", evidence))
+        for step, ran, reason, evidence in registration.notes:
+            steps.append(PlanStep(f"register.{step}", ran, reason, evidence))
+    elif fitted is not None:
+        reason = "skipped by the caller: the scan is taken to lie in the model's frame"
+        steps.append(PlanStep("register", False, reason))
+    if fitted is not None:
+        evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
+        steps.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
+    else:
+        steps += [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
+    figures = image.figures()
+    evidence = (
+        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
+        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
+    )
+    if fitted is not None and scan.has_color:
+        evidence += f", texture seen in {figures['seen']:.1%} of them"
+    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
+    steps.append(PlanStep("geometry_image", True, chart, evidence))
+    if estimate is not None:
+        return Plan(tuple(steps)) + estimate.plan
+    if "albedo" in options.skip:
+        return Plan((*steps, PlanStep("albedo", False, "skipped by the caller")))
+    return Plan((*steps, PlanStep("albedo", False, "the scan has no usable colour", "; ".join(scan.notes))))
 
 
 @contextmanager
@@ -293,20 +276,12 @@ def _warnings_as_messages() -> Iterator[list[str]]:
                 warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def _cautions(fitted: FittedFace) -> list[str]:
+def _cautions(fitted: FittedFace | None) -> list[str]:
     """Return what a person should know of a fit that looks good where there was a scan."""
-    coverage = fitted.metrics["coverage"]
+    coverage = 1.0 if fitted is None else fitted.metrics["coverage"]
     if coverage >= WHOLE_FACE:
         return []
     return [
         f"only {100 * coverage:.0f} % of the face has scan near it, the rest is the model's own shape: is "
         "the file cut short, or is it half a face?"
     ]
-
-
-def _evenness(image: GeometryImage) -> str:
-    figures = image.figures()
-    return (
-        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
-        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
-    )

@@ -162,33 +162,36 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
         Naming the folder and the cause.
     """
     folder = out / result.scan.name
+    image, fitted, estimate = result.geometry_image, result.fitted, result.albedo
+    summary, metrics = result.summary(), result.metrics()
+    poses = None if result.registration is None else _registration_record(result.registration, fitted)
+    albedo_srgb = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
     # An older run may have had more stages.
     with result_folder(folder, "result.json", obsolete=FILES, staged_in=out) as staging:
-        _write_all(result, staging, pictures)
+        if pictures:
+            if fitted is not None:
+                panels = face_panels(result.scan, fitted, image, estimate)
+            else:
+                panels = chart_panels(image, estimate)
+            save_figure(overview_figure(summary, panels), staging / "overview.png")
+            save_figure(result.trace.plot(), staging / "error_vs_time.png", dpi=110)
+        result.trace.to_csv(staging / "trace.csv")
+        write_geometry_image(staging / "geometry_image.npz", image)
+        write_geometry_image_exr(staging / "geometry_image.exr", image)
+        if estimate is not None and albedo_srgb is not None:
+            write_exr(staging / "albedo.exr", estimate.albedo_linear)
+            write_png(staging / "albedo.png", albedo_srgb)
+            write_exr(staging / "shading.exr", estimate.shading)
+            write_exr(staging / "specular.exr", estimate.specular)
+            write_png(staging / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
+        if fitted is not None:
+            write_glb(staging / "fitted.glb", fitted.vertices, fitted.faces, fitted.uv, albedo_srgb)
+            _write_template(fitted, staging / "template.obj")
+        if poses is not None:
+            write_record(staging / "registration.json", poses)
+        files = (*sorted(path.name for path in staging.iterdir()), "result.json")
+        write_record(staging / "result.json", _result_record(result, metrics, files))
     return folder
-
-
-def _write_all(result: ProcessResult, folder: Path, pictures: bool) -> None:
-    image, estimate = result.geometry_image, result.albedo
-    write_geometry_image(folder / "geometry_image.npz", image)
-    write_geometry_image_exr(folder / "geometry_image.exr", image)
-    if estimate is not None:
-        write_exr(folder / "albedo.exr", estimate.albedo_linear)
-        write_png(folder / "albedo.png", preview_srgb(estimate.albedo_linear, image.mask))
-        write_exr(folder / "shading.exr", estimate.shading)
-        write_exr(folder / "specular.exr", estimate.specular)
-        write_png(folder / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
-    if result.fitted is not None:
-        colored = estimate.albedo_linear if estimate is not None else None
-        texture = None if colored is None else preview_srgb(colored, image.mask)
-        write_glb(
-            folder / "fitted.glb", result.fitted.vertices, result.fitted.faces, result.fitted.uv, texture
-        )
-        _write_template(result.fitted, folder / "template.obj")
-    if pictures:
-        _write_pictures(result, folder)
-    result.trace.to_csv(folder / "trace.csv")
-    _write_json(result, folder)
 
 
 def _write_template(fitted: FittedFace, path: Path) -> None:
@@ -202,33 +205,21 @@ def _write_template(fitted: FittedFace, path: Path) -> None:
         raise OutputError(f"{path} cannot be written")
 
 
-def _write_pictures(result: ProcessResult, folder: Path) -> None:
-    if result.fitted is not None:
-        panels = face_panels(result.scan, result.fitted, result.geometry_image, result.albedo)
-    else:
-        panels = chart_panels(result.geometry_image, result.albedo)
-    save_figure(overview_figure(result.summary(), panels), folder / "overview.png")
-    save_figure(result.trace.plot(), folder / "error_vs_time.png", dpi=110)
+def _registration_record(registration: Registration, fitted: FittedFace | None) -> RegistrationRecord:
+    return RegistrationRecord(
+        model_from_scan=plain_json(registration.model_from_scan),
+        fitted_from_scan=None if fitted is None else plain_json(fitted.model_from_scan),
+        rmse_mm=registration.rmse_mm,
+        depth_error=registration.depth_error,
+        converged=registration.converged,
+        confidence=registration.confidence,
+        iterations=registration.iterations,
+    )
 
 
-def _write_json(result: ProcessResult, folder: Path) -> None:
-    scan, estimate, registration, fitted = result.scan, result.albedo, result.registration, result.fitted
-    if registration is not None:
-        write_record(
-            folder / "registration.json",
-            RegistrationRecord(
-                model_from_scan=plain_json(registration.model_from_scan),
-                fitted_from_scan=None if fitted is None else plain_json(fitted.model_from_scan),
-                rmse_mm=registration.rmse_mm,
-                depth_error=registration.depth_error,
-                converged=registration.converged,
-                confidence=registration.confidence,
-                iterations=registration.iterations,
-            ),
-        )
-    texture = scan.texture_linear
-    written = sorted(path.name for path in folder.iterdir())
-    record = ResultRecord(
+def _result_record(result: ProcessResult, metrics: dict[str, Any], files: tuple[str, ...]) -> ResultRecord:
+    scan, estimate, texture = result.scan, result.albedo, result.scan.texture_linear
+    return ResultRecord(
         scan2albedo_version=VERSION,
         versions=installed_versions(),
         name=scan.name,
@@ -242,11 +233,10 @@ def _write_json(result: ProcessResult, folder: Path) -> None:
             texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
         ),
         plan=tuple(PlanRecord(**asdict(step)) for step in result.plan),
-        metrics=result.metrics(),
+        metrics=metrics,
         lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
         parameters={} if estimate is None else plain_json(estimate.parameters),
         timings_s=dict(result.timings_s),
         notes=(*scan.notes, *result.messages),
-        files=(*written, "result.json"),
+        files=files,
     )
-    write_record(folder / "result.json", record)

@@ -365,7 +365,7 @@ def test_an_interrupted_renaming_leaves_no_folder_that_looks_whole(result, tmp_p
             raise KeyboardInterrupt
         replace_file(source, target)
 
-    monkeypatch.setattr(result_files.os, "replace", killed)
+    monkeypatch.setattr(os, "replace", killed)
     with pytest.raises(KeyboardInterrupt):
         result_files.write_result(result, tmp_path)
     assert not (folder / "result.json").exists()
