@@ -34,7 +34,7 @@ class FaceReflectance:
     name: str
     """Of the scan."""
     reflectance: VertexReflectance
-    """At the mesh's V vertices; not known where the scan did not show them."""
+    """At the mesh's V vertices; unknown where the scan did not show them."""
     mesh: FaceMesh
     """The model's surface in this face's shape, mm: the same triangles for all scans of one model."""
     model_name: str
@@ -57,25 +57,24 @@ def reflectance_of_processed(
     """Return the reflectance of a processed scan at the vertices of its model's surface.
 
     Scans of one model share its triangles, so their reflectances make a `MorphableReflectanceModel`. The
-    albedo is sampled bilinearly among texels that were seen; a vertex of which less than half was, is not
-    known. What the estimate knows as roughness becomes the albedo of the nearest Lambertian surface, and its
-    highlight the nearest weights of three lobes, one set for all vertices times the annotation's relative
-    strength.
+    albedo is sampled bilinearly among seen texels; a vertex less than half of whose texels were seen is
+    unknown. A rough surface becomes the nearest Lambertian one, and the highlight the nearest weights of
+    three lobes, one set for all vertices times the annotation's relative strength.
 
     Parameters
     ----------
     source : path, ProcessResult or ProcessedFace
         What `load_result` takes, or what it gave; processed with a model.
     level : float, optional
-        Geometric mean of the albedo's V over what was seen, to which albedo and highlight are scaled; as the
-        estimate has them when omitted. No image tells a scan's scale, so scans that are to be compared need
-        one level, or flashes of one strength.
+        Geometric mean of the albedo's V over the seen texels, to which albedo and highlight are scaled; not
+        scaled when omitted. The scale of a scan's albedo is unknown: to compare scans, give one level, or
+        use flashes of one strength.
 
     Returns
     -------
     FaceReflectance
-        A light of intensity E in `relight` is one of pi E here, for an estimate's albedo is the radiance of a
-        surface and not pi times it.
+        A light of intensity E in `relight` is one of pi E here: an estimate's albedo is the radiance of the
+        surface, a reflectance's pi times that.
 
     Raises
     ------
@@ -88,10 +87,10 @@ def reflectance_of_processed(
     Notes
     -----
     The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum (n.l)^2, over normals that the viewer sees
-    and six lights around it. Under a point light the vertices send what the relit face sends to 2 % (matte),
-    4 % (a highlight of exponent 8) and 12 % (a roughness of 0.3 rad, which no Lambertian surface has).
-    Vertices lie between texels: at 128 x 128 that alone is 6 % of the albedo, nearly all of it at the edges
-    of brows and lips, as tests/applications/test_face_reflectance.py asserts.
+    and six lights around it. Under a point light the vertices' radiance differs from that of the relit face
+    by 2 % (matte), 4 % (a highlight of exponent 8) and 12 % (a roughness of 0.3 rad, which no Lambertian
+    surface has). Sampling between texels costs 6 % of the albedo at 128 x 128, nearly all of it at the edges
+    of brows and lips; tests/applications/test_face_reflectance.py asserts these figures.
     """
     from scan2albedo.reflectance import lobe_weights_of_phong, reflectance_from_albedo
 

@@ -113,8 +113,8 @@ def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> l
 def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> list[Path]:
     """Write frames as ``frame_000.png`` and so on into a folder, all or none; return the files.
 
-    Frames that an earlier sweep left in the folder are removed, so that all of them are of this one. They
-    become a film with, for instance, ``ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4``.
+    Frames of an earlier sweep in the folder are removed. A film of them:
+    ``ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4``.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> lis
 def write_gif(
     path: str | Path, frames: Sequence[NDArray[np.uint8]], *, seconds_per_frame: float = 0.08
 ) -> None:
-    """Write frames as an animated GIF that plays there and back for ever, atomically.
+    """Write frames (H, W, 3) uint8 as an animated GIF that plays forward and back for ever, atomically.
 
     Parameters
     ----------

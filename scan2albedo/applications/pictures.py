@@ -27,11 +27,11 @@ FloatArray = NDArray[np.float64]
 DISTANCE_MM = 700.0
 """From the default camera to the middle of the face: a portrait's."""
 PORTRAIT_MARGIN = 1.12
-"""Half of the default picture's width, in halves of the face's."""
+"""The default picture's width as a multiple of the face's."""
 _TESSELLATION = 0.75
 """Between flat triangles, 0, and the mean of the tangent planes at their corners, 1."""
 _BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
-"""Where automatic exposure puts which percentile of the brightest channel."""
+"""Automatic exposure shows this percentile of the brightest channel at this linear level."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def auto_exposure(linear: ArrayLike) -> float:
 
 
 def checked_exposure(exposure: float) -> float:
-    """Return an exposure; raises ValueError unless it is finite and above 0."""
+    """Return an exposure that is finite and above 0; others raise ValueError."""
     if not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure is {exposure}, expected a finite number above 0")
     return exposure
@@ -95,7 +95,7 @@ def default_camera(
     shape : (H, W)
         Of the picture.
     azimuth_rad, elevation_rad : float
-        Of the camera seen from the face: from +z toward +x, and toward +y; it may not be right above.
+        Of the camera seen from the face: from +z toward +x, and toward +y, not right above.
 
     Raises
     ------
@@ -173,8 +173,8 @@ def photograph(
 def _curved(mesh: FaceMesh, corners: NDArray[np.int64], weight: FloatArray) -> FloatArray:
     """Return (N, 3) the points of a mesh at barycentric coordinates (N, 3) of triangles (N, 3).
 
-    The triangles between texels cut under the surface they stand for, and its finer occluder would shade
-    them: points of a chart's mesh are lifted to the surface that the normals tell (Phong tessellation [1]_).
+    The triangles between texels of a chart's mesh are below the curved surface, and its finer occluder would
+    shade them: their points are lifted by the normals at their corners (Phong tessellation [1]_).
 
     References
     ----------
@@ -192,10 +192,10 @@ def _curved(mesh: FaceMesh, corners: NDArray[np.int64], weight: FloatArray) -> F
 def _visible_samples(
     mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
-    """Return what the face covers of the samples `fine` (H, W) of all pixels, row by row.
+    """Return the N of the samples `fine` (H, W) that show the outside of the face.
 
-    That is, of N of them: index (N,), the vertices (N, 3) of the triangle seen, barycentric coordinates
-    (N, 3) and the unit direction of sight (N, 3). A face is an open shell: its inside is nothing to see.
+    Their index (N,) row by row, the vertices (N, 3) of the triangle seen, barycentric coordinates (N, 3) and
+    the unit direction of sight (N, 3).
     """
     row, column = _window(mesh, camera, fine, samples)
     index = (row[:, None] * fine[1] + column).ravel()

@@ -65,7 +65,7 @@ def identify(
     combine: Combine = "best",
     similarity: SimilarityOptions = IDENTIFICATION,
 ) -> Identification:
-    """Identify the person of every probe among the persons of a gallery.
+    """Return which persons of a gallery the probes show.
 
     Parameters
     ----------
@@ -77,14 +77,10 @@ def identify(
         A person's similarity is the best of, or the mean over, the images in the gallery.
     similarity : SimilarityOptions
 
-    Returns
-    -------
-    Identification
-
     Raises
     ------
     ValueError
-        When `combine` is something else.
+        For another `combine`.
     RecognitionError
         When a set is empty, a probe's person is not in the gallery, or templates cannot be compared.
 
@@ -116,19 +112,16 @@ def identify_by_similarity(
     *,
     combine: Combine = "best",
 ) -> Identification:
-    """Identify, as `identify`, by similarities (probes, gallery images) of any kind; larger is more alike.
+    """Return the identification by given similarities of any kind; larger is more alike.
 
     Parameters
     ----------
     similarities : (P, images) array_like of float
+        Of probes to gallery images.
     gallery_names, probe_names : sequence of str
         Persons of the gallery's images and of the probes.
     combine : {"best", "mean"}
-        Of a person's several images.
-
-    Returns
-    -------
-    Identification
+        As in `identify`.
 
     Raises
     ------
@@ -145,7 +138,7 @@ def identify_by_similarity(
     ([1, 2], 0.5)
     """
     _check_closed(gallery_names, probe_names)
-    persons, scores = similarities_by_person(similarities, gallery_names, probe_names, combine)
+    persons, scores = _similarities_by_person(similarities, gallery_names, probe_names, combine)
     right = np.searchsorted(persons, probe_names)
     own = scores[np.arange(len(scores)), right]
     best = scores.max(axis=1, keepdims=True)
@@ -161,21 +154,13 @@ def identify_by_similarity(
     )
 
 
-def similarities_by_person(
+def _similarities_by_person(
     similarities: ArrayLike,
     gallery_names: Sequence[str],
     probe_names: Sequence[str | None],
     combine: Combine,
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the persons of a gallery, in alphabetical order, and the similarities (probes, persons).
-
-    Raises
-    ------
-    ValueError
-        When `similarities` are not (probes, gallery images), or `combine` is none.
-    RecognitionError
-        When a set is empty, or a similarity is not finite.
-    """
+    """Return the persons of a gallery, in alphabetical order, and the similarities (probes, persons)."""
     scores = np.asarray(similarities, np.float64)
     _check_not_empty(len(gallery_names), len(probe_names))
     if scores.shape != (len(probe_names), len(gallery_names)):
@@ -268,7 +253,7 @@ def match_probes(
     *,
     combine: Combine = "best",
 ) -> ProbeMatches:
-    """Rank the persons of a gallery by their similarity to each probe.
+    """Return the persons of a gallery, ranked by their similarity to each probe.
 
     The set is closed: a probe of a stranger gets the most similar person too.
 
@@ -283,14 +268,10 @@ def match_probes(
     combine : {"best", "mean"}
         As in `identify`.
 
-    Returns
-    -------
-    ProbeMatches
-
     Raises
     ------
     ValueError
-        When shapes do not fit or `combine` is something else.
+        When shapes do not fit or `combine` is unknown.
     RecognitionError
         When a set is empty, a similarity is not finite, or a probe's person is not in the gallery.
 
@@ -301,7 +282,7 @@ def match_probes(
     >>> found.predicted(), found.ranks.tolist()
     (('ann', 'ann'), [0, 2])
     """
-    persons, scores = similarities_by_person(similarities, gallery_names, probe_persons, combine)
+    persons, scores = _similarities_by_person(similarities, gallery_names, probe_persons, combine)
     rows = [k for k, person in enumerate(probe_persons) if person is not None]
     named, ranks = None, np.zeros(len(probe_persons), np.int64)
     if rows:

@@ -59,10 +59,10 @@ class Manifest:
 
 
 def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifest:
-    """Read a CSV file with the columns `person` and `result`.
+    """Return the entries of a CSV file with the columns `person` and `result`.
 
-    UTF-8 with or without a mark at its beginning; cells are separated by commas, semicolons or tabs, as the
-    header shows. Other columns and empty lines are left aside.
+    UTF-8 with or without a byte order mark; the header shows whether commas, semicolons or tabs separate
+    cells. Other columns and empty lines are ignored.
 
     Parameters
     ----------
@@ -70,15 +70,11 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     persons_required : bool
         Whether every line has to name a person.
 
-    Returns
-    -------
-    Manifest
-
     Raises
     ------
     RecognitionError
-        When the file is missing, no text, lacks a column, has no entry, when an entry lacks person or result,
-        when a result does not exist, or one is said to show two persons; names file and line.
+        When the file is missing, no text, lacks a column or has no entry; when an entry lacks person or
+        result, a result does not exist or is named with two persons. Names file and line.
     """
     file = Path(path)
     header, rows = _table(_text(file), file)
@@ -154,13 +150,7 @@ def _entry(file: Path, header: list[str], line: int, row: list[str], persons_req
 
 
 def _repeated(file: Path, entries: tuple[ManifestEntry, ...]) -> tuple[str, ...]:
-    """Return notes on results that come twice.
-
-    Raises
-    ------
-    RecognitionError
-        When one is said to show two persons.
-    """
+    """Return notes on results that are named twice; two persons for one result are an error."""
     first: dict[Path, ManifestEntry] = {}
     notes = []
     for entry in entries:

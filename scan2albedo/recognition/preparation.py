@@ -1,4 +1,4 @@
-"""From an albedo to what the pyramid takes: one channel, averaged down, filled outside its mask, mirrored."""
+"""The pyramid's input from an albedo: one channel, averaged down, filled outside its mask, mirrored."""
 
 from __future__ import annotations
 
@@ -19,15 +19,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 def checked_image(
     image: ArrayLike, mask: ArrayLike | None, channel: Channel, what: str
 ) -> tuple[FloatArray, BoolArray]:
-    """Return one channel (H, W), 0 outside the mask, and the mask (H, W).
-
-    Raises
-    ------
-    ValueError
-        When the image is not (H, W) or (H, W, 3).
-    RecognitionError
-        When the mask has another size or nothing in it, or the image is not finite within it; names `what`.
-    """
+    """Return one channel (H, W), 0 outside the mask, and the mask (H, W); errors name `what`."""
     pixels = np.asarray(image, np.float64)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
         raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
@@ -60,13 +52,7 @@ def one_channel(color_linear: FloatArray, channel: Channel) -> FloatArray:
 
 
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
-    """Return the image and its mask with sides of `size`; a pixel is valid where half of its area is.
-
-    Raises
-    ------
-    RecognitionError
-        When the image is not square or smaller.
-    """
+    """Return the image and its mask with sides of `size`; a pixel is valid where half of its area is."""
     if image.shape == (size, size):
         return image, mask
     if image.shape[0] != image.shape[1] or image.shape[0] < size:
@@ -99,13 +85,7 @@ def without_holes(mask: BoolArray, radius: float) -> BoolArray:
 
 
 def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatArray:
-    """Return the image over its mean in the mask.
-
-    Raises
-    ------
-    RecognitionError
-        When that is not above 0.
-    """
+    """Return the image over its mean in the mask."""
     with np.errstate(over="ignore"):
         mean = float(image[mask].mean())
     if mean == np.inf:
@@ -119,9 +99,9 @@ def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatA
 
 
 def mirrored(image: FloatArray, multiple: int) -> FloatArray:
-    """Return the image with its mirror image after it on both axes, on to a multiple of pixels a side.
+    """Return the image followed by its mirror image on both axes, with sides a multiple of `multiple`.
 
-    The pyramid's filters wrap around; they find the image's own edge there instead of the opposite one.
+    The pyramid's filters wrap around; so they meet the image's own edge instead of the opposite one.
     """
     after = [n + -2 * n % multiple for n in image.shape]
     return np.pad(image, [(0, a) for a in after], mode="symmetric")

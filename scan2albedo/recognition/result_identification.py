@@ -18,7 +18,7 @@ from scan2albedo.recognition.templates import Templates, common_chart
 
 @dataclass(frozen=True)
 class LabelledTemplates:
-    """Templates, and where each comes from.
+    """Templates, and the origin of each.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def read_labelled_templates(
     options: TemplateOptions | None = None,
     on_count: CountCallback | None = None,
 ) -> LabelledTemplates:
-    """Read a file of templates (.npz), or make the templates of the results that a CSV file names.
+    """Return the templates of a file (.npz), or of the results that a CSV file names.
 
     Parameters
     ----------
@@ -59,10 +59,6 @@ def read_labelled_templates(
         The default ones, or those of the file, when omitted.
     on_count : callable, optional
         Called with the number of results done and their number.
-
-    Returns
-    -------
-    LabelledTemplates
 
     Raises
     ------
@@ -120,7 +116,7 @@ def identify_results(
     similarity: SimilarityOptions = IDENTIFICATION,
     on_count: StageCallback | None = None,
 ) -> ResultIdentification:
-    """Identify the persons of processed scans among those of others.
+    """Return which persons of a gallery of processed scans other processed scans show.
 
     Parameters
     ----------
@@ -128,7 +124,7 @@ def identify_results(
         A CSV file with the columns person and result, each result the folder of a processed scan (see
         `read_albedo`), or a file of templates. Several results may show one person.
     probes : path or LabelledTemplates
-        The same; a cell of person may be empty, then the probe is taken for somebody, and no rate counts it.
+        The same; a cell of person may be empty: such a probe is identified, but counts in no rate.
     combine : {"best", "mean"}
         A person's similarity is the best of, or the mean over, the images in the gallery.
     options : TemplateOptions, optional
@@ -137,14 +133,10 @@ def identify_results(
     on_count : callable, optional
         Called after each result that was read.
 
-    Returns
-    -------
-    ResultIdentification
-
     Raises
     ------
     ValueError
-        When `combine` is something else.
+        When `combine` is unknown.
     RecognitionError
         When a file cannot be read or used, sizes or models differ, or a probe's person is not in the gallery.
 

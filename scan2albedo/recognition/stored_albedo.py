@@ -40,18 +40,14 @@ class StoredAlbedo:
 
 
 def read_albedo(path: str | Path) -> StoredAlbedo:
-    """Read an albedo from the folder of a processed scan, of what an application wrote, or from an image.
+    """Return the albedo of the folder of a processed scan, of what an application wrote, or of an image.
 
     Parameters
     ----------
     path : path
         A folder with result.json or application.json, geometry_image.npz and albedo.exr; a file in such a
-        folder means the folder. Any other image has to lie on the model's chart: it counts where its alpha is
-        half or more or, without alpha, where it is not black.
-
-    Returns
-    -------
-    StoredAlbedo
+        folder means the folder. Any other image must be on the model's chart: its texels count where alpha is
+        half or more or, without alpha, where they are not black.
 
     Raises
     ------
@@ -143,7 +139,7 @@ def result_templates(
 ) -> Templates:
     """Return the templates of a manifest's results, from the albedo of the texels that were seen.
 
-    They bear the person's name, or the result's where no person is named.
+    Their names are the persons', or the result's where no person is named.
 
     Parameters
     ----------

@@ -155,15 +155,7 @@ class Templates:
 def image_coefficients(
     image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
 ) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
-    """Return coefficients (O, h, w), 0 outside their mask, and the mask (h, w) of one image.
-
-    Raises
-    ------
-    ValueError
-        When the image is not (H, W) or (H, W, 3).
-    RecognitionError
-        When it is not finite, masked everywhere, black, or too small; names `what`.
-    """
+    """Return coefficients (O, h, w), 0 outside their mask, and the mask (h, w) of one image named `what`."""
     pixels, valid = checked_image(image, mask, options.channel, what)
     if options.size is not None:
         pixels, valid = averaged_down(pixels, valid, options.size, what)

@@ -66,8 +66,14 @@ class IdentificationRecord(Record):
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 
-def identification_record(found: ResultIdentification, files: tuple[str, ...] = ()) -> IdentificationRecord:
-    """Return what was found as a record."""
+def identification_record(found: ResultIdentification) -> IdentificationRecord:
+    """Return the record of an identification without files."""
+    return _record(found, _rates(*_curves(found)))
+
+
+def _record(
+    found: ResultIdentification, rates: RatesRecord | None, files: tuple[str, ...] = ()
+) -> IdentificationRecord:
     chart = found.gallery.templates.chart
     return IdentificationRecord(
         scan2albedo_version=VERSION,
@@ -78,18 +84,15 @@ def identification_record(found: ResultIdentification, files: tuple[str, ...] = 
         combine=found.combine,
         template_options=asdict(found.gallery.templates.options),
         model=None if chart is None else chart.model,
-        rates=_rates(*curves(found)),
+        rates=rates,
         results=_probes(found),
         notes=found.notes,
         files=files,
     )
 
 
-def curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | None]:
-    """Return the curves of the probes whose person is known, None where there are none.
-
-    A gallery of one person has no ROC curve, for nobody is an impostor.
-    """
+def _curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | None]:
+    """Return the curves of the named probes; with a gallery of one person nobody is an impostor: no ROC."""
     named = found.matches.named
     if named is None:
         return None, None
@@ -99,15 +102,15 @@ def curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | Non
 def write_identification(found: ResultIdentification, folder: str | Path) -> IdentificationRecord:
     """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
 
-    The curves are those of the probes whose person is known; where there are none, files of an older run are
-    removed. Returns the record.
+    The curves are those of the probes whose person is known; without such probes there are none. Returns the
+    record.
 
     Raises
     ------
     OutputError
         When the folder cannot be written.
     """
-    target = Path(folder)
+    target, (cmc, roc) = Path(folder), _curves(found)
     with result_folder(target, IDENTIFICATION_FILE, obsolete=FILES) as staging:
         write_text(staging / "identification.csv", _table(found))
         similarities = {
@@ -117,9 +120,9 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
             "probe_persons": np.array([person or "" for person in found.probes.persons]),
         }
         write_npz(staging / "similarities.npz", similarities, what="similarities", compressed=False)
-        _write_figures(*curves(found), staging)
+        _write_figures(cmc, roc, staging)
         written = sorted(path.name for path in staging.iterdir())
-        record = identification_record(found, (*written, IDENTIFICATION_FILE))
+        record = _record(found, _rates(cmc, roc), (*written, IDENTIFICATION_FILE))
         write_record(staging / IDENTIFICATION_FILE, record)
     return record
 
@@ -166,7 +169,7 @@ def _probes(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
 
 
 def _rounded(similarity: float) -> float:
-    """Return what sums in float32 hold of a similarity, 0 to 1."""
+    """Return a similarity, 0 to 1, with the digits that sums in float32 hold."""
     return round(min(similarity, 1.0), 6)
 
 
