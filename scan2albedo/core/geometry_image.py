@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import GeometryImageError
+
+SMALLEST_SIZE = 8
+LARGEST_SIZE = 16384
+"""A texel takes some hundred bytes on its way: 16384 texels a side are near 30 GB."""
 
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -172,3 +177,20 @@ class GeometryImage:
         # Face by face: a chart may be cut into pieces, some of them mirrored.
         against = np.einsum("ij,ij->i", outward, normals[stacked].sum(1)) < 0
         return vertices, np.where(against[:, None], stacked[:, ::-1], stacked)
+
+
+def check_size(size: int) -> None:
+    """Refuse what is no number of texels a side.
+
+    Raises
+    ------
+    GeometryImageError
+        For less than `SMALLEST_SIZE` or more than `LARGEST_SIZE`, or no whole number.
+    """
+    if isinstance(size, Integral) and SMALLEST_SIZE <= size <= LARGEST_SIZE:
+        return
+    reason = "too small" if isinstance(size, Integral) and size < SMALLEST_SIZE else "no size"
+    raise GeometryImageError(
+        f"size {size} is {reason} for a geometry image; give a whole number of texels, {SMALLEST_SIZE} to "
+        f"{LARGEST_SIZE}"
+    )

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.geometry_image.size import check_size
-from scan2albedo.geometry_image.texture_lookup import LookupOptions, TextureLookup, texel_steps
+from scan2albedo.geometry_image.texture_lookup import LookupOptions, texel_steps, texture_on_chart
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
@@ -70,7 +69,7 @@ def geometry_image(
     size : int
         Height and width in texels, at least 8.
     options : LookupOptions
-        When a texel's texture counts as seen.
+        How the photograph is filtered.
 
     Returns
     -------
@@ -138,21 +137,17 @@ def _texture(
     normal: NDArray[np.float64],
     options: LookupOptions,
 ) -> tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None]:
-    if scan is None or not scan.has_color:
-        return None, None
     inside = raster.covered
     scan_from_model = invert_rigid(fitted.model_from_scan)
     steps = texel_steps(fitted.vertices, fitted.uv, fitted.faces, raster.face.shape)[raster.face[inside]]
-    color, valid = TextureLookup(scan, options).sample(
+    return texture_on_chart(
+        scan,
+        inside,
         transform_points(scan_from_model, position[inside]),
         transform_directions(scan_from_model, normal[inside]),
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+        options,
     )
-    texture = np.zeros((*inside.shape, 3), np.float32)
-    texture[inside] = color
-    seen = np.zeros(inside.shape, bool)
-    seen[inside] = valid
-    return texture, seen
 
 
 def _occluder(fitted: Fitted) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

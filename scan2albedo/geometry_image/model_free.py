@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import (
@@ -17,9 +17,10 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
 )
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
-from scan2albedo.geometry_image.size import check_size
-from scan2albedo.geometry_image.texture_lookup import LookupOptions, TextureLookup, texel_steps
+from scan2albedo.geometry_image.texture_lookup import texel_steps, texture_on_chart
 
+_PADDING = 2
+"""Texels between charts."""
 _CHARTED_SIZE = 200.0
 
 
@@ -29,10 +30,6 @@ class ModelFreeOptions:
 
     max_faces: int = 15_000
     """Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
-    padding: int = 2
-    """Texels between charts."""
-    lookup: LookupOptions = LookupOptions()
-    """When a texel's texture counts as seen."""
 
 
 def geometry_image_of_scan(
@@ -47,7 +44,7 @@ def geometry_image_of_scan(
     size : int
         Height and width in texels, at least 8.
     options : ModelFreeOptions
-        Simplification, padding and texture lookup.
+        Simplification.
 
     Returns
     -------
@@ -61,7 +58,7 @@ def geometry_image_of_scan(
     """
     check_size(size)
     vertices, faces = _chartable(scan, options.max_faces)
-    chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size, options.padding)
+    chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size)
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
     raster = rasterize_uv(uv, chart_faces, size)
     if not raster.covered.any():
@@ -72,13 +69,8 @@ def geometry_image_of_scan(
     inside = raster.covered
     position = interpolate(raster, chart_faces, position_of)
     normal = normalized(interpolate(raster, chart_faces, normal_of))
-    texture, seen = None, None
-    if scan.has_color:
-        steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
-        texture, seen = np.zeros((size, size, 3), np.float32), np.zeros((size, size), bool)
-        texture[inside], seen[inside] = TextureLookup(scan, options.lookup).sample(
-            position[inside], normal[inside], steps
-        )
+    steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
+    texture, seen = texture_on_chart(scan, inside, position[inside], normal[inside], steps)
     center = vertices.mean(0)
     position[inside] -= center
     return GeometryImage(
@@ -127,7 +119,7 @@ def _simplified(
 
 
 def _xatlas_charts(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: int, padding: int
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Return (mesh vertex of each chart vertex (N,), chart faces (F, 3), uv (N, 2) in the unit square).
 
@@ -141,7 +133,7 @@ def _xatlas_charts(
     atlas = xatlas.Atlas()
     atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.create_image = size, padding, False
+    pack.resolution, pack.padding, pack.create_image = size, _PADDING, False
     atlas.generate(xatlas.ChartOptions(), pack)
     chart_vertex, chart_faces, uv = atlas[0]
     # xatlas may need more than the resolution asked for; scale all charts into one square.

@@ -5,17 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
 from scan2albedo.geometry.nearest_surface import surface_query
-from scan2albedo.geometry_image.footprints import mean_over_footprints
 from scan2albedo.io.texture_atlas import in_first_period
 
 FloatArray = NDArray[np.float64]
 
+MAX_DISTANCE_MM = 4.0
+"""Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
+MIN_NORMAL_COSINE = 0.5
+"""The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
+MIN_DENSITY = 0.1
+"""Photograph pixels per mm^2 relative to the scan's median: below, the surface was seen at grazing."""
 CROP_MARGIN = 0.1
 """Part of the queried points' size by which faces may lie outside their box and still be looked at."""
 FEWEST_TAPS, MOST_TAPS = 3, 64
@@ -27,16 +33,29 @@ SIDEWAYS_MM = 0.5
 
 @dataclass(frozen=True)
 class LookupOptions:
-    """When a texel's texture counts as seen, and how it is filtered."""
+    """How the photograph is filtered."""
 
-    max_distance_mm: float = 4.0
-    """Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
-    min_normal_cosine: float = 0.5
-    """The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
-    min_density: float = 0.1
-    """Photograph pixels per mm^2 relative to the scan's median: below, the surface was seen at grazing."""
     taps: int | None = None
     """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
+
+
+def texture_on_chart(
+    scan: RawScan | None,
+    inside: NDArray[np.bool_],
+    points: FloatArray,
+    normals: FloatArray,
+    steps: FloatArray,
+    options: LookupOptions = LookupOptions(),
+) -> tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None]:
+    """Return linear colour (H, W, 3) and whether it was well seen (H, W); None for scans without colour.
+
+    `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W) the chart.
+    """
+    if scan is None or not scan.has_color:
+        return None, None
+    texture, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
+    texture[inside], seen[inside] = TextureLookup(scan, options).sample(points, normals, steps)
+    return texture, seen
 
 
 class TextureLookup:
@@ -48,7 +67,7 @@ class TextureLookup:
     def _near(self, points: FloatArray) -> NDArray[np.int64]:
         """Return the faces near `points`, all when none is: an index of the whole scan would cost most."""
         vertices, faces = self._scan.vertices, self._scan.faces
-        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + self._options.max_distance_mm
+        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
         inside = np.all((vertices >= points.min(0) - margin) & (vertices <= points.max(0) + margin), axis=1)
         near = np.flatnonzero(inside[faces].any(1))
         return near if len(near) else np.arange(len(faces))
@@ -69,9 +88,9 @@ class TextureLookup:
         scan, near = self._scan, self._near(points)
         hits = surface_query(scan.vertices, scan.faces[near]).query(points)
         face = near[hits.face]
-        valid = hits.distance <= self._options.max_distance_mm
+        valid = hits.distance <= MAX_DISTANCE_MM
         facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
-        valid &= np.einsum("ij,ij->i", normals, facing) >= self._options.min_normal_cosine
+        valid &= np.einsum("ij,ij->i", normals, facing) >= MIN_NORMAL_COSINE
         on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
         valid &= ~_past_boundary(on_edge, hits.barycentric, points - hits.points, normals)
         if scan.uv is not None and scan.texture_linear is not None:
@@ -92,7 +111,7 @@ class TextureLookup:
         area = face_areas(self._scan.vertices, self._scan.faces)
         density = texture_area / np.maximum(area, 1e-12)
         used = density[texture_area > 0]
-        return density > (self._options.min_density * np.median(used) if len(used) else np.inf)
+        return density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
 
     def _photograph(
         self, near: NDArray[np.int64], hits: ClosestHits, steps: FloatArray
@@ -160,3 +179,44 @@ def texel_steps(
     inverse[usable] = np.linalg.inv(chart_edges[usable])
     height, width = shape
     return edges @ inverse @ np.array([[1 / width, 0.0], [0.0, -1 / height]])
+
+
+@njit(cache=True, nogil=True)
+def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
+    """Return (N, C) float32 means of bilinear samples spread evenly over each footprint.
+
+    Parameters
+    ----------
+    photograph : (H, W, C) float32
+        Continued beyond its border by the border's pixels.
+    centre : (N, 2) float64
+        Middle of each footprint in pixels, (0, 0) the middle of the first pixel.
+    footprint : (N, 2, 2) float64
+        Its two sides, as columns, in pixels.
+    taps : int
+        Samples along each side.
+    """
+    height, width, channels = photograph.shape
+    mean = np.empty((len(centre), channels), np.float32)
+    total = np.empty(channels)
+    for n in range(len(centre)):
+        total[:] = 0.0
+        for i in range(taps):
+            right = (i + 0.5) / taps - 0.5
+            for j in range(taps):
+                down = (j + 0.5) / taps - 0.5
+                x = centre[n, 0] + right * footprint[n, 0, 0] + down * footprint[n, 0, 1]
+                y = centre[n, 1] + right * footprint[n, 1, 0] + down * footprint[n, 1, 1]
+                # Written so that NaN, too, ends inside.
+                x = min(x, width - 1.0) if x > 0 else 0.0
+                y = min(y, height - 1.0) if y > 0 else 0.0
+                left, top = int(x), int(y)
+                u, v = x - left, y - top
+                beside, below = min(left + 1, width - 1), min(top + 1, height - 1)
+                for c in range(channels):
+                    upper = (1 - u) * photograph[top, left, c] + u * photograph[top, beside, c]
+                    lower = (1 - u) * photograph[below, left, c] + u * photograph[below, beside, c]
+                    total[c] += (1 - v) * upper + v * lower
+        for c in range(channels):
+            mean[n, c] = total[c] / (taps * taps)
+    return mean

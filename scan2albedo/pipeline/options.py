@@ -118,7 +118,7 @@ class ProcessOptions:
         """Refuse what a late stage would refuse, before an early one has worked for nothing."""
         # Imported here: they load compiled code, which the command line does not need to show its help.
         from scan2albedo.albedo.estimate import BRDFS
-        from scan2albedo.geometry_image.size import LARGEST_SIZE, SMALLEST_SIZE
+        from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE
         from scan2albedo.io.units import MM_PER_UNIT
 
         size = self.texels

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from scan2albedo.albedo import EstimateOptions
+from scan2albedo.core.geometry_image import check_size
 from scan2albedo.fitting.options import FitOptions
-from scan2albedo.geometry_image.size import check_size
 from scan2albedo.registration import RegistrationOptions
 
 

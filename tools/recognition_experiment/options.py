@@ -10,7 +10,7 @@ from pathlib import Path
 
 import scan2albedo
 from scan2albedo.albedo.estimate import BRDFS
-from scan2albedo.geometry_image.size import SMALLEST_SIZE
+from scan2albedo.core.geometry_image import SMALLEST_SIZE
 from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 from scan2albedo.synthetic.population import PopulationOptions
 from scan2albedo.synthetic.raw_scan import RawScanOptions
