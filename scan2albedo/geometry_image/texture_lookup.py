@@ -49,7 +49,7 @@ def texture_on_chart(
 ) -> tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None]:
     """Return linear colour (H, W, 3) and whether it was well seen (H, W); None for scans without colour.
 
-    `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W) the chart.
+    `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W).
     """
     if scan is None or not scan.has_color:
         return None, None
