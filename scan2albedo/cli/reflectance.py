@@ -61,7 +61,7 @@ def fit(
     loss: Annotated[str, typer.Option(help="cauchy, charbonnier or squares.")] = "cauchy",
     held_out_every: Annotated[
         int,
-        typer.Option(help="One of so many pairs judges a fit without them; 0 for no judgement.", min=0),
+        typer.Option(help="One in so many pairs tests a fit without them; 0 for no test.", min=0),
     ] = 10,
     least_pairs: Annotated[
         int, typer.Option(help="Vertices seen in fewer pairs are left unknown.", min=1)
@@ -105,7 +105,7 @@ def fit(
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
         text = f"fit: {known} from {figures['pairs']} pairs"
         if "held_out" in figures:
-            text += f"; pictures left out are foretold to {100 * figures['held_out']['relative_rmse']:.1f} %"
+            text += f"; pictures left out are predicted to {100 * figures['held_out']['relative_rmse']:.1f} %"
         progress.say(f"{text}; files in {out}")
     _summarise(figures, out, json_summary)
 
@@ -211,7 +211,7 @@ def finetune(
     held_out: Annotated[
         list[Path] | None,
         typer.Option(
-            help="A photograph to judge by, may be repeated, best six or more; otherwise one of three."
+            help="A photograph to test on, may be repeated, best six or more; otherwise one of three."
         ),
     ] = None,
     budget: BudgetOption = None,

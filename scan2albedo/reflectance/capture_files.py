@@ -32,7 +32,7 @@ class _Part(BaseModel):
 
 
 class PoseEntry(_Part):
-    """Where the head was before one camera: x_cam = R x + t. The flash of that name stands there, too."""
+    """Where the head was before one camera: x_cam = R x + t. The flash of that name is there, too."""
 
     name: str = Field(min_length=1)
     rotation: Matrix = Field(description="R, row-major, proper.")
@@ -105,7 +105,7 @@ class FlashCaptureFile(_Part):
 
 @dataclass(frozen=True)
 class CaptureFiles:
-    """A capture as a file tells it; pictures are read when they are asked for.
+    """The content of a capture file; pictures are read when they are needed.
 
     Parameters
     ----------
@@ -135,14 +135,10 @@ class CaptureFiles:
         return tuple(f"{pair.camera} lit by {pair.flash}" for pair in self.content.pictures)
 
     def extract_olat(self) -> OlatImages:
-        """Read the pictures and subtract the room's light; what is no skin is not valid.
+        """Read the pictures and subtract the room's light; pixels without skin are not valid.
 
-        Raises
-        ------
-        ScanError
-            When a picture is missing or damaged; names it.
-        ReflectanceError
-            As `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
+        Raises `ScanError`, naming the picture, when one is missing or damaged, `ReflectanceError` as
+        `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
         folder = self.path.parent
         rooms: dict[str, NDArray[np.generic]] = {}

@@ -26,7 +26,7 @@ class CaptureRig:
     light_positions : (J, 3) float64
         Of the flash that lit each picture, in mm.
     light : (J,) int64
-        Which light that is, 0, 1, ...; pictures lit by the same flash share the number.
+        Number of that flash, 0, 1, ...
 
     Raises
     ------
@@ -68,10 +68,10 @@ class CaptureRig:
 def rig_of_head_poses(
     rotations: ArrayLike, translations: ArrayLike, intrinsics: ArrayLike, *, view: ArrayLike, flash: ArrayLike
 ) -> CaptureRig:
-    """Return the rig in which each flash stands where a camera stands.
+    """Return the rig in which each flash is at the place of a camera.
 
     A head pose maps points of the face into camera c, x_cam = R_c x + t_c; seen from the face, the camera is
-    turned by R_c^T and stands at -R_c^T t_c. Picture j is taken by camera view[j], lit by the flash at camera
+    turned by R_c^T and is at -R_c^T t_c. Picture j is taken by camera view[j], lit by the flash at camera
     flash[j].
 
     Parameters

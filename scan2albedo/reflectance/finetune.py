@@ -98,8 +98,8 @@ def finetune(
     Each round fits all images (`fit_image`), finds the most probable changes of means and directions under
     several anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of
     it, with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
-    chance (`is_improvement`). Changes are counted from the model given, so rounds do not add up to a drift.
-    The shares w' stay.
+    chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
+    shares w' stay.
 
     Parameters
     ----------
@@ -133,13 +133,12 @@ def finetune(
 
     Notes
     -----
-    Images tell the albedo only up to what light may do, and held-out images do not see through that either:
-    what keeps the albedo is the anchor. It is Gaussian, for then each vertex has a closed form and a smooth
-    error is corrected everywhere a little; the absolute differences of the paper favour few vertices.
+    Images determine the albedo only up to the light, and held-out images do not resolve that either: the
+    anchor keeps the albedo. It is Gaussian, for then each vertex has a closed form and a smooth error is
+    corrected everywhere a little; the absolute differences of the paper favour few vertices. What differs
+    from face to face but is not in the directions, marks for instance, tuning does not add.
 
-    tools/bench_reflectance_finetune.py prints what tuning does to pictures that neither step saw, for models
-    that are wrong, narrow or already right, with noise and outliers, with and without its guards. What
-    differs from face to face but is not in the directions, marks for instance, tuning does not add.
+    tools/bench_reflectance_finetune.py prints what tuning does to pictures that neither step used.
 
     References
     ----------
@@ -200,7 +199,7 @@ class _Tuning:
         self.held_out = held_out
         self.current, self.change = model, no_change(model)
         self.steps: list[float] = []
-        self.errors = self._held_out_errors(model, hurried=True)
+        self.errors = self._held_out_errors(model, even_late=True)
         meter.record(self.error)
 
     @property
@@ -213,7 +212,7 @@ class _Tuning:
         return [self._fit(observation, self.current) for observation in observations]
 
     def try_steps(self, changes: Sequence[ModelChange]) -> bool:
-        """Go as far towards one of the changes as helps, and tell whether any step does."""
+        """Go as far towards one of the changes as helps, and return whether any step does."""
         step = 1.0
         while step >= _SMALLEST_STEP and not self.meter.exhausted:
             trials = [self._trial(change, step) for change in changes]
@@ -233,17 +232,17 @@ class _Tuning:
         return part, self._held_out_errors(part.applied(self.initial))
 
     def _held_out_errors(
-        self, model: MorphableReflectanceModel, *, hurried: bool = False
+        self, model: MorphableReflectanceModel, *, even_late: bool = False
     ) -> NDArray[np.float64]:
         """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
-        fits = [self._fit(observation, model, hurried=hurried) for observation in self.held_out]
+        fits = [self._fit(observation, model, even_late=even_late) for observation in self.held_out]
         return np.array([[fit.objective, fit.relative_rmse] for fit in fits])
 
     def _fit(
-        self, observation: ImageObservation, model: MorphableReflectanceModel, *, hurried: bool = False
+        self, observation: ImageObservation, model: MorphableReflectanceModel, *, even_late: bool = False
     ) -> ImageFit:
-        """Fit an image while time is left; a hurried fit ends with it, others do not count then."""
-        if self.meter.out_of_time and not hurried:
+        """Fit an image; raise `_OutOfTime` when the deadline cut the fit short, unless `even_late`."""
+        if self.meter.out_of_time and not even_late:
             raise _OutOfTime
         self.meter.count()
         left = Budget(seconds=self.meter.sub_meter(self.meter.stage, self.meter.unit).budget.seconds)
@@ -251,13 +250,13 @@ class _Tuning:
             # One of many fits; the held-out objective tells whether they were good enough.
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
             fit = fit_image(observation, model, self.lighting, options=self.options.fit, budget=left)
-        if self.meter.out_of_time and not hurried:
+        if self.meter.out_of_time and not even_late:
             raise _OutOfTime
         return fit
 
 
 def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:
-    """Tell whether errors (n, E) of n held-out images fell, of each kind and by more than by chance.
+    """Return whether errors (n, E) of n held-out images fell, of each kind and by more than by chance.
 
     Their mean and the mean of the single images' relative falls must exceed 0.1 %, and `assured_gains`
     must be above 0.

@@ -54,9 +54,9 @@ class GeometryFit:
     """(68,) distances in the image; NaN where a landmark was not seen or left out."""
     photometric_rmse_before: float | None
     """Of the colours with the shape from landmarks alone (or the initial one), over that of the image, over
-    vertices that both shapes show; None where photometry tells nothing."""
+    vertices that both shapes show; None without photometry."""
     photometric_rmse_after: float | None
-    """The same with photometry, believed or not."""
+    """The same with photometry, accepted or not."""
     plan: Plan
     """Whether landmarks and photometry were used, and why."""
     converged: bool
@@ -169,7 +169,7 @@ def refine_geometry(
         photometry = Photometry(images, matrix, shape_model.faces, skin, checked_light(light), options)
     if photometry is None and not np.isfinite(landmarks).any():
         raise ReflectanceError(
-            "no landmark is seen and no reflectance given, so nothing tells of the geometry; give one of both"
+            "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
         )
     fit = _Refinement(matrix, landmarks, shape_model, photometry, start, options)
     fit.run(Budget.of(budget), on_progress)
@@ -249,7 +249,7 @@ class _Refinement:
         return GeometryObjective.of(self.model, self.options.prior_weight, terms, meter, rigid=rigid)
 
     def _search(self, search: GeometrySearch, photometry: Photometry) -> bool:
-        """Search with what is seen settled anew every few steps; tell whether it converged."""
+        """Search, finding anew what is seen every few steps; return whether it converged."""
         converged = False
         for level in range(photometry.levels):
             converged = False
@@ -267,7 +267,7 @@ class _Refinement:
         return converged
 
     def _accept(self, name: str, photometry: Photometry, search: GeometrySearch) -> bool:
-        """Tell whether the result of photometry is accepted, and write it into the plan."""
+        """Return whether the result of photometry is accepted, and write it into the plan."""
         if search.iterations == 0:
             self.steps.append(PlanStep(name, False, "the image shows nothing of the face, or no step helps"))
             return False

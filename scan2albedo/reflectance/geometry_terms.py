@@ -26,7 +26,7 @@ _VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
 """Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
 than so many pixels to an edge of the surface in the image."""
 _LEAST_VERTICES = 20
-"""Fewer tell nothing of a shape."""
+"""Fewer do not determine a shape."""
 
 
 @dataclass(frozen=True)

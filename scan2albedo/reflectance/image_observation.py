@@ -1,4 +1,4 @@
-"""What one image tells of a face whose geometry and pose are known."""
+"""What one image shows of a face whose geometry and pose are known."""
 
 from __future__ import annotations
 

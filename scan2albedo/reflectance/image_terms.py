@@ -49,7 +49,7 @@ class ImageFitOptions:
             raise ValueError(f"prior_weight must be 0 or more, or None, got {self.prior_weight}")
 
     def prior_weight_of(self, *, shadows_modelled: bool) -> float:
-        """Return `prior_weight`, or what None stands for."""
+        """Return `prior_weight`, or the default for None."""
         return _PRIOR_WEIGHT[shadows_modelled] if self.prior_weight is None else self.prior_weight
 
 

@@ -97,7 +97,7 @@ def light_transfer(
     n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)
     if v.shape != xyz.shape:
         raise ValueError(f"toward_camera is {v.shape}, expected {xyz.shape} as vertices")
-    # Vectors stand where there is no surface that no formula trips over.
+    # Placeholders where there is no surface; their rows are set to 0 below.
     bare = np.asarray(~n.any(1))
     n[bare] = (0.0, 0.0, 1.0)
     v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
@@ -136,6 +136,6 @@ def _shadowed(
     """Return diffuse coefficients (B, 81) with shadows, from those without and max(0, n.w) (B, D)."""
     whole = cosine @ weighted / np.pi
     part = np.where(lit, cosine, 0.0) @ weighted / np.pi
-    # The first harmonic is constant: it tells the lit share of the lobe.
+    # The first harmonic is constant, so its coefficient gives the lit share of the lobe.
     share = part[:, :1] / whole[:, :1]
     return np.asarray(part + share * (free - whole))

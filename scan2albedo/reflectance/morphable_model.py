@@ -198,7 +198,7 @@ class MorphableReflectanceModel:
         -----
         Where a sample does not know a vertex it deviates by nothing from the mean of those that do. This adds
         no direction of its own, but the variance there comes out too small, by about the share of samples
-        missing (`support` tells). w' of a vertex without a lobe is a gap too, since 0 / 0 is no share. How
+        missing (see `support`). w' of a vertex without a lobe is a gap too, since 0 / 0 is no share. How
         weights vary where the albedo does not is left out, for directions are those of the albedo.
 
         Cost: K^2 V, memory 7 K V numbers.

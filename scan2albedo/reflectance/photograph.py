@@ -106,8 +106,8 @@ def observe_photograph(
     Raises
     ------
     ReflectanceError
-        When no vertex counts (tells at which step the last ones were lost), the image is black there, holds
-        other numbers, or the camera or the mesh cannot be used.
+        When no vertex counts (names the step at which the last ones were lost), the image is black there,
+        holds other numbers, or the camera or the mesh cannot be used.
     ValueError
         When shapes are others.
 
@@ -141,7 +141,7 @@ def _usable(
     pixels: FloatArray,
     seen: BoolArray,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return colours (V, 3) and which vertices (V,) can be used, or tell where all were lost."""
+    """Return colours (V, 3) and which vertices (V,) can be used; raise, with the reason, when none can."""
     steps = {
         "inside the picture": np.ones_like(skin),
         "on the mask": skin,
@@ -151,9 +151,9 @@ def _usable(
     color, found = _samples(linear, steps["not saturated"], pixels, seen)
     if not found.any():
         counts = {name: _samples(linear, valid, pixels, seen)[1].sum() for name, valid in steps.items()}
-        told = ", ".join(f"{count} {name}" for name, count in counts.items())
+        left = ", ".join(f"{count} {name}" for name, count in counts.items())
         raise ReflectanceError(
-            f"no vertex of {len(seen)} can be used: {seen.sum()} are seen by the camera, {told}; check "
+            f"no vertex of {len(seen)} can be used: {seen.sum()} are seen by the camera, {left}; check "
             "camera, mask and exposure in this order"
         )
     return color, found

@@ -42,7 +42,7 @@ class FacePhotographFile(BaseModel):
     mesh: str | None = Field(
         None,
         description="The face in the camera's frame: OBJ, PLY, GLB, STL or OFF with the model's vertices in "
-        "their order; null when landmarks tell the shape. Relative to this file.",
+        "their order; null when landmarks give the shape. Relative to this file.",
     )
     landmarks: tuple[_Pixel | None, ...] | None = Field(
         None, description="68 pixels (column, row), iBUG-68 order; null for what is hidden."
@@ -59,7 +59,7 @@ class FacePhotographFile(BaseModel):
 
 @dataclass(frozen=True)
 class PhotographFiles:
-    """A photograph as a file tells it.
+    """The content of a photograph file, with its image, mask and mesh.
 
     Parameters
     ----------
@@ -153,12 +153,8 @@ def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> NDArray[np.bool
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> NDArray[np.bool_]:
     """Return a mask (H, W), True where its image is brighter than half of its brightest value.
 
-    Raises
-    ------
-    ReflectanceError
-        When it has another size than `shape` (H, W); `whose` it is, in words.
-    ScanError
-        When it cannot be read.
+    Raises `ReflectanceError` when it has another size than `shape` (H, W), naming `whose` mask it is, and
+    `ScanError` when it cannot be read.
     """
     values = read_image_values(path)
     if values.shape[:2] != shape:

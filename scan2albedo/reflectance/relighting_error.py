@@ -1,4 +1,4 @@
-"""How well a fit foretells pictures that it has not seen."""
+"""How well a fit predicts pictures that it has not used."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RelightingError:
     Parameters
     ----------
     relative_rmse : float
-        Root mean square of observed minus foretold radiance, over that of the observed.
+        Root mean square of observed minus predicted radiance, over that of the observed.
     psnr_db : float
         Of displayed values, radiance^(1 / gamma) with the 99th percentile of the observed as white.
     noise_part : float
@@ -53,7 +53,7 @@ def relighting_error(
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
     gamma: float = 1.2,
 ) -> RelightingError:
-    """Fit the pictures that are not `held_out` and foretell those that are.
+    """Fit the pictures that are not `held_out` and predict those that are.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def relighting_error(
     Raises
     ------
     ReflectanceError
-        When nothing is left to fit, or nothing to foretell.
+        When nothing is left to fit, or nothing to predict.
 
     Examples
     --------
@@ -96,26 +96,26 @@ def relighting_error(
         )
     fit = fit_reflectance(samples.of_pairs(~left_out), options=options)
     unseen = samples.of_pairs(left_out)
-    foretold = _gains(fit, unseen.light) * point_light_radiance(fit.reflectance, unseen.lobes)
-    told = unseen.valid & fit.reflectance.known[:, None]
-    if not told.any():
+    predicted = _gains(fit, unseen.light) * point_light_radiance(fit.reflectance, unseen.lobes)
+    seen = unseen.valid & fit.reflectance.known[:, None]
+    if not seen.any():
         raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")
     of_picture = np.full(len(left_out), np.nan)
     of_picture[left_out] = [
-        _relative(unseen.observed_linear[j][told[j]], foretold[j][told[j]]) if told[j].any() else np.nan
-        for j in range(len(told))
+        _relative(unseen.observed_linear[j][seen[j]], predicted[j][seen[j]]) if seen[j].any() else np.nan
+        for j in range(len(seen))
     ]
-    observed = unseen.observed_linear[told]
+    observed = unseen.observed_linear[seen]
     if not float(np.mean(observed**2)) > _BLACK:
         raise ReflectanceError(
-            "the pictures held out are black where the face is: there is nothing to foretell"
+            "the pictures held out are black where the face is: there is nothing to predict"
         )
     return RelightingError(
-        _relative(observed, foretold[told]),
-        _psnr(observed, foretold[told], gamma),
-        float(np.sqrt(np.mean(unseen.sigma[told] ** 2) / _power(observed))),
+        _relative(observed, predicted[seen]),
+        _psnr(observed, predicted[seen], gamma),
+        float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / _power(observed))),
         of_picture,
-        int(told.sum()),
+        int(seen.sum()),
         fit,
     )
 
@@ -132,13 +132,13 @@ def _power(observed: FloatArray) -> float:
     return max(float(np.mean(observed**2)), np.finfo(float).tiny)
 
 
-def _relative(observed: FloatArray, foretold: FloatArray) -> float:
-    return float(np.sqrt(np.mean((observed - foretold) ** 2) / _power(observed)))
+def _relative(observed: FloatArray, predicted: FloatArray) -> float:
+    return float(np.sqrt(np.mean((observed - predicted) ** 2) / _power(observed)))
 
 
-def _psnr(observed: FloatArray, foretold: FloatArray, gamma: float) -> float:
+def _psnr(observed: FloatArray, predicted: FloatArray, gamma: float) -> float:
     white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
-    shown, other = _displayed(observed / white, gamma), _displayed(foretold / white, gamma)
+    shown, other = _displayed(observed / white, gamma), _displayed(predicted / white, gamma)
     return float(-10 * np.log10(max(float(np.mean((shown - other) ** 2)), 1e-30)))
 
 

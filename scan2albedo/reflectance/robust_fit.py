@@ -23,9 +23,10 @@ LOSSES = ("cauchy", "charbonnier", "squares")
 
 @dataclass(frozen=True)
 class ReflectancePrior:
-    """What is believed of a vertex before its pictures: Gaussian, in units of `level`.
+    """Gaussian prior of a vertex before its pictures, in units of `level`; a value out of range is a
+    `ValueError`.
 
-    Without it lobes that no picture hit would be as large as noise likes.
+    It keeps lobes that no picture shows from fitting noise.
 
     Parameters
     ----------
@@ -34,13 +35,8 @@ class ReflectancePrior:
     weights_mean, weights_std : tuple of three floats
         Of the lobes with exponents 1, 8 and 64.
     level : float or None
-        Unit of the others; None takes the median of the albedos without highlights, since strength of the
-        flash and albedo cannot be told apart.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+        Unit of the others; None takes the median of the albedos without highlights, since the strength of the
+        flash and the albedo cannot be separated.
     """
 
     diffuse_mean: float = 1.0
@@ -64,7 +60,7 @@ class ReflectancePrior:
 
 @dataclass(frozen=True)
 class ReflectanceFitOptions:
-    """How vertices are fitted.
+    """Settings of `fit_reflectance`; a value out of range is a `ValueError`.
 
     Parameters
     ----------
@@ -73,27 +69,17 @@ class ReflectanceFitOptions:
         Of a picture's residual, its three channels together: what no model of the light explains, a shadow
         that the mesh does not cast for instance, pulls little or not at all.
     width : float
-        Residual over sigma from which the loss departs from squares; vertices that fit worse than sigma says
-        have a wider one.
+        Residual over sigma from which the loss departs from squares; wider for vertices that fit worse.
     iterations : int
         Most reweightings.
     tolerance : float
         A vertex is done when no number moves by more than this part of its standard deviation.
     light_gains : bool
         Estimate the strength of each flash in each channel, mean 1 over the flashes, beside the reflectance.
-    gain_iterations : int
-        Most alternations.
-    gain_vertices : int
-        Vertices that gains are found from, evenly chosen.
-    gain_tolerance : float
-        Gains are done when none moves by more.
+    gain_iterations, gain_vertices, gain_tolerance : int, int, float
+        Most alternations, vertices (evenly chosen) that gains are found from, and change that ends them.
     least_pairs : int
         A vertex with fewer pictures of a channel is not known.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
     """
 
     prior: ReflectancePrior = ReflectancePrior()

@@ -54,7 +54,7 @@ class ReflectanceFit:
     activation : (V, 3) float64
         Largest value over the pictures of each lobe, over its peak: max(0, n.h)^s. 0 for unseen vertices.
     identifiability : (V, 6) float64
-        Posterior over prior standard deviation, the former before the misfit: 1 where pictures tell nothing.
+        Posterior over prior standard deviation, the former before the misfit: 1 where pictures add nothing.
     identified : (V, 6) bool
         Identifiability is small enough; False where not known.
     misfit : (V,) float64

@@ -128,7 +128,7 @@ class VertexSamples:
 
     @property
     def pair_count(self) -> NDArray[np.int64]:
-        """(V,) pictures that tell something of a vertex."""
+        """(V,) pictures with an observation of a vertex."""
         return np.asarray(self.valid.any(-1).sum(0), np.int64)
 
     def of_pairs(self, pairs: ArrayLike) -> VertexSamples:

@@ -32,7 +32,7 @@ class VertexVisibility:
 
     def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray) -> None:
         self._vertices, self._normals = vertices, normals
-        # A shadow map tells lights by direction and distance from the origin, which must not be far off.
+        # A shadow map takes lights by direction and distance from the origin, which must therefore be near.
         self._center = (vertices.min(0) + vertices.max(0)) / 2
         local = vertices - self._center
         self._caster = RayCaster(local, faces)

@@ -351,7 +351,7 @@ def test_progress_is_told(model, face):
 
 def test_what_cannot_be_fitted_is_refused(model, face):
     image = face.image
-    with pytest.raises(ReflectanceError, match="nothing tells"):
+    with pytest.raises(ReflectanceError, match="undetermined"):
         refine_geometry(image, CAMERA, NO_MARKS, model, initial_scene_from_model=np.eye(4))
     with pytest.raises(ReflectanceError, match="initial_scene_from_model"):
         refine_geometry(image, CAMERA, NO_MARKS, model, reflectance=SKIN, light=LIGHT)

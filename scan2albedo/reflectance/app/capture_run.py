@@ -45,7 +45,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 HELD_OUT_EVERY = 10
-"""One of so many pairs is left out of the fit that is judged by it."""
+"""One of so many pairs is left out of the fit that is tested on it."""
 _LEAST_FOR_HELD_OUT = 5
 _SHOWN_PAIRS = 4
 _COLUMNS_OF_SHEET = 11
@@ -93,12 +93,8 @@ class FittedCapture:
 
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
-    """Write what each flash added as linear EXR pictures, one a pair, and a sheet of them.
-
-    Returns
-    -------
-    dict
-        Figures as in `reflectance.json`.
+    """Write what each flash added as linear EXR pictures, one a pair, and a sheet; return
+    `reflectance.json`'s figures.
     """
     with _naming(capture):
         olat = capture.extract_olat()
@@ -125,23 +121,11 @@ def fit_capture(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FittedCapture:
-    """Read the pictures of a capture, fit its vertices, and judge the fit by pairs left out.
+    """Read the pictures of a capture, fit its vertices, and test the fit on pairs left out.
 
-    Parameters
-    ----------
-    capture : CaptureFiles
-    options : ReflectanceFitOptions
-    held_out_every : int
-        One of so many pairs is left out of the fit that is judged; 0 judges none. The result is of all.
-    budget : Budget or float, optional
-        Of the fit to all pictures.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError, ScanError
-        As `CaptureFiles.extract_olat`, `sample_vertices` and `fit_reflectance`.
+    One of `held_out_every` pairs is left out of the fit that is tested; 0 tests none. The result is of all,
+    and the budget is its. Raises errors of `CaptureFiles.extract_olat`, `sample_vertices` and
+    `fit_reflectance`.
     """
     with _naming(capture):
         return _fitted(capture, options, held_out_every, budget, on_progress)
@@ -177,7 +161,7 @@ def _fitted(
         try:
             error = relighting_error(samples, held_out, options=options)
         except ReflectanceError as cause:
-            notes += (f"the fit was not judged by pictures left out: {cause}",)
+            notes += (f"the fit was not tested on pictures left out: {cause}",)
     return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
 
 
@@ -209,7 +193,7 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance) -> None:
 
 
 def relit_held_out(done: FittedCapture) -> list[Panel]:
-    """Return photographs that the judged fit did not see beside its relit faces, four at most."""
+    """Return photographs left out of the tested fit beside its relit faces, four at most."""
     chosen = np.flatnonzero(done.held_out)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(_SHOWN_PAIRS, len(chosen))).astype(int)]
     names, panels = done.capture.pair_names(), []
@@ -220,7 +204,7 @@ def relit_held_out(done: FittedCapture) -> list[Panel]:
 
 
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the light that a flash added (H, W, 3), that of the judged fit, and where the face is (H, W).
+    """Return the light that a flash added (H, W, 3), that of the tested fit, and where the face is (H, W).
 
     Shadows are those that the mesh casts.
     """

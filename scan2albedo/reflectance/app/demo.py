@@ -78,7 +78,7 @@ class ReflectanceDemoReport:
     diffuse_median_error: tuple[float, ...]
     """The median of the relative differences instead."""
     held_out_error: tuple[float, ...]
-    """Of pictures left out of each fit, as foretold."""
+    """Of predicted pictures that were left out of each fit."""
     mesh_known_error: float
     """Of a new person's albedo from one photograph, the mesh being known."""
     landmarks_error: float
@@ -133,19 +133,8 @@ def run_reflectance_demo(
     """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
 
     Everything goes through files, as with real pictures: ``captures``, ``fits``, ``model``, ``samples``,
-    ``photographs``, ``fit_image`` and ``tuned`` in `out`.
-
-    Parameters
-    ----------
-    out : Path
-    people : int
-        From whom the model is learned; 2 or more.
-    photographs : int
-        Of other people, to fine-tune with, half of them held out; 2 or more.
-    seed : int
-        Of all people, lights and noise.
-    on_progress, say : callable, optional
-        Called with every `TraceRow`, and with lines.
+    ``photographs``, ``fit_image`` and ``tuned`` in `out`. The model is learned from 2 or more `people`;
+    `photographs`, 2 or more, are of others, half of them held out from fine-tuning.
     """
     fits, errors = [], []
     for number in range(people):
@@ -256,12 +245,7 @@ def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: NDArray[np.bool_
 def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
     """Write pictures, masks, mesh and capture file of a synthetic capture; return the file's path.
 
-    Raises
-    ------
-    ValueError
-        When the capture has no integers for pictures.
-    OutputError
-        Naming the folder and the cause.
+    Raises `ValueError` when its pictures are not integers, `OutputError` naming the folder and the cause.
     """
     _refuse_floats(capture.options.bits)
     with result_folder(folder, CAPTURE_FILE) as staging:
@@ -281,14 +265,9 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 
 
 def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: bool = True) -> Path:
-    """Write image, mask, landmarks and, unless it shall be found, the mesh; return the file's path.
+    """Write image, mask, landmarks and, with `mesh`, the mesh; return the photograph file's path.
 
-    Raises
-    ------
-    ValueError
-        When the photograph has no integers for the image.
-    OutputError
-        Naming the folder and the cause.
+    Raises `ValueError` when the image is not of integers, `OutputError` naming the folder and the cause.
     """
     _refuse_floats(taken.options.bits)
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]

@@ -46,20 +46,8 @@ _ONE_HELD_OUT_OF = 3
 
 @dataclass(frozen=True)
 class FittedPhotograph:
-    """A photograph, what was seen in it, and what explains it.
-
-    Parameters
-    ----------
-    photograph : PhotographFiles
-    vertices : (V, 3) float64
-        In the camera's frame, mm.
-    faces : (F, 3) int64
-    observation : ImageObservation
-    fit : ImageFit
-    geometry : GeometryFit or None
-        Where landmarks told the shape.
-    trace : Trace
-        Of all fits, one after the other; each begins at 0 seconds.
+    """A photograph, the vertices (V, 3) in mm in the camera's frame, what was seen of them, and what explains
+    it.
     """
 
     photograph: PhotographFiles
@@ -68,7 +56,9 @@ class FittedPhotograph:
     observation: ImageObservation
     fit: ImageFit
     geometry: GeometryFit | None
+    """Where landmarks gave the shape."""
     trace: Trace
+    """Of all fits, one after the other; each begins at 0 seconds."""
 
     def notes(self) -> tuple[str, ...]:
         """Return what a reader of the figures has to know."""
@@ -118,24 +108,9 @@ def fit_photograph(
     """Fit reflectance and light to a photograph; where it has no mesh, its shape by landmarks and colours.
 
     Then the shape is found from the landmarks, reflectance and light with that shape, the shape again from
-    landmarks and colours, and reflectance and light once more.
-
-    Parameters
-    ----------
-    photograph : PhotographFiles
-    models : ModelFolder
-    lighting : LightingModel, optional
-        The default one when omitted.
-    budget : Budget or float, optional
-        Of each fit.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        When mesh and model have other vertices, there is no shape model for landmarks, or nothing is seen;
-        names the photograph.
+    landmarks and colours, and reflectance and light once more; the budget is of each of these fits. Raises
+    `ReflectanceError`, naming the photograph, when mesh and model have other vertices, there is no shape
+    model for landmarks, or nothing is seen.
     """
     lighting = LightingModel.default() if lighting is None else lighting
 
@@ -239,26 +214,12 @@ def tune_model(
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> TunedModel:
-    """Fine-tune a model with photographs, and judge it by others.
+    """Fine-tune a model with photograph files, and test it on others: `held_out`, or one of three when empty.
 
-    Parameters
-    ----------
-    models : ModelFolder
-    photographs : sequence of Path
-        Photograph files.
-    held_out : sequence of Path
-        Others, to judge by; one of three of the photographs when empty.
-    budget : Budget or float, optional
-        Of the tuning.
-    on_progress, say : callable, optional
-        Called with every `TraceRow`, and with lines on single photographs.
-
-    Raises
-    ------
-    ReflectanceError
-        When there are too few photographs, or one cannot be used; names it.
+    `say` is called with a line on each photograph. Raises `ReflectanceError` when there are too few
+    photographs, or one cannot be used; names it.
     """
-    tuned_with, judged_by = _parted(list(photographs), list(held_out))
+    tuned_with, tested_on = _parted(list(photographs), list(held_out))
     lighting = LightingModel.default()
 
     def observed(path: Path) -> ImageObservation:
@@ -274,7 +235,7 @@ def tune_model(
     tuning = finetune(
         models.model,
         [observed(path) for path in tuned_with],
-        [observed(path) for path in judged_by],
+        [observed(path) for path in tested_on],
         models.mean.faces,
         vertices=models.mean.vertices,
         lighting=lighting,
@@ -285,7 +246,7 @@ def tune_model(
     better = replace(
         models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
     )
-    return TunedModel(better, tuning, tuple(tuned_with), tuple(judged_by))
+    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on))
 
 
 def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -305,9 +266,9 @@ def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> d
 
 
 def _parted(photographs: list[Path], held_out: list[Path]) -> tuple[list[Path], list[Path]]:
-    """Return photographs to tune with and to judge by."""
-    tuned_with, judged_by = ({path.resolve() for path in paths} for paths in (photographs, held_out))
-    if both := tuned_with & judged_by:
+    """Return photographs to tune with and to test on."""
+    tuned_with, tested_on = ({path.resolve() for path in paths} for paths in (photographs, held_out))
+    if both := tuned_with & tested_on:
         raise ReflectanceError(f"{min(both)} is held out and tuned with; give it once")
     if not held_out:
         held_out = photographs[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]

@@ -65,10 +65,7 @@ class BuiltModel:
 def read_sample(path: Path) -> MeshReflectance:
     """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan.
 
-    Raises
-    ------
-    ReflectanceError, ApplicationError
-        When it is none of them, or damaged; names it.
+    Raises `ReflectanceError` or `ApplicationError`, naming it, when it is none of them, or damaged.
     """
     if (path / FIT_FILE).is_file():
         return read_reflectance(path / FIT_FILE)
@@ -92,25 +89,12 @@ def build_model(
     least_support: float = 0.5,
     landmark_vertices: Path | None = None,
 ) -> BuiltModel:
-    """Learn a model from files or folders, see `read_sample`.
+    """Learn a model from files or folders, see `read_sample` and `MorphableReflectanceModel.from_samples`.
 
-    Meshes are aligned rigidly to the first before their mean is taken.
-
-    Parameters
-    ----------
-    sources : sequence of Path
-    components, least_support
-        As in `MorphableReflectanceModel.from_samples`.
-    landmark_vertices : Path, optional
-        JSON file with the numbers of the 68 landmarks' vertices, iBUG-68 order; with it a model of the
-        meshes' shapes is learned, too.
-
-    Raises
-    ------
-    ReflectanceError
-        When a file cannot be used, or meshes differ; names it.
-    ValueError
-        For options out of range.
+    Meshes are aligned rigidly to the first before their mean is taken. With `landmark_vertices`, a JSON file
+    with the numbers of the 68 landmarks' vertices in iBUG-68 order, a model of their shapes is learned, too.
+    Raises `ReflectanceError`, naming the file, when one cannot be used or meshes differ, and `ValueError` for
+    options out of range.
     """
     samples = [read_sample(path) for path in sources]
     for path, sample in zip(sources, samples, strict=True):
@@ -182,10 +166,7 @@ class ModelFolder:
 def read_model_folder(path: Path) -> ModelFolder:
     """Read the folder that `build` or `finetune` wrote.
 
-    Raises
-    ------
-    ReflectanceError
-        When files are missing or damaged, or do not belong together; names them.
+    Raises `ReflectanceError`, naming the files, when some are missing or damaged, or do not belong together.
     """
     if not path.is_dir():
         raise ReflectanceError(f"{path} is no folder; give the one that `reflectance build` wrote")
@@ -205,13 +186,7 @@ def read_model_folder(path: Path) -> ModelFolder:
 
 
 def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
-    """Write reflectances drawn from the model in a folder, each a file, and a sheet of them.
-
-    Returns
-    -------
-    dict
-        Figures as in `reflectance.json`.
-    """
+    """Write reflectances drawn from the model in a folder, each a file, and a sheet; return the figures."""
     models = read_model_folder(folder)
     model, mean = models.model, models.mean
     drawn = [model.sample(np.random.default_rng([seed, number]), scale=scale) for number in range(count)]
