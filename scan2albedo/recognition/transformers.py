@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -15,34 +15,29 @@ from scan2albedo.recognition.similarity import similarity_matrix
 from scan2albedo.recognition.templates import Templates, albedo_templates
 
 
-class _Parameters:
-    """`get_params` and `set_params` over the arguments of `__init__`."""
+class _Transformer:
+    """`get_params` and `set_params` of a dataclass whose fields are the parameters."""
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the parameters by name; none has parameters of its own, so `deep` changes nothing."""
-        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def set_params(self, **parameters: Any) -> Self:
-        """Set parameters by name and return the transformer.
-
-        Raises
-        ------
-        ValueError
-            When there is no such parameter.
-        """
-        known = inspect.signature(type(self)).parameters
+        """Set parameters by name and return the transformer; ValueError when there is no such parameter."""
+        known = self.get_params()
         for name, value in parameters.items():
             if name not in known:
                 raise ValueError(f"{type(self).__name__} has no parameter {name!r}, but {', '.join(known)}")
             setattr(self, name, value)
         return self
 
-    def __repr__(self) -> str:
-        values = ", ".join(f"{name}={value!r}" for name, value in self.get_params().items())
-        return f"{type(self).__name__}({values})"
+    def _check_fitted(self, attribute: str) -> None:
+        if not hasattr(self, attribute):
+            raise RecognitionError(f"{type(self).__name__} was not fitted; call fit first")
 
 
-class TemplateTransformer(_Parameters):
+@dataclass(eq=False, kw_only=True)
+class TemplateTransformer(_Transformer):
     """Albedos to templates.
 
     Parameters
@@ -60,24 +55,13 @@ class TemplateTransformer(_Parameters):
     (3, 10, 16, 16)
     """
 
-    def __init__(
-        self,
-        *,
-        size: int | None = 128,
-        scales: int = 3,
-        orientations: int = 10,
-        channel: Channel = "luminance",
-        hole_radius: float = 0.024,
-        unit_mean: bool = True,
-        mask: NDArray[np.bool_] | None = None,
-    ) -> None:
-        self.size = size
-        self.scales = scales
-        self.orientations = orientations
-        self.channel = channel
-        self.hole_radius = hole_radius
-        self.unit_mean = unit_mean
-        self.mask = mask
+    size: int | None = TemplateOptions.size
+    scales: int = TemplateOptions.scales
+    orientations: int = TemplateOptions.orientations
+    channel: Channel = TemplateOptions.channel
+    hole_radius: float = TemplateOptions.hole_radius
+    unit_mean: bool = TemplateOptions.unit_mean
+    mask: NDArray[np.bool_] | None = None
 
     def fit(self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None) -> Self:
         """Check the parameters and keep the images' size, which `transform` then expects.
@@ -89,14 +73,9 @@ class TemplateTransformer(_Parameters):
         """
         if len(images) == 0:
             raise RecognitionError("no image was given; templates need one or more")
-        self.options_ = TemplateOptions(
-            size=self.size,
-            scales=self.scales,
-            orientations=self.orientations,
-            channel=self.channel,
-            hole_radius=self.hole_radius,
-            unit_mean=self.unit_mean,
-        )
+        parameters = self.get_params()
+        del parameters["mask"]
+        self.options_ = TemplateOptions(**parameters)
         self.image_shape_ = np.shape(images[0])[:2]
         return self
 
@@ -110,7 +89,7 @@ class TemplateTransformer(_Parameters):
         RecognitionError
             Before `fit`, and when an image has another size than those or cannot be used.
         """
-        _check_fitted(self, "options_")
+        self._check_fitted("options_")
         for k, image in enumerate(images):
             if np.shape(image)[:2] != self.image_shape_:
                 raise RecognitionError(
@@ -128,7 +107,8 @@ class TemplateTransformer(_Parameters):
         return self.fit(images).transform(images, names)
 
 
-class DistanceTransformer(_Parameters):
+@dataclass(eq=False, kw_only=True)
+class DistanceTransformer(_Transformer):
     """Templates to their distances 1 - S from those that were fitted, for classifiers of given distances.
 
     Parameters
@@ -137,8 +117,7 @@ class DistanceTransformer(_Parameters):
         See `SimilarityOptions`.
     """
 
-    def __init__(self, *, window: int = IDENTIFICATION.window) -> None:
-        self.window = window
+    window: int = IDENTIFICATION.window
 
     def fit(self, templates: Templates, names: Sequence[str] | None = None) -> Self:
         """Keep the templates of the gallery.
@@ -155,16 +134,11 @@ class DistanceTransformer(_Parameters):
         return self
 
     def transform(self, templates: Templates) -> NDArray[np.float64]:
-        """Return distances (N, gallery), 0 to 1."""
-        _check_fitted(self, "gallery_")
+        """Return distances (N, gallery), 0 to 1; RecognitionError before `fit`."""
+        self._check_fitted("gallery_")
         similarity = similarity_matrix(templates, self.gallery_, options=self.options_)
         return np.clip(1.0 - similarity, 0.0, 1.0)
 
     def fit_transform(self, templates: Templates, names: Sequence[str] | None = None) -> NDArray[np.float64]:
         """Return `fit(templates).transform(templates)`."""
         return self.fit(templates).transform(templates)
-
-
-def _check_fitted(transformer: _Parameters, attribute: str) -> None:
-    if not hasattr(transformer, attribute):
-        raise RecognitionError(f"{type(transformer).__name__} was not fitted; call fit first")

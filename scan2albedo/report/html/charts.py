@@ -20,6 +20,12 @@ _ROOM = 0.04
 _LEAST_SPAN = 0.002
 """Of an axis, in parts of its greatest value."""
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+_BINS, _MOST_WHOLE = 20, 12
+"""Bars of a distribution at most; up to which range whole numbers get a bar each."""
+_LOG_VALUES, _LOG_ERROR, _LOG_TIME = 50.0, 5.0, 50.0
+"""Ratios of greatest to least from which an axis is logarithmic."""
+MOST_POINTS = 400
+"""Points that a chart of 300 pixels can show; of more, every n-th."""
 
 
 @dataclass(frozen=True)
@@ -98,11 +104,6 @@ def tick_text(value: float) -> str:
     return f"{value:,.10g}" if size < 1 else f"{round(value, 6):,.10g}"
 
 
-_BINS = 20
-_LOG_FROM = 50.0
-_MOST_WHOLE = 12
-
-
 @dataclass(frozen=True)
 class Bar:
     """A bar's place and what it counts."""
@@ -179,7 +180,7 @@ def _edges(known: np.ndarray) -> tuple[np.ndarray, bool]:
     if _is_whole(known):
         return np.arange(low - 0.5, high + 1), False
     bins = int(np.clip(2 * np.sqrt(len(known)), 5, _BINS))
-    if low > 0 and high / low >= _LOG_FROM:
+    if low > 0 and high / low >= _LOG_VALUES:
         return np.geomspace(low, high, bins + 1), True
     if high - low <= 1e-9 * max(abs(high), 1e-300):
         half = 0.05 * abs(high) or 0.5
@@ -203,12 +204,6 @@ def _bar(axis: Axis, upward: Axis, low: float, high: float, count: int, unit: st
         high,
         f"{where}{space}: {count} {scans}",
     )
-
-
-_LOG_ERROR, _LOG_TIME = 5.0, 50.0
-"""Ratios of greatest to least from which an axis is logarithmic."""
-MOST_POINTS = 400
-"""Points that a chart of 300 pixels can show; of more, every n-th."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ IntArray = NDArray[np.int64]
 _LEVELS = 65535
 MOST_VERTICES = 60_000
 """Of a chart's mesh; finer ones are thinned."""
+_BRIGHT_PERCENTILE = 99.9
+"""What is brighter than this is clipped in the 8 bits of a texture."""
 
 
 @dataclass(frozen=True)
@@ -144,10 +146,6 @@ def _wound_like(full: FaceMesh, faces: IntArray) -> IntArray:
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     against = np.einsum("ij,ij->i", outward, full.normals[faces].sum(1)) < 0
     return np.where(against[:, None], faces[:, ::-1], faces)
-
-
-_BRIGHT_PERCENTILE = 99.9
-"""What is brighter than this is clipped in the 8 bits of a texture."""
 
 
 @dataclass(frozen=True)

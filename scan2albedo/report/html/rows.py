@@ -13,8 +13,12 @@ from scan2albedo.errors import Scan2AlbedoError, needs_extra
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns
 
-RESULT_FILE = "result.json"
+CATALOGUE_FILE, RESULT_FILE = "catalogue.parquet", "result.json"
+_OWN_FIELDS = ("name", "status", "reason", "folder")
 DONE, FAILED, NOT_RUN = "done", "failed", "not run"
+RESIDUAL = "metrics_fit_residual_mean_mm"
+COVERAGE = "metrics_fit_coverage"
+UNCERTAINTY = "metrics_albedo_uncertainty_albedo_deviation"
 
 
 @dataclass(frozen=True)
@@ -82,10 +86,6 @@ def row_of_record(record: ResultRecord, folder: Path) -> ScanRow:
     return ScanRow(record.name, DONE, "", folder, values)
 
 
-CATALOGUE_FILE = "catalogue.parquet"
-_OWN_FIELDS = ("name", "status", "reason", "folder")
-
-
 def rows_of_catalogue(file: Path) -> list[ScanRow]:
     """Return a row for each scan of a batch, in the order of its catalogue.
 
@@ -147,11 +147,6 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value)
-
-
-RESIDUAL = "metrics_fit_residual_mean_mm"
-COVERAGE = "metrics_fit_coverage"
-UNCERTAINTY = "metrics_albedo_uncertainty_albedo_deviation"
 
 
 @dataclass(frozen=True)

@@ -24,76 +24,7 @@ from scan2albedo.report.html.texts import (
 )
 from scan2albedo.report.html.viewer_data import Residual, residual_of_result, viewed_face, viewer_entry
 
-UNKNOWN = "–"
-
-
-@dataclass(frozen=True)
-class LightRow:
-    """One light in words; deviations are one standard deviation."""
-
-    number: int
-    azimuth: str
-    elevation: str
-    direction_deviation: str
-    distance: str
-    intensity: str
-    intensity_deviation: str
-
-
-def light_rows(record: ResultRecord) -> tuple[LightRow, ...]:
-    """Return a row for each light of a result, the strongest first as it has them."""
-    uncertainty = _uncertainty(record)
-    directions = _numbers(uncertainty.get("direction_deviation_deg"), len(record.lights))
-    intensities = _numbers(uncertainty.get("intensity_deviation"), len(record.lights))
-    return tuple(
-        LightRow(
-            k + 1,
-            angle_text(light.azimuth_deg, 1),
-            angle_text(light.elevation_deg, 1),
-            UNKNOWN if direction is None else f"± {number_text(direction, 2)}°",
-            "distant" if light.distance_mm is None else f"{light.distance_mm:.0f} mm",
-            number_text(light.intensity),
-            UNKNOWN if intensity is None else f"± {number_text(100 * intensity, 2)} %",
-        )
-        for k, (light, direction, intensity) in enumerate(
-            zip(record.lights, directions, intensities, strict=True)
-        )
-    )
-
-
-def alternative_lights(record: ResultRecord) -> tuple[tuple[str, str], ...]:
-    """Return other lights that explain the image nearly as well: where they are, and their excess cost."""
-    others = _uncertainty(record).get("alternatives")
-    rows = []
-    for other in others if isinstance(others, list) else []:
-        if isinstance(other, Mapping):
-            where = angles_text(other.get("lights_deg") or ()) or "no directed light"
-            rows.append((where, f"{number_text(100 * float(other.get('excess') or 0), 2)} %"))
-    return tuple(rows)
-
-
-def angles_text(angles_deg: Iterable[tuple[float, float]]) -> str:
-    """Return directions in degrees.
-
-    >>> angles_text([(-32.1, 16.6), (40, 0)])
-    '(−32°, 17°), (40°, 0°)'
-    """
-    return ", ".join(f"({angle_text(azimuth)}, {angle_text(elevation)})" for azimuth, elevation in angles_deg)
-
-
-def _uncertainty(record: ResultRecord) -> Mapping[str, Any]:
-    albedo = record.metrics.get("albedo")
-    uncertainty = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
-    return uncertainty if isinstance(uncertainty, Mapping) else {}
-
-
-def _numbers(values: Any, count: int) -> list[float | None]:
-    """Return `count` numbers of a list that may be shorter, hold null, or be none."""
-    given = values if isinstance(values, list) else []
-    known = [float(value) if isinstance(value, int | float) else None for value in given[:count]]
-    return known + [None] * (count - len(known))
-
-
+_UNKNOWN = "–"
 UNCERTAIN_ALBEDO = 0.1
 """Relative deviation of the albedo from which the page warns."""
 
@@ -113,6 +44,19 @@ class SectionStyle:
 SINGLE = SectionStyle(TextureStyle(1024, None), 1800, 88, True)
 """Of a page of one scan: textures without loss."""
 ONE_OF_MANY = SectionStyle(TextureStyle(256, 88), 1000, 76, False)
+
+
+@dataclass(frozen=True)
+class LightRow:
+    """One light in words; deviations are one standard deviation."""
+
+    number: int
+    azimuth: str
+    elevation: str
+    direction_deviation: str
+    distance: str
+    intensity: str
+    intensity_deviation: str
 
 
 @dataclass(frozen=True)
@@ -308,3 +252,57 @@ def relative_link(file: Path, page: Path) -> str:
     except ValueError:  # another drive
         return file.resolve().as_uri()
     return quote(Path(relative).as_posix(), safe="/")
+
+
+def light_rows(record: ResultRecord) -> tuple[LightRow, ...]:
+    """Return a row for each light of a result, the strongest first as it has them."""
+    uncertainty = _uncertainty(record)
+    directions = _numbers(uncertainty.get("direction_deviation_deg"), len(record.lights))
+    intensities = _numbers(uncertainty.get("intensity_deviation"), len(record.lights))
+    return tuple(
+        LightRow(
+            k + 1,
+            angle_text(light.azimuth_deg, 1),
+            angle_text(light.elevation_deg, 1),
+            _UNKNOWN if direction is None else f"± {number_text(direction, 2)}°",
+            "distant" if light.distance_mm is None else f"{light.distance_mm:.0f} mm",
+            number_text(light.intensity),
+            _UNKNOWN if intensity is None else f"± {number_text(100 * intensity, 2)} %",
+        )
+        for k, (light, direction, intensity) in enumerate(
+            zip(record.lights, directions, intensities, strict=True)
+        )
+    )
+
+
+def alternative_lights(record: ResultRecord) -> tuple[tuple[str, str], ...]:
+    """Return other lights that explain the image nearly as well: where they are, and their excess cost."""
+    others = _uncertainty(record).get("alternatives")
+    rows = []
+    for other in others if isinstance(others, list) else []:
+        if isinstance(other, Mapping):
+            where = angles_text(other.get("lights_deg") or ()) or "no directed light"
+            rows.append((where, f"{number_text(100 * float(other.get('excess') or 0), 2)} %"))
+    return tuple(rows)
+
+
+def angles_text(angles_deg: Iterable[tuple[float, float]]) -> str:
+    """Return directions in degrees.
+
+    >>> angles_text([(-32.1, 16.6), (40, 0)])
+    '(−32°, 17°), (40°, 0°)'
+    """
+    return ", ".join(f"({angle_text(azimuth)}, {angle_text(elevation)})" for azimuth, elevation in angles_deg)
+
+
+def _uncertainty(record: ResultRecord) -> Mapping[str, Any]:
+    albedo = record.metrics.get("albedo")
+    uncertainty = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
+    return uncertainty if isinstance(uncertainty, Mapping) else {}
+
+
+def _numbers(values: Any, count: int) -> list[float | None]:
+    """Return `count` numbers of a list that may be shorter, hold null, or be none."""
+    given = values if isinstance(values, list) else []
+    known = [float(value) if isinstance(value, int | float) else None for value in given[:count]]
+    return known + [None] * (count - len(known))

@@ -31,6 +31,9 @@ from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor
 
 FloatArray = NDArray[np.float64]
 
+_NO_RESIDUAL = 255
+"""In the bytes of the residuals: not measured."""
+
 
 @dataclass(frozen=True)
 class Residual:
@@ -81,9 +84,6 @@ def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMes
         return np.full(len(mesh.vertices), np.nan)
     surface = surface.turned_outward(mesh.vertices, mesh.normals, gate)
     return residuals_mm(surface, mesh.vertices, mesh.faces, gate)
-
-
-_NO_RESIDUAL = 255
 
 
 @dataclass(frozen=True)
