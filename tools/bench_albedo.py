@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.albedo_peers import homomorphic, robust_harmonics
-from light_normalization import multi_scale_retinex
-from mitsuba_set import load_scenes
+from benchmarks.light_normalization import multi_scale_retinex
+from benchmarks.mitsuba_set import load_scenes
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -201,7 +201,7 @@ def scores(case: Case, peers: str | None) -> Iterator[Score]:
         yield score(method, albedo, nan, time.process_time() - start)
     if peers == "slow":
         # Imported here: they need Mitsuba and minutes.
-        from albedo_peers_slow import SLOW_PEERS
+        from benchmarks.albedo_peers_slow import SLOW_PEERS
 
         for method, peer in SLOW_PEERS.items():
             answer = peer(image, len(case.lights))

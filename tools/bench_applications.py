@@ -10,7 +10,7 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from face_data import face_data
+from benchmarks.scan_files import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a

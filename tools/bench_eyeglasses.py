@@ -28,10 +28,10 @@ from pathlib import Path
 
 import igl
 import numpy as np
+from benchmarks.eyeglasses_canonical import bench_canonical
+from benchmarks.eyeglasses_registration import bench_registration
+from benchmarks.eyeglasses_rims import bench_real, bench_synthetic
 from benchmarks.weights import fixed_nodes, igl_bbw, kuhn_tetrahedra
-from eyeglasses_canonical import bench_canonical
-from eyeglasses_registration import bench_registration
-from eyeglasses_rims import bench_real, bench_synthetic
 from numpy.typing import NDArray
 from scipy import sparse
 

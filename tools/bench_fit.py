@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks import fit_peers
-from face_data import face_data
+from benchmarks.scan_files import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a

@@ -28,9 +28,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from benchmarks.reflectance_captures import (
+    Capture,
+    head_capture,
+    of_pairs,
+    radiance,
+    relative_rmse,
+    samples_of,
+)
+from benchmarks.reflectance_pictures import EXPOSURE, albedo_at, build_scene
 from numpy.typing import NDArray
-from reflectance_captures import Capture, head_capture, of_pairs, radiance, relative_rmse, samples_of
-from reflectance_pictures import EXPOSURE, albedo_at, build_scene
 from scipy.optimize import nnls
 from skimage.metrics import structural_similarity
 from threadpoolctl import threadpool_limits

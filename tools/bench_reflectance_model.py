@@ -5,7 +5,7 @@
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
 is generated; it casts shadows in `shadows` and `photograph` only, ray-traced as
-tools/shadowed_shots.py tells.
+tools/benchmarks/shadowed_shots.py tells.
 Albedo errors are relative RMSE after the best single scale, over seen vertices; faces are such as the model
 was not learned from, unless said. Times are CPU seconds.
 """
@@ -26,7 +26,7 @@ from benchmarks.reflectance_scenes import (
     shot,
     surface,
 )
-from shadowed_shots import ShadowedSurface, sent
+from benchmarks.shadowed_shots import ShadowedSurface, sent
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import look_at, project

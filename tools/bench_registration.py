@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
-from face_data import face_data
+from benchmarks.scan_files import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a

@@ -18,8 +18,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mitsuba_bake import Bake, Lamp
-from mitsuba_set import ALBEDO_STEP, FOLDER, NORMAL_STEP, POSITION_STEP_MM, load_scenes, load_surface
+from benchmarks.mitsuba_bake import Bake, Lamp
+from benchmarks.mitsuba_set import (
+    ALBEDO_STEP,
+    FOLDER,
+    NORMAL_STEP,
+    POSITION_STEP_MM,
+    load_scenes,
+    load_surface,
+)
 from numpy.typing import NDArray
 
 import scan2albedo as s2a

@@ -33,9 +33,7 @@ ADAM_ITERATIONS = (30, 300, 1500)
 ADAM_STEP_MM = 0.3
 MITSUBA = "Mitsuba gradients"
 MITSUBA_TRIAL = """
-from albedo_peers_slow import DescentOptions, mitsuba_inverse
-from scan2albedo.io.records import plain_json
-from scan2albedo.io.atomic import check_writable, removed_if_empty
+from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
 from scan2albedo.synthetic import face
 mitsuba_inverse(face(size=24).image, 1, DescentOptions(trial_steps=1, steps=1))
 """
@@ -43,7 +41,7 @@ mitsuba_inverse(face(size=24).image, 1, DescentOptions(trial_steps=1, steps=1))
 
 def albedo_peers() -> list[Peer]:
     """Return SciPy's annealing and gradient descent through Mitsuba."""
-    from albedo_peers_slow import SLOW_PEERS
+    from benchmarks.albedo_peers_slow import SLOW_PEERS
 
     def peer(name: str, method: Any) -> Peer:
         def run(scene: SyntheticScene) -> Outcome:
@@ -67,7 +65,7 @@ def missing_mitsuba() -> str:
 
 def glasses_peers() -> list[Peer]:
     """Return Adam on the same loss, its outlines traced once from where labels alone lead."""
-    from eyeglasses_registration import SameLoss
+    from benchmarks.eyeglasses_registration import SameLoss
 
     def peer(iterations: int) -> Peer:
         def run(scene: WornGlasses) -> Outcome:

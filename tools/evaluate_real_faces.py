@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from face_data import face_data
+from benchmarks.scan_files import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mitsuba_set import FOLDER, load_scenes, scene_names
+from benchmarks.mitsuba_set import FOLDER, load_scenes, scene_names
 
 from scan2albedo.synthetic.renderer import Material, RayScene, render
 

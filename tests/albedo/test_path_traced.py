@@ -2,7 +2,7 @@
 
 import pytest
 from benchmarks.albedo_peers import robust_harmonics
-from mitsuba_set import load_scenes, scene_names
+from benchmarks.mitsuba_set import load_scenes, scene_names
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
 

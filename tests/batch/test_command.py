@@ -138,7 +138,7 @@ def test_ctrl_c_leaves_neither_workers_nor_half_files(scans_in, tmp_path):
 
 @pytest.mark.slow
 def test_a_face_reaches_numpy(tmp_path):
-    from raw_scan_files import write_obj
+    from benchmarks.scan_files import write_obj
 
     from scan2albedo.synthetic import RawScanOptions, raw_scan
 

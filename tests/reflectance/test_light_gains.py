@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reflectance_captures import head_capture, relative_rmse, samples_of
+from benchmarks.reflectance_captures import head_capture, relative_rmse, samples_of
 
 from scan2albedo.core import Budget
 from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reflectance_captures import head_capture, of_pairs, samples_of
+from benchmarks.reflectance_captures import head_capture, of_pairs, samples_of
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import ReflectanceFitOptions, relighting_error

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_reflectance import design
-from reflectance_captures import head_capture, of_pairs, radiance, relative_rmse, samples_of
+from benchmarks.reflectance_captures import head_capture, of_pairs, radiance, relative_rmse, samples_of
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bench_reflectance import MEAN, PRIOR, design, normal_equations
-from reflectance_captures import head_capture, of_pairs, samples_of
+from benchmarks.reflectance_captures import head_capture, of_pairs, samples_of
 from scipy.optimize import nnls
 
 from scan2albedo.reflectance import VertexSamples

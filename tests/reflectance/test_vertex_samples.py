@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reflectance_pictures import (
+from benchmarks.reflectance_pictures import (
     BALL,
     BALL_RADIUS,
     EXPOSURE,

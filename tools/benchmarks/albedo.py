@@ -7,10 +7,10 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from light_normalization import multi_scale_retinex
 from numpy.typing import NDArray
 
 from benchmarks.albedo_peers import homomorphic, robust_harmonics
+from benchmarks.light_normalization import multi_scale_retinex
 from benchmarks.presets import preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, albedo_error, estimate_albedo

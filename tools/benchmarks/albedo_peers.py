@@ -6,9 +6,9 @@ All take and return V (H, W) of a geometry image; scale is unknown to all of the
 from __future__ import annotations
 
 import numpy as np
-from light_normalization import DARKEST, blurred_inside
 from numpy.typing import NDArray
 
+from benchmarks.light_normalization import DARKEST, blurred_inside
 from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis
 
 FloatArray = NDArray[np.float64]

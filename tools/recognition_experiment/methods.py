@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from light_normalization import histogram_equalized, multi_scale_retinex
+from benchmarks.light_normalization import histogram_equalized, multi_scale_retinex
 from numpy.typing import NDArray
 
 from recognition_experiment.options import RecognitionExperimentOptions

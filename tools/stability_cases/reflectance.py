@@ -10,9 +10,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from benchmarks.reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
+from benchmarks.reflectance_pictures import Scene, build_scene
 from numpy.typing import NDArray
-from reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
-from reflectance_pictures import Scene, build_scene
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget

@@ -21,7 +21,7 @@ from scan2albedo.io.color import srgb_to_linear
 
 FloatArray = NDArray[np.float64]
 
-FOLDER = Path(__file__).resolve().parents[1] / "tests" / "albedo" / "mitsuba_scenes"
+FOLDER = Path(__file__).resolve().parents[2] / "tests" / "albedo" / "mitsuba_scenes"
 POSITION_STEP_MM = 0.005
 """Positions are stored as 16-bit multiples of this."""
 NORMAL_STEP = 1 / 32767

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.glasses import WornGlasses, worn_glasses
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from benchmarks.glasses import WornGlasses, worn_glasses
 from scan2albedo.core import Budget, Meter
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,

@@ -1,4 +1,4 @@
-"""Raw scans as files: OBJ with its material and texture."""
+"""Scans as files: those that are not part of the repository, and synthetic ones written as OBJ."""
 
 from __future__ import annotations
 
@@ -8,6 +8,24 @@ import numpy as np
 
 from scan2albedo.core import RawScan
 from scan2albedo.io.images import write_png
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def face_data(name: str) -> Path:
+    """Return the path of a file of `DATA`.
+
+    Raises
+    ------
+    SystemExit
+        When it is not there.
+    """
+    path = DATA / name
+    if not path.is_file():
+        raise SystemExit(
+            f"{path}: no such file; this command measures on faces that are not part of the repository"
+        )
+    return path
 
 
 def write_obj(scan: RawScan, path: Path) -> None:

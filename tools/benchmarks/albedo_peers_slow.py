@@ -192,7 +192,7 @@ def mitsuba_inverse(
     """
     started = time.process_time()
     descent = _Descent(image, options)
-    starts = [(s,) for s in ONE_LIGHT_STARTS_DEG]
+    starts: list[tuple[tuple[int, int], ...]] = [(s,) for s in ONE_LIGHT_STARTS_DEG]
     if light_count > 1:
         starts = list(itertools.combinations(ONE_LIGHT_STARTS_DEG[: light_count + 2], light_count))
     directions = [np.array([_direction(a, e) for a, e in start]) for start in starts]
