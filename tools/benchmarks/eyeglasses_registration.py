@@ -140,7 +140,7 @@ class SameLoss:
             self.start,
             Meter("bench", "px"),
             steps=60,
-            enough=1e-6,
+            tolerance=1e-6,
             error=lambda at: at.cost,
         )
         return found.state, found.at

@@ -16,6 +16,10 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
+OBSERVED_MM = 1.2
+"""Standard deviation up to which a point counts as observed, in mm of a frame of usual size."""
+
+
 @dataclass(frozen=True)
 class FaceRegistrationOptions:
     """Settings of `register_on_face`.
@@ -36,22 +40,8 @@ class FaceRegistrationOptions:
     outline_reach_px: float = 40.0
     """Pixels of the outline farther from the observed one than this are left out, and nearer ones where the
     frame's place is known better."""
-    head_margin_px: float = 4.0
-    """Pixels of the outline this near to where the head hides the frame are left out."""
     contact: bool = True
     """Whether the frame is made to rest on the nose where the views do not see depth and there is a head."""
-    contact_mm: float = 1.0
-    """Usual distance between nose and frame."""
-    stretch: float = 0.001
-    """By how much of its length a bone is usually stretched."""
-    rim_turn_rad: float = 0.005
-    """How much neighbouring key points of a rim are usually turned against each other."""
-    bridge_turn_rad: float = 0.02
-    """The same across the bridge."""
-    temple_turn_rad: float = 0.03
-    """The same for hinges and temples."""
-    observed_mm: float = 1.2
-    """Standard deviation up to which a point counts as observed."""
     steps: int = 40
     """Most steps of a stage's descent."""
     outlines: int = 10
@@ -89,16 +79,16 @@ class RegisteredEyeglasses:
     """(V,) standard deviation of each vertex in its worst direction, from what the pictures and the bend's
     prior leave open."""
     observed: BoolArray
-    """(V,) visible in a view, known to `options.observed_mm`, and not contradicted by a mask; none where more
+    """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more
     than a third of the labels do not fit, or the budget ended before the bend was found."""
     keypoint_deviation: FloatArray
     """(20,) as `deviation`, NaN where the frame lacks them."""
     keypoints_observed: BoolArray
-    """(20,) key points that the head leaves visible in a view and that are known to `options.observed_mm`."""
+    """(20,) key points that the head leaves visible in a view and that are known to `OBSERVED_MM`."""
     depth_deviation: float
     """Root mean square of the standard deviations along the line of sight, over key points in view."""
     depth_observed: bool
-    """Whether that is known to `options.observed_mm`: one view hardly sees depth."""
+    """Whether that is known to `OBSERVED_MM`: one view hardly sees depth."""
     label_errors_px: FloatArray
     """(C, 20); NaN where there is no label."""
     inliers: BoolArray

@@ -13,12 +13,15 @@ from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, Fram
 from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
 from scan2albedo.eyeglasses.on_face.priors import HeadContact, bend_prior
+from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
+_CONTACT_MM = 1.0
+"""Usual distance between nose and frame."""
 _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
 _CAUCHY = 2.0
@@ -147,7 +150,7 @@ class RegistrationObjective:
                 sums.cost, sums.gradient[part], sums.matrix[part, part], labels_px, outline_px
             )
         gradient, matrix = motion.chained(sums.gradient, sums.matrix)
-        value, rows = bend_prior(motion, self.options)
+        value, rows = bend_prior(motion)
         return Linearization(
             sums.cost + float(value @ value),
             gradient + rows.T @ value,
@@ -178,9 +181,8 @@ class RegistrationObjective:
 
     def _add_contact(self, contact: HeadContact, motion: FrameMotion, sums: _Sums) -> None:
         point, place, distance, slope = contact.touch(motion)
-        sigma = self.options.contact_mm
-        value = np.array([distance / sigma])
-        sums.add(motion, point, place, slope / sigma, value, np.ones(1))
+        value = np.array([distance / _CONTACT_MM])
+        sums.add(motion, point, place, slope / _CONTACT_MM, value, np.ones(1))
         sums.cost += float(value[0] ** 2)
 
     def _add_outlines(self, motion: FrameMotion, samples: OutlineSamples, sums: _Sums) -> FloatArray:
@@ -244,21 +246,37 @@ def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, Flo
     return pixels, slopes, front
 
 
-_DAMPING, _EASE, _BRAKE, _STUCK = 1e-3, 0.2, 8.0, 1e6
-"""First damping (of the matrix's diagonal), its factors after a better and a worse step, where to stop."""
-_FLOOR = 1e-9
-"""Least diagonal entry, as a part of the largest: parameters that nothing depends on stay."""
-ENOUGH = 1e-5
-"""Part of the cost below which an improvement ends a descent."""
+_DAMPING = Damping(largest=1e6)
 
 
 @dataclass(frozen=True)
-class Descent:
-    """Where a descent ended."""
+class FrameEstimate:
+    """Where a descent ended: a state and the objective there."""
 
     state: FrameState
     at: Linearization
     converged: bool
+
+
+class _Point:
+    """A state with the objective there, for `minimize`."""
+
+    def __init__(
+        self, linearize: Callable[[FrameState], Linearization], state: FrameState, meter: Meter
+    ) -> None:
+        self._linearize, self._meter = linearize, meter
+        self.state, self.at = state, linearize(state)
+        meter.count()
+
+    @property
+    def cost(self) -> float:
+        return self.at.cost
+
+    def normal_equations(self) -> NormalEquations:
+        return NormalEquations(self.at.matrix, self.at.gradient)
+
+    def moved(self, step: FloatArray) -> _Point:
+        return _Point(self._linearize, self.state.moved(step), self._meter)
 
 
 def descend(
@@ -267,49 +285,20 @@ def descend(
     meter: Meter,
     *,
     steps: int,
-    enough: float,
     error: Callable[[Linearization], float],
-) -> Descent:
+    tolerance: float = 1e-5,
+) -> FrameEstimate:
     """Return the best state that Levenberg-Marquardt steps from `state` reach.
 
-    Parameters
-    ----------
-    linearize : callable
-        The objective at a state.
-    state : FrameState
-    meter : Meter
-        Counts evaluations, gets `error` of every improvement, ends the descent with its budget.
-    steps : int
-    enough : float
-        Part of the cost below which an improvement ends the descent.
-    error : callable
-        What the trace shows.
-
-    References
-    ----------
-    .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
-       1963.
+    The descent ends after `steps`, when a step lowers the cost by less than the part `tolerance`, or with
+    the meter's budget. The meter records `error` of every improvement.
     """
-    here, damping = linearize(state), _DAMPING
-    meter.count()
-    meter.record(error(here))
-    for _ in range(steps):
-        if meter.exhausted:
-            return Descent(state, here, False)
-        diagonal = np.diag(here.matrix)
-        diagonal = np.maximum(diagonal, _FLOOR * max(float(diagonal.max()), 1e-30))
-        step = -np.asarray(np.linalg.solve(here.matrix + damping * np.diag(diagonal), here.gradient))
-        trial = state.moved(step)
-        there = linearize(trial)
-        meter.count()
-        if there.cost < here.cost:
-            gained = 1 - there.cost / here.cost
-            state, here, damping = trial, there, max(damping * _EASE, 1e-9)
-            meter.record(error(here))
-            if gained < enough:
-                return Descent(state, here, True)
-        else:
-            damping *= _BRAKE
-            if damping > _STUCK:
-                return Descent(state, here, True)
-    return Descent(state, here, False)
+    found = minimize(
+        _Point(linearize, state, meter),
+        trials=steps,
+        tolerance=tolerance,
+        damping=_DAMPING,
+        meter=meter,
+        on_better=lambda point: meter.record(error(point.at)),
+    )
+    return FrameEstimate(found.best.state, found.best.at, found.converged)

@@ -24,8 +24,8 @@ _FACING = 0.3
 """Least cosine between where outside is for the frame's outline and for the observed one."""
 _ABOVE_SKIN_MM = 1.0
 """The head hides what lies more than this behind its surface: frames rest on the skin."""
-
-
+_HEAD_MARGIN_PX = 4.0
+"""Pixels of the outline this near to where the head hides the frame are left out."""
 _REACH, _NEAR_PX = 3.0, 5.0
 """Standard deviations that a sample reaches, and pixels more for noise and what weights cannot bend."""
 
@@ -173,8 +173,7 @@ class OutlineSampler:
         hidden = hidden_by(self.head, view.camera, place)
         center = camera_centers(view.camera[None])[0]
         far = np.linalg.norm(place - center, axis=1)[:, None]
-        margin = self.options.head_margin_px
-        for offset in ((margin, 0.0), (-margin, 0.0), (0.0, margin), (0.0, -margin)):
-            beside = center + far * pixel_directions(view.camera, pixels + np.array(offset))
+        for way in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            beside = center + far * pixel_directions(view.camera, pixels + _HEAD_MARGIN_PX * np.array(way))
             hidden |= hidden_by(self.head, view.camera, beside)
         return hidden

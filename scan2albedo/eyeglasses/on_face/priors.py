@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
 from scan2albedo.eyeglasses.skinning import known_bones
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, normalized
@@ -16,13 +15,18 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+_STRETCH = 0.001
+"""Part of its length by which a bone is usually stretched."""
+_RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
+"""How much neighbouring key points are usually turned against each other: of a rim, across the bridge, of
+hinges and temples."""
 _RIGID_MM = 1e-3
 """Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
 _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
 _TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
 
 
-def bend_prior(motion: FrameMotion, options: FaceRegistrationOptions) -> tuple[FloatArray, FloatArray]:
+def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     """Return residuals (N,) in standard deviations and their derivatives (N, 6 + 3 K).
 
     Of each bone: its stretch, and the turn of its two ends against each other; then the six rigid motions
@@ -30,19 +34,17 @@ def bend_prior(motion: FrameMotion, options: FaceRegistrationOptions) -> tuple[F
     """
     bones = known_bones(motion.keypoints)
     bones = bones[bones[:, 0] < bones[:, 1]]
-    parts = [_stretch(motion, bones, options), _turn(motion, bones, options), _rigid(motion)]
+    parts = [_stretch(motion, bones), _turn(motion, bones), _rigid(motion)]
     value, rows = (np.concatenate(block) for block in zip(*parts, strict=True))
     return value, np.pad(rows, ((0, 0), (RIGID, 0)))
 
 
-def _stretch(
-    motion: FrameMotion, bones: NDArray[np.int64], options: FaceRegistrationOptions
-) -> tuple[FloatArray, FloatArray]:
+def _stretch(motion: FrameMotion, bones: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     k, j = bones.T
     bent = motion.keypoints + motion.state.shifts
     length = np.linalg.norm(motion.keypoints[j] - motion.keypoints[k], axis=1)
     along = bent[j] - bent[k]
-    sigma = options.stretch * length
+    sigma = _STRETCH * length
     rows = np.zeros((len(bones), len(bent), 3))
     heading = normalized(along) / sigma[:, None]
     number = np.arange(len(bones))
@@ -50,15 +52,13 @@ def _stretch(
     return (np.linalg.norm(along, axis=1) - length) / sigma, rows.reshape(len(bones), -1)
 
 
-def _turn(
-    motion: FrameMotion, bones: NDArray[np.int64], options: FaceRegistrationOptions
-) -> tuple[FloatArray, FloatArray]:
+def _turn(motion: FrameMotion, bones: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """Relative turns R_j R_k^T; derivatives to first order in them."""
     k, j = bones.T
     sigma = np.select(
         [_TEMPLE[bones].any(1), _BRIDGE[bones].all(1)],
-        [options.temple_turn_rad, options.bridge_turn_rad],
-        options.rim_turn_rad,
+        [_TEMPLE_TURN_RAD, _BRIDGE_TURN_RAD],
+        _RIM_TURN_RAD,
     )
     rotations = motion.handles[:, :3, :3]
     relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])

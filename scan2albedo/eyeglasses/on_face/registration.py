@@ -14,10 +14,13 @@ from threadpoolctl import threadpool_limits
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.interface import (
+    OBSERVED_MM,
+    FaceRegistrationOptions,
+    RegisteredEyeglasses,
+)
 from scan2albedo.eyeglasses.on_face.objective import (
-    ENOUGH,
-    Descent,
+    FrameEstimate,
     RegistrationObjective,
     descend,
     mean_outline_px,
@@ -35,6 +38,19 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
 FloatArray = NDArray[np.float64]
+
+
+_STEPS_A_TRACE, _TOLERANCE_A_TRACE = 6, 1e-3
+"""Most steps on one tracing of the outlines, and the part of the cost below which a gain ends them."""
+_DISAGREE = 2.0
+"""Times by which outlines may raise the labels' error before they are taken for another picture's."""
+_NEAR_MM = 40.0
+"""Distance up to which a frame whose depth is not known may be drawn onto the nose."""
+_OCCLUDER_MM = 2.0
+"""Cells in which the head's vertices are joined: finer ones hide the same and cost more."""
+_STILL, _MOST_INCREASES = 0.5, 2
+"""Movement of the key points between two tracings at which the outlines have settled, in standard deviations
+of what is still open about them; and how often it may grow: tracing jumps from pixel to pixel."""
 
 
 def register_on_face(
@@ -64,8 +80,8 @@ def register_on_face(
     ----------
     glasses : object or tuple
         With attributes vertices (V, 3), faces (F, 3), keypoints (20, 3) and maybe weights (V, 20), such as
-        `CanonicalEyeglasses`; or a tuple of these. Key points in the order of `KEY_POINT_NAMES`, NaN for
-        those that the frame lacks. Any unit, the cameras' own.
+        `CanonicalEyeglasses`; or a tuple of these, in the cameras' unit. Key points in the order of
+        `KEY_POINT_NAMES`, NaN for those that the frame lacks.
     keypoints_2d : (C, 20, 2) array_like of float
         Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
     masks : sequence of C (H, W) array_like, or None
@@ -74,7 +90,8 @@ def register_on_face(
     cameras : (C, 3, 4) array_like of float
         Projection matrices of any scale and sign.
     budget : Budget or float, optional
-        Seconds, or evaluations of the objective.
+        Seconds, or evaluations of the objective. When it ends the best pose and bend so far are returned.
+        Seconds end the search with outlines; labels alone take well under a second and are always used.
     head : optional
         What may hide the frame, such as the fitted face: an object with vertices and faces, or a tuple of
         them, in the cameras' frame. Without it hidden temples are taken for wrongly placed ones.
@@ -128,40 +145,11 @@ def register_on_face(
     given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes)
     with threadpool_limits(1, "blas"):
         # Matrices of 66 rows: more threads only wait for each other.
-        return RegistrationRun(given, options, meter).result()
+        return _Registration(given, options, meter).run()
 
 
-_ENOUGH_A_TRACE = 1e-3
-"""Part of the cost below which an improvement ends a descent on one tracing of the outline."""
-_STEPS_A_TRACE, _HASTY_STEPS = 6, 10
-_DISAGREE = 2.0
-"""Times by which outlines may raise the labels' error before they are taken for another picture's."""
-_NEAR_MM = 40.0
-"""Distance up to which a frame whose depth is not known may be drawn onto the nose."""
-_OCCLUDER_MM, _HASTY_OCCLUDER_MM = 2.0, 4.0
-"""Cells in which the head's vertices are joined: finer than 2 mm it hides the same and costs more; coarser
-where the budget has ended."""
-_STILL, _NO_LESS = 0.5, 2
-"""Movement of the key points between two tracings at which the outlines have settled, in standard deviations
-of what is still open about them; and how often it may get no less: tracing jumps from pixel to pixel."""
-
-
-def _caster(given: RegistrationInputs, cell_mm: float) -> RayCaster | None:
-    """Return what the head hides is asked of; None without a head."""
-    if given.head is None:
-        return None
-    coarse = thinned(*given.head, cell_mm)
-    return RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)
-
-
-class RegistrationRun:
+class _Registration:
     """One registration: what its stages share.
-
-    Parameters
-    ----------
-    given : RegistrationInputs
-    options : FaceRegistrationOptions
-    meter : Meter
 
     Raises
     ------
@@ -172,14 +160,12 @@ class RegistrationRun:
     def __init__(self, given: RegistrationInputs, options: FaceRegistrationOptions, meter: Meter) -> None:
         self.given, self.options, self.meter = given, options, meter
         self.steps: list[PlanStep] = list(given.plan)
-        self.weights = self._weights()
         self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
-        mesh = FrameMesh(SkinnedPoints(given.vertices, self.weights), given.faces)
-        cell_mm = _HASTY_OCCLUDER_MM if meter.out_of_time else _OCCLUDER_MM
-        self.sampler = OutlineSampler(mesh, given.views, _caster(given, cell_mm), options)
+        mesh = FrameMesh(SkinnedPoints(given.vertices, self._weights()), given.faces)
+        self.sampler = OutlineSampler(mesh, given.views, _occluder(given), options)
 
-    def result(self) -> RegisteredEyeglasses:
+    def run(self) -> RegisteredEyeglasses:
         """Run the stages that the input asks for.
 
         Raises
@@ -187,14 +173,12 @@ class RegistrationRun:
         EyeglassesError
             When the labels fix no pose and there is no start, or left and right are exchanged.
         """
-        outcome = self._outlined(self._rested(self._bent(self._placed())))
+        found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
         return report(
             self.given,
             self.sampler,
             self.objective,
-            outcome.state,
-            outcome.at,
-            converged=outcome.converged and not self.meter.out_of_time,
+            replace(found, converged=found.converged and not self.meter.out_of_time),
             bend_found=self.bend_found,
             meter=self.meter,
             plan=Plan(tuple(self.steps)),
@@ -223,38 +207,32 @@ class RegistrationRun:
             )
         except EyeglassesError as error:
             raise EyeglassesError(f"the glasses' weights: {error}") from error
-        self._note(
-            "weights",
-            True,
-            "the glasses bring none",
-            f"{solved.node_count} nodes, {self.meter.elapsed_s:.2f} s",
-        )
+        evidence = f"{solved.node_count} nodes, {self.meter.elapsed_s:.2f} s"
+        self._note("weights", True, "the glasses bring none", evidence)
         weights = np.zeros((len(given.vertices), len(given.keypoints)))
         weights[:, given.known] = solved.weights
         return weights
 
-    def _placed(self) -> Descent:
+    def _find_pose(self) -> FrameEstimate:
         """The pose alone, from the best of several starts."""
-        starts = starting_poses(
-            self.given.keypoints, self.given.views, self.options.label_noise_px, self.given.start
-        )
+        given, options = self.given, self.options
+        starts = starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
-        if not self.given.labelled:
+        if not given.labelled:
             self._note("pose", False, "no key point is labelled: the start is taken as given")
-            return Descent(starts[0], rigid(starts[0]), True)
-        ranked = sorted(starts, key=lambda state: rigid(state).cost)
+            return FrameEstimate(starts[0], rigid(starts[0]), True)
+        first = min(starts, key=lambda state: rigid(state).cost)
         self.meter.count(len(starts))
-        found = self._descend("pose", rigid, ranked[0])
-        self._note(
-            "pose", True, f"the best of {len(starts)} starts, refined", f"{median_label_px(found.at):.2f} px"
-        )
-        here_px = median_label_px(found.at)
+        found = self._fit_labels("pose", rigid, first)
+        error_px = median_label_px(found.at)
+        self._note("pose", True, f"the best of {len(starts)} starts, refined", f"{error_px:.2f} px")
         # A descent that the budget cut short fits badly without being mirrored.
-        if here_px > self.options.label_noise_px and not self.meter.exhausted:
-            require_unmirrored(self.given, self.options, here_px)
+        if error_px > options.label_noise_px and not self.meter.exhausted:
+            require_unmirrored(given, options, error_px)
         return found
 
-    def _bent(self, before: Descent) -> Descent:
+    def _bend(self, before: FrameEstimate) -> FrameEstimate:
+        """The pose and the bend that the labels ask for."""
         if not self.options.bend:
             self._note("key_points", False, "the frame stays as it is: options.bend is off")
             return before
@@ -265,22 +243,18 @@ class RegistrationRun:
             self._note("key_points", False, "the budget has ended")
             self.bend_found = False
             return replace(before, converged=False)
-        found = self._descend("key_points", partial(self.objective.linearize, samples=None), before.state)
-        self._note(
-            "key_points",
-            True,
-            "labels ask for a bend",
-            f"{median_label_px(before.at):.2f} -> {median_label_px(found.at):.2f} px",
-        )
-        self.bend_found = not self.meter.exhausted or found.converged
+        found = self._fit_labels("key_points", partial(self.objective.linearize, samples=None), before.state)
+        evidence = f"{median_label_px(before.at):.2f} -> {median_label_px(found.at):.2f} px"
+        self._note("key_points", True, "labels ask for a bend", evidence)
+        self.bend_found = found.converged or not self.meter.exhausted
         return found
 
-    def _rested(self, before: Descent) -> Descent:
-        """Rested on the nose where the labels do not tell how far away the frame is."""
+    def _rest_on_nose(self, before: FrameEstimate) -> FrameEstimate:
+        """The frame on the nose, where the labels do not tell how far away it is."""
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
-        if depth <= self.options.observed_mm:
+        if depth <= OBSERVED_MM:
             self._note("contact", False, "the views see depth", evidence)
             return before
         if self.given.head is None or not self.options.contact:
@@ -294,69 +268,68 @@ class RegistrationRun:
         contact.watch(motion)
         gap = abs(contact.touch(motion)[2])
         if gap > _NEAR_MM:
-            self._note(
-                "contact",
-                False,
-                "the head is not near the frame: is it in its frame and unit?",
-                f"{gap:.0f} mm",
-            )
+            reason = "the head is not near the frame: is it in its frame and unit?"
+            self._note("contact", False, reason, f"{gap:.0f} mm")
             return before
         self.objective.contact = contact
-        rigid = not self.options.bend
-        found = self._descend(
-            "contact", partial(self.objective.linearize, samples=None, rigid=rigid), before.state
-        )
+        linearize = partial(self.objective.linearize, samples=None, rigid=not self.options.bend)
+        found = self._fit_labels("contact", linearize, before.state)
         contact.watch(self.objective.motion(found.state))
         self._note("contact", True, "the views do not see depth: the frame rests on the nose", evidence)
         return found
 
-    def _outlined(self, before: Descent) -> Descent:
+    def _fit_labels(self, step: str, linearize: Any, state: FrameState) -> FrameEstimate:
+        """Descend on labels alone, without a deadline: it takes little, and without it there is no answer."""
+        child = self.meter.sub_meter(f"{self.meter.stage}.{step}", "px")
+        child.budget = replace(child.budget, seconds=None)
+        found = descend(linearize, state, child, steps=self.options.steps, error=median_label_px)
+        self.meter.merge(child)
+        return found
+
+    def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
+        """The frame whose outlines meet those of the masks, traced anew until they settle."""
         if not any(view.distance is not None for view in self.given.views):
             self._note("outlines", False, "no view has a mask")
             return before
         if self.meter.exhausted:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
-        outcome, first, rounds, settled = before, np.nan, 0, False
+        found, first, settled = before, np.nan, False
+        moves: list[float] = []
         # What labels leave open: outlines that have found a wrong place would call it certain.
-        vague = mark_deviations(self.given, self.objective.motion(before.state), before.at)
-        ways: list[float] = []
+        deviation_mm = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
-        while rounds < self.options.outlines and not settled and not meter.exhausted:
-            motion = self.objective.motion(outcome.state)
-            samples = self.sampler.sample(motion, vague)
+        while len(moves) < self.options.outlines and not settled and not meter.exhausted:
+            samples = self.sampler.sample(self.objective.motion(found.state), deviation_mm)
             if len(samples) == 0:
                 self.meter.merge(meter)
                 reach = f"{self.options.outline_reach_px:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
-                return outcome
+                return found
+            start = found.state
             found = descend(
                 partial(self.objective.linearize, samples=samples, rigid=not self.options.bend),
-                outcome.state,
+                start,
                 meter,
                 steps=_STEPS_A_TRACE,
-                enough=_ENOUGH_A_TRACE,
+                tolerance=_TOLERANCE_A_TRACE,
                 error=mean_outline_px,
             )
-            rounds += 1
-            first = mean_outline_px(found.at) if rounds == 1 else first
-            ways.append(self._moved(outcome.state, found))
-            settled = (
-                ways[-1] < _STILL or sum(way > min(ways[:i]) for i, way in enumerate(ways) if i) >= _NO_LESS
-            )
-            outcome = Descent(found.state, found.at, settled)
+            first = mean_outline_px(found.at) if not moves else first
+            moves.append(self._movement(start, found))
+            settled = moves[-1] < _STILL or _increases(moves) >= _MOST_INCREASES
+            found = replace(found, converged=settled)
         self.meter.merge(meter)
-        self._note(
-            "outlines", True, f"traced {rounds} times", f"{first:.2f} -> {mean_outline_px(outcome.at):.2f} px"
-        )
-        labels = median_label_px(before.at), median_label_px(outcome.at)
+        evidence = f"{first:.2f} -> {mean_outline_px(found.at):.2f} px"
+        self._note("outlines", True, f"traced {len(moves)} times", evidence)
+        labels = median_label_px(before.at), median_label_px(found.at)
         if labels[1] > max(_DISAGREE * labels[0], self.options.label_noise_px):
-            self._without_masks(f"labels {labels[0]:.1f} -> {labels[1]:.1f} px")
+            self._leave_masks(f"labels {labels[0]:.1f} -> {labels[1]:.1f} px")
             return before
-        return outcome
+        return found
 
-    def _without_masks(self, evidence: str) -> None:
+    def _leave_masks(self, evidence: str) -> None:
         self._note("masks", False, "they disagree with the labels and are left aside", evidence)
         views = tuple(replace(view, distance=None) for view in self.given.views)
         self.given = replace(self.given, views=views)
@@ -364,16 +337,7 @@ class RegistrationRun:
         self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
         self.sampler = OutlineSampler(self.sampler.mesh, views, self.sampler.head, self.options)
 
-    def _descend(self, step: str, linearize: Any, state: FrameState) -> Descent:
-        child, steps = self.meter.sub_meter(f"{self.meter.stage}.{step}", "px"), self.options.steps
-        if self.meter.out_of_time:
-            # Labels alone cost next to nothing, and without them there is no answer.
-            child, steps = replace(child, budget=Budget()), min(steps, _HASTY_STEPS)
-        found = descend(linearize, state, child, steps=steps, enough=ENOUGH, error=median_label_px)
-        self.meter.merge(child)
-        return found
-
-    def _moved(self, before: FrameState, found: Descent) -> float:
+    def _movement(self, before: FrameState, found: FrameEstimate) -> float:
         """Return the longest way of a key point between two states, in its standard deviations."""
         known = self.given.known
         places = []
@@ -382,3 +346,16 @@ class RegistrationRun:
             places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
         deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
         return float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max())
+
+
+def _increases(moves: list[float]) -> int:
+    """Return how many movements were longer than the shortest before them."""
+    return sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
+
+
+def _occluder(given: RegistrationInputs) -> RayCaster | None:
+    """Return the head as what may hide the frame; None without a head."""
+    if given.head is None:
+        return None
+    coarse = thinned(*given.head, _OCCLUDER_MM)
+    return RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)

@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.interface import (
+    OBSERVED_MM,
+    FaceRegistrationOptions,
+    RegisteredEyeglasses,
+)
 from scan2albedo.eyeglasses.on_face.objective import (
+    FrameEstimate,
     Linearization,
     ObservedView,
     OutlineSamples,
@@ -52,20 +57,18 @@ def report(
     given: RegistrationInputs,
     sampler: OutlineSampler,
     objective: RegistrationObjective,
-    state: FrameState,
-    outcome_at: Linearization,
+    found: FrameEstimate,
     *,
-    converged: bool,
     bend_found: bool,
     meter: Meter,
     plan: Plan,
 ) -> RegisteredEyeglasses:
-    """Return the result of a registration that ended in `state`."""
-    options, motion = objective.options, objective.motion(state)
+    """Return the result of a registration that ended in `found`."""
+    options, state = objective.options, found.state
+    motion = objective.motion(state)
     points, marks = sampler.mesh.points, _marks(given)
     vertices, keypoints = motion.positions(points), motion.positions(marks)
-    final = mark_deviations(given, motion, outcome_at)
-    samples = sampler.sample(motion, final)
+    samples = sampler.sample(motion, mark_deviations(given, motion, found.at))
     at = objective.linearize(state, samples, rigid=not options.bend)
     noise = measured_noise(at, _LEAST_NOISE_PX, Noise(options.label_noise_px, options.outline_noise_px))
     deviations = PointDeviations(motion, _matrix(objective, state, samples, noise))
@@ -86,7 +89,7 @@ def report(
         if mask is not None and view.distance is not None
     ]
     wrong = contradicted(agreements, len(keypoints)) & given.known
-    limit, unit = options.observed_mm, given.unit
+    unit = given.unit
     world = motion.world_from_frame
     lost = np.where(given.known, 1.0, np.nan)
     return RegisteredEyeglasses(
@@ -99,18 +102,18 @@ def report(
         bend=unit * state.shifts,
         visible=visible,
         deviation=unit * deviation,
-        observed=trusted & visible.any(0) & (deviation <= limit) & ~wrong[points.weights.argmax(1)],
+        observed=trusted & visible.any(0) & (deviation <= OBSERVED_MM) & ~wrong[points.weights.argmax(1)],
         keypoint_deviation=unit * mark_deviation * lost,
-        keypoints_observed=trusted & marks_visible.any(0) & (mark_deviation <= limit) & ~wrong,
+        keypoints_observed=trusted & marks_visible.any(0) & (mark_deviation <= OBSERVED_MM) & ~wrong,
         depth_deviation=unit * depth,
-        depth_observed=bool(trusted and depth <= limit and caution < _ONE_VIEW),
+        depth_observed=bool(trusted and depth <= OBSERVED_MM and caution < _ONE_VIEW),
         label_errors_px=at.labels_px,
         inliers=at.labels_px <= 3 * options.label_noise_px,
         outline_rms_px=_outline_rms(at, samples, len(given.views)),
         iou=_of_views(given, [agreement.iou for agreement in agreements]),
-        converged=converged,
+        converged=found.converged,
         iterations=meter.evaluations,
-        plan=plan + _reported(depth, limit, marks_visible, mark_deviation, wrong, misfit, bend_found, given),
+        plan=plan + _reported(depth, marks_visible, mark_deviation, wrong, misfit, bend_found, given),
         trace=meter.trace,
     )
 
@@ -213,7 +216,6 @@ def _in_units(transform: FloatArray, unit: float) -> FloatArray:
 
 def _reported(
     depth: float,
-    limit: float,
     visible: BoolArray,
     deviation: FloatArray,
     wrong: BoolArray,
@@ -223,7 +225,7 @@ def _reported(
 ) -> Plan:
     """Return rows on what the pictures do not tell."""
     steps = []
-    if depth > limit:
+    if depth > OBSERVED_MM:
         steps.append(
             PlanStep(
                 "glasses.depth", False, "the views do not see depth", f"{depth:.1f} mm standard deviation"
@@ -239,7 +241,7 @@ def _reported(
         reason = "the head hides all of the frame: is it in the cameras' frame and unit?"
         steps.append(PlanStep("glasses.head", False, reason))
     hidden = given.known & ~visible.any(0)
-    vague = given.known & ~hidden & (deviation > limit)
+    vague = given.known & ~hidden & (deviation > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (vague, "seen, but not well enough")):
         if lost.any():
             worst = f"up to {deviation[lost].max():.1f} mm standard deviation"

@@ -14,7 +14,6 @@ from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.objective import (
-    ENOUGH,
     ObservedView,
     RegistrationObjective,
     descend,
@@ -26,7 +25,6 @@ from scan2albedo.geometry.rigid import compose, procrustes
 
 FloatArray = NDArray[np.float64]
 
-
 _FEWEST = 4
 """Labels of one view that fix a pose."""
 _OTHER_UNIT = 3.0
@@ -34,21 +32,16 @@ _OTHER_UNIT = 3.0
 _INLIER_PX = 8.0
 """Distance up to which a label agrees with a view's pose."""
 _DRAWS = 300
+_MIRRORED = 0.5
+"""Part of the labels' error below which exchanging left and right explains them."""
 
 
 def starting_poses(
     keypoints: FloatArray, views: tuple[ObservedView, ...], noise_px: float, given: FloatArray | None
 ) -> list[FrameState]:
-    """Return unbent states worth starting from, one at least.
+    """Return unbent states worth starting from, one at least, of a frame with key points (K, 3) at rest.
 
-    Parameters
-    ----------
-    keypoints : (K, 3) float64
-        Of the frame at rest, NaN for those that it lacks.
-    views : tuple of ObservedView
-    noise_px : float
-    given : (4, 4) float64, optional
-        `world_from_glasses` that the caller knows.
+    Poses come from triangulated key points, from each view alone, and from the caller (`given`).
 
     Raises
     ------
@@ -139,24 +132,10 @@ def _factors(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     return intrinsic * signs, signs[:, None] * rotation
 
 
-_MIRRORED = 0.5
-"""Part of the labels' error below which exchanging left and right explains them."""
+def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, error_px: float) -> None:
+    """Raise EyeglassesError where exchanging left and right explains the labels far better.
 
-
-def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, here_px: float) -> None:
-    """Raise where the labels fit far better with left and right exchanged.
-
-    Parameters
-    ----------
-    given : RegistrationInputs
-    options : FaceRegistrationOptions
-    here_px : float
-        Error of the labels as they are, at the best pose.
-
-    Raises
-    ------
-    EyeglassesError
-        When exchanging them explains the labels.
+    `error_px` is their error as they are, at the best pose.
     """
     views = tuple(replace(view, labels=view.labels[list(MIRROR)]) for view in given.views)
     objective = RegistrationObjective(given.keypoints, views, options)
@@ -166,12 +145,10 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     except EyeglassesError:
         return
     first = min(starts, key=lambda state: rigid(state).cost)
-    found = descend(
-        rigid, first, Meter("mirrored", "px"), steps=options.steps, enough=ENOUGH, error=median_label_px
-    )
-    there_px = median_label_px(found.at)
-    if there_px < _MIRRORED * here_px:
+    found = descend(rigid, first, Meter("mirrored", "px"), steps=options.steps, error=median_label_px)
+    mirrored_px = median_label_px(found.at)
+    if mirrored_px < _MIRRORED * error_px:
         raise EyeglassesError(
             "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "
-            f"fits to {there_px:.1f} px with them swapped, to {here_px:.1f} px as they are"
+            f"fits to {mirrored_px:.1f} px with them swapped, to {error_px:.1f} px as they are"
         )

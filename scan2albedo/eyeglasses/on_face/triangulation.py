@@ -6,10 +6,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -17,8 +17,8 @@ BoolArray = NDArray[np.bool_]
 
 _STEPS = 50
 """Most steps a point."""
-_DAMPING = 1e-6
-"""First damping, as a part of the normal matrix's diagonal: the linear start is nearly right."""
+_DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=0.0, largest=1e12)
+"""It begins low: the linear start is nearly right."""
 _ENOUGH = 1e-12
 """Step over distance from the origin below which a point is done."""
 _FAR = 1e300
@@ -115,17 +115,45 @@ def _checked(labels_2d: ArrayLike, cameras: ArrayLike, noise_px: float) -> tuple
 
 def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
     """Return the point (3,) of labels (C, 2), NaN where no pair of views gives one."""
-    starts = np.array([_linear(labels[[a, b]], cameras[[a, b]]) for a, b in _pairs(len(labels))])
+    pairs = [list(pair) for pair in itertools.combinations(range(len(labels)), 2)]
+    starts = np.array([_linear(labels[pair], cameras[pair]) for pair in pairs])
     starts = starts[np.isfinite(starts).all(1)]
     if len(starts) == 0:
         return np.full(3, np.nan)
-    x = starts[int(np.argmin(_loss(_residuals(starts, labels, cameras), noise_px)))]
-    refined: FloatArray = _refined(x, labels, cameras, float(noise_px))
-    return refined
+    nearest = starts[int(np.argmin(_loss(_residuals(starts, labels, cameras), noise_px)))]
+    found = minimize(
+        _Point(nearest, labels, cameras, noise_px),
+        trials=_STEPS,
+        step_tolerance=_ENOUGH * (1 + float(np.linalg.norm(nearest))),
+        damping=_DAMPING,
+    )
+    return found.best.place
 
 
-def _pairs(count: int) -> list[tuple[int, int]]:
-    return list(itertools.combinations(range(count), 2))
+class _Point:
+    """A place (3,) with the Cauchy loss of its labels, for `minimize`."""
+
+    def __init__(self, place: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> None:
+        self.place, self._labels, self._cameras, self._noise_px = place, labels, cameras, noise_px
+        self._errors = _residuals(place[None], labels, cameras)[0]
+        self.cost = float(_loss(self._errors, noise_px))
+
+    def normal_equations(self) -> NormalEquations:
+        """Return those of the reweighted squares; what lies behind a camera has no part in them."""
+        front = np.isfinite(self._errors).all(1)
+        errors, cameras = self._errors[front], self._cameras[front]
+        depth = cameras[:, 2, :3] @ self.place + cameras[:, 2, 3]
+        pixels = errors + self._labels[front]
+        slopes = (cameras[:, :2, :3] - pixels[:, :, None] * cameras[:, 2:, :3]) / depth[:, None, None]
+        weights = 1 / (1 + (errors**2).sum(1) / (2 * self._noise_px) ** 2)
+        weighted = weights[:, None, None] * slopes
+        return NormalEquations(
+            np.einsum("cik,cim->km", weighted, slopes), np.einsum("cik,ci->k", weighted, errors)
+        )
+
+    def moved(self, step: FloatArray) -> _Point:
+        """Return the place a step (3,) away."""
+        return _Point(self.place + step, self._labels, self._cameras, self._noise_px)
 
 
 def _linear(labels: FloatArray, cameras: FloatArray) -> FloatArray:
@@ -149,85 +177,3 @@ def _residuals(points: FloatArray, labels: FloatArray, cameras: FloatArray) -> F
 def _loss(residuals: FloatArray, noise_px: float) -> FloatArray:
     square = (residuals**2).sum(-1) / (2 * noise_px) ** 2
     return np.log1p(np.minimum(square, _FAR)).sum(-1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _refined(x, labels, cameras, noise_px):  # type: ignore[no-untyped-def]
-    """Return the point (3,) after reweighted Levenberg-Marquardt steps that each lower the loss."""
-    loss, damping = _point_loss(x, labels, cameras, noise_px), _DAMPING
-    for _ in range(_STEPS):
-        normal, gradient = _normal_equations(x, labels, cameras, noise_px)
-        for k in range(3):
-            normal[k, k] *= 1 + damping
-        step = _solved(normal, gradient)
-        trial = x - step
-        lower = _point_loss(trial, labels, cameras, noise_px)
-        if lower < loss:
-            x, loss, damping = trial, lower, damping / 10
-        else:
-            damping *= 100
-        if damping > 1e12 or not np.sum(step**2) > (_ENOUGH * (1 + np.sqrt(np.sum(x**2)))) ** 2:
-            break
-    return x
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _point_loss(x, labels, cameras, noise_px):  # type: ignore[no-untyped-def]
-    """Return the sum of the Cauchy losses; what lies behind a camera counts as far off."""
-    loss = 0.0
-    for c in range(len(cameras)):
-        u, v, depth = _image(x, cameras[c])
-        square = _FAR
-        if depth > 0:
-            dx, dy = u / depth - labels[c, 0], v / depth - labels[c, 1]
-            square = min((dx * dx + dy * dy) / (2 * noise_px) ** 2, _FAR)
-        loss += np.log1p(square)
-    return loss
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _normal_equations(x, labels, cameras, noise_px):  # type: ignore[no-untyped-def]
-    """Return the matrix (3, 3) and the gradient (3,) of the reweighted squares."""
-    normal, gradient, slope = np.zeros((3, 3)), np.zeros(3), np.empty(3)
-    for c in range(len(cameras)):
-        u, v, depth = _image(x, cameras[c])
-        if not depth > 0:
-            continue
-        u, v = u / depth, v / depth
-        dx, dy = u - labels[c, 0], v - labels[c, 1]
-        weight = 1 / (1 + (dx * dx + dy * dy) / (2 * noise_px) ** 2)
-        for axis, place, error in ((0, u, dx), (1, v, dy)):
-            for k in range(3):
-                slope[k] = (cameras[c, axis, k] - place * cameras[c, 2, k]) / depth
-            for k in range(3):
-                gradient[k] += weight * slope[k] * error
-                for m in range(3):
-                    normal[k, m] += weight * slope[k] * slope[m]
-    return normal, gradient
-
-
-@njit(cache=True, nogil=True)
-def _image(x, camera):  # type: ignore[no-untyped-def]
-    """Return the homogeneous pixel of a point."""
-    u, v, depth = camera[0, 3], camera[1, 3], camera[2, 3]
-    for k in range(3):
-        u += camera[0, k] * x[k]
-        v += camera[1, k] * x[k]
-        depth += camera[2, k] * x[k]
-    return u, v, depth
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _solved(matrix, right):  # type: ignore[no-untyped-def]
-    """Return the solution (3,) of a positive definite system by Cramer's rule, 0 where it is singular."""
-    minors, step = np.empty((3, 3)), np.zeros(3)
-    for i in range(3):
-        for j in range(3):
-            a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-            minors[i, j] = matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
-    determinant = matrix[0, 0] * minors[0, 0] + matrix[0, 1] * minors[0, 1] + matrix[0, 2] * minors[0, 2]
-    if determinant > 0:
-        for i in range(3):
-            for j in range(3):
-                step[i] += minors[j, i] * right[j] / determinant
-    return step

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.priors import bend_prior
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, skin, turned_translations
 from scan2albedo.geometry.mesh import normalized
@@ -130,22 +129,17 @@ def test_the_priors_derivatives_hold_where_turns_are_small():
     keypoints = POINTS
     rng = np.random.default_rng(1)
     state = FrameState(np.eye(3), np.zeros(3), rng.normal(0, 0.02, (20, 3)))
-    options = FaceRegistrationOptions()
-    value, rows = bend_prior(FrameMotion(keypoints, state), options)
+    value, rows = bend_prior(FrameMotion(keypoints, state))
     differences = np.zeros_like(rows)
     for number in range(6, 66):
         step = np.zeros(66)
         step[number] = STEP
-        there, back = (
-            bend_prior(FrameMotion(keypoints, state.moved(sign * step)), options)[0] for sign in (1, -1)
-        )
+        there, back = (bend_prior(FrameMotion(keypoints, state.moved(sign * step)))[0] for sign in (1, -1))
         differences[:, number] = (there - back) / (2 * STEP)
     assert np.isfinite(value).all()
     np.testing.assert_allclose(rows, differences, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
 
 
 def test_the_prior_of_a_frame_at_rest_is_nothing():
-    value, _ = bend_prior(
-        FrameMotion(POINTS, FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))), FaceRegistrationOptions()
-    )
+    value, _ = bend_prior(FrameMotion(POINTS, FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))))
     np.testing.assert_allclose(value, 0, atol=1e-9)
