@@ -110,13 +110,9 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
 
         sum over bones (k, j) of b_kj a_kj^T + 0.1 mean_j R_j,
 
-    a and b the bones' unit directions before and after, by sweeps from R = 1 until they settle. A
-    rigid motion of all key points, or of one side, is met exactly by the first term and kept by the second.
-
-    Parameters
-    ----------
-    source, target : (K, 3) float64
-        In the order of `KEY_POINT_NAMES`; bones with NaN ends do not count.
+    a and b the bones' unit directions before and after, by sweeps from R = 1 until they settle. A rigid
+    motion of all key points, or of one side, is met exactly by the first term and kept by the second. Key
+    points (K, 3) are in the order of `KEY_POINT_NAMES`; bones with NaN ends do not count.
     """
     bones = known_bones(source + target)
     k, j = bones.T

@@ -81,22 +81,10 @@ def canonicalize_frames(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> CanonicalFiles:
-    """Bring frames to the mean of their key points, or to that of an earlier set.
+    """Bring frames to the mean of their key points, or to that of an earlier set's `mean_keypoints.json`.
 
-    Parameters
-    ----------
-    frames : sequence of GlassesFrame
-    failures : sequence of FailedFrame
-        From reading; those of canonicalising are added.
-    mean : Path, optional
-        An earlier set's `mean_keypoints.json`.
-    handles, budget, on_progress
-        As in `canonicalize`.
-
-    Raises
-    ------
-    EyeglassesError
-        When no frame can be done, or `mean` cannot be read.
+    `failures` of reading are joined by those of canonicalising. Raises EyeglassesError when no frame can be
+    done, or `mean` cannot be read.
     """
     begun = time.perf_counter()
     spend = Budget.of(budget)
@@ -137,18 +125,8 @@ FRAME_RECORD, SET_RECORD = "result.json", "set.json"
 def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:
     """Write the files of every frame into ``out / <name>`` and those of the set into `out`.
 
-    They are made in a hidden folder and renamed into place, so that a run that is killed while they are
-    made leaves older ones as they were.
-
-    Returns
-    -------
-    dict
-        Figures of each frame by name, as in its `result.json`.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
+    Returns figures of each frame by name, as in its `result.json`. Raises OutputError, naming folder and
+    cause.
     """
     with result_folder(out, SET_RECORD, FRAME_RECORD) as staging:
         figures = {

@@ -181,26 +181,13 @@ def run_glasses_demo(
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
 
-    Then lenses are put into the registered frame and drawn in the middle view, into `LENSES`.
+    Then lenses of so many dioptres are put into the registered frame and drawn in the middle view, into
+    `LENSES`; None, or no head to see through them, for no lenses. `out` gets the results, and in `INPUT` the
+    files they were made from.
 
-    Parameters
-    ----------
-    out : path
-        Folder for the results, with the files they were made from in `INPUT`.
-    seed : int
-        Of the person, the frame, the noise, and the scan that the face is fitted to.
-    head : str
-        "fitted": the face that `register` and `fit` find in a raw scan of the person, brought into the
-        cameras' frame by the scan's true pose, as a calibrated rig knows it; "true": the person's own head;
-        "none".
-    options : WearerOptions
-        Of the pictures.
-    dioptres : float, optional
-        Of both lenses; None, and no head to see through them, for no lenses.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
-    say : callable, optional
-        Called with lines on the lenses.
+    The head is "fitted": the face that `register` and `fit` find in a raw scan of the person, brought into
+    the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true": the person's own; or
+    "none". `say` is called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
@@ -244,11 +231,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
     """Write what is known of a wearer into ``out / INPUT`` and return the files' names.
 
     The frame as it was before it was bent, its key points, cameras, labels, masks, and the head if any.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
+    Raises OutputError, naming folder and cause.
     """
     folder, glasses = out / INPUT, person.glasses
     _, height, width = person.masks.shape

@@ -54,16 +54,10 @@ def keypoints_beside(mesh: Path) -> Path:
 
 
 def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") -> GlassesFrame:
-    """Read a mesh and its key points.
+    """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 
-    Parameters
-    ----------
-    mesh : Path
-    keypoints : Path, optional
-        ``<stem>.keypoints.json`` beside the mesh when omitted.
-    unit : {"auto", "mm", "cm", "m"}
-        Of the mesh. "auto": the one in which the key points lie on the mesh, when their file says its own
-        unit; otherwise both are in one unit, which the size of glasses decides.
+    The unit is the mesh's. "auto" is the one in which the key points lie on the mesh, when their file states
+    its own unit; otherwise both are in one unit, which the size of glasses decides.
 
     Raises
     ------

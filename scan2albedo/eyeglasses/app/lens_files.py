@@ -33,16 +33,7 @@ _LEAST_OPACITY = 0.08
 
 
 def write_lens_files(rendered: RenderedLenses, source: LensInput, out: Path) -> LensesRecord:
-    """Write pictures, meshes and the record into `out`.
-
-    They are made in a hidden folder and renamed into place, so that a run that is killed while they are made
-    leaves older ones as they were.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
-    """
+    """Write pictures, meshes and the record into `out`. Raises OutputError, naming folder and cause."""
     # An older run may have shown other views.
     with result_folder(out, RECORD, obsolete=listed_files(out / RECORD, LensesRecord)) as staging:
         return _write_all(rendered, source, staging)
@@ -177,12 +168,7 @@ def run_lenses(
 ) -> LensesRecord:
     """Render what was read, write the files into `out` and return their record.
 
-    Raises
-    ------
-    EyeglassesError
-        When lenses cannot be put in; names the key points' file or the frame's.
-    OutputError
-        When the files cannot be written.
+    Raises EyeglassesError, naming the files, when lenses cannot be put in; OutputError when writing fails.
     """
     name = source.frame.name
     for what, notes in (("frame", source.frame.scan.notes), ("head", source.head.notes)):

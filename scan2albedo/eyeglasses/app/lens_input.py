@@ -74,23 +74,11 @@ def read_lens_input(
 ) -> LensInput:
     """Read all files.
 
-    Parameters
-    ----------
-    frame, head, cameras : Path
-    keypoints : Path, optional
-        Otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame.
-    views : sequence of str
-        Names of cameras; all when there are none.
-    pictures : sequence of Path
-        One a view: named after their cameras, or in the views' order.
-    environment : Path, optional
-    unit : {"auto", "mm", "cm", "m"}
-        Of both meshes; "auto" decides for each.
+    Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
+    name cameras, all when there are none; `pictures`, one a view, are named after their cameras or in the
+    views' order. The unit is that of both meshes; "auto" decides for each.
 
-    Raises
-    ------
-    EyeglassesError, ScanError
-        When a file cannot be read or does not fit the others; names it.
+    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
     """
     chosen = _chosen(read_cameras(cameras), views, cameras)
     marks = keypoints if keypoints is not None else _keypoints_of(frame)
@@ -135,12 +123,8 @@ def material_pair(
 ) -> tuple[LensMaterial, LensMaterial]:
     """Return the left and the right lens of the command's options.
 
-    Raises
-    ------
-    ValueError
-        When a text is no number or as many as it takes.
-    EyeglassesError
-        When a number is out of range.
+    Raises ValueError when a text is no number or as many as it takes, EyeglassesError when one is out of
+    range.
 
     Examples
     --------

@@ -42,13 +42,7 @@ _SOFTNESS = 0.08
 def soft_environment(camera: ArrayLike, shape: tuple[int, int], *, rows: int = 128) -> FloatArray:
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
-    Parameters
-    ----------
-    camera : (3, 4) array_like of float
-        Its picture's top is up, and the main lamp stands on its left.
-    shape : (H, W)
-        Of its picture.
-    rows : int
+    The top of the camera's picture (H, W) is up, and the main lamp stands on its left.
 
     Examples
     --------
@@ -146,27 +140,12 @@ def render_lenses(
     options: LensPictureOptions = LensPictureOptions(),
     on_view: Callable[[LensView], None] | None = None,
 ) -> RenderedLenses:
-    """Put lenses into a frame that sits on a head, and show them to cameras.
+    """Put lenses into a frame that sits on a head, and show them to one camera or more.
 
-    Parameters
-    ----------
-    frame : Surface
-        In the world, mm, such as ``Surface(registered.vertices, faces)`` of a `RegisteredEyeglasses`.
-    keypoints : (20, 3) array_like of float
-        Of the frame in the world, mm.
-    lenses
-        As in `insert_lenses`.
-    head : Surface
-        In the same world.
-    cameras : sequence of Camera
-        One or more.
-    pictures_linear : sequence of (H, W, 3), optional
-        A photograph a camera, to put the lenses into; otherwise frame and head are drawn.
-    environment_linear : (H, W, 3) array_like of float, optional
-        As in `insert_lenses`. Drawn views without one get `soft_environment` of the first camera.
-    options : LensPictureOptions
-    on_view : callable, optional
-        Is told of each view when it is done.
+    Frame, key points (20, 3) and head are in one world, in mm, such as
+    ``Surface(registered.vertices, faces)`` of a `RegisteredEyeglasses`. Lenses, photographs (one a camera)
+    and environment are those of `insert_lenses`; drawn views without an environment get `soft_environment` of
+    the first camera. `on_view` is called with each view when it is done.
 
     Raises
     ------

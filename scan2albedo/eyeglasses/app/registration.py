@@ -103,18 +103,7 @@ def register_frame(
 ) -> PlacedFrame:
     """Register a frame on a face as `register_on_face` does.
 
-    Parameters
-    ----------
-    given : RegistrationInput
-    bend : bool
-        Whether the frame may bend.
-    budget, on_progress
-        As in `register_on_face`.
-
-    Raises
-    ------
-    EyeglassesError
-        When the files fix no pose, or do not belong together; names mesh and labels.
+    Raises EyeglassesError, naming mesh and labels, when the files fix no pose or do not belong together.
     """
     begun, spend = time.perf_counter(), Budget.of(budget)
     try:
@@ -167,20 +156,9 @@ _COLUMNS = 3
 
 
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
-    """Write the files of a registered frame into `out`.
+    """Write the files of a registered frame into `out`, and return the figures of its `result.json`.
 
-    They are made in a hidden folder and renamed into place, so that a run that is killed while they are
-    made leaves older ones as they were.
-
-    Returns
-    -------
-    dict
-        Figures as in `result.json`.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
+    Raises OutputError, naming folder and cause.
     """
     with result_folder(out, RECORD) as staging:
         return _write_all(done, staging)

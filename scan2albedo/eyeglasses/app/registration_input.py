@@ -91,12 +91,8 @@ class RegistrationInput:
 def read_registration(files: RegistrationFiles) -> RegistrationInput:
     """Read the files of a registration.
 
-    Raises
-    ------
-    EyeglassesError, ScanError
-        When one cannot be read, or they do not belong together; names the file.
-    ValueError
-        For an unknown unit, or key points for a frame that brings its own.
+    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or they do not belong
+    together; ValueError for an unknown unit, or key points for a frame that brings its own.
     """
     cameras = read_cameras(files.cameras)
     hashes = {"cameras": _hashed(files.cameras), "labels": _hashed(files.labels)}

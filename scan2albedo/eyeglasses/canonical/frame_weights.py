@@ -51,12 +51,7 @@ def frames_of(
 ) -> list[Frame]:
     """Return the frames of the arguments of `canonicalize`.
 
-    Raises
-    ------
-    EyeglassesError
-        When there is none.
-    ValueError
-        When shapes do not fit together.
+    Raises EyeglassesError when there is none, ValueError when shapes do not fit together.
     """
     if len(meshes) == 0:
         raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
@@ -109,12 +104,8 @@ def weigh_frames(
 ) -> tuple[list[WeightedFrame], dict[int, str]]:
     """Return the frames with their weights and, with `skip_failed`, why others are left out.
 
-    Key points that `reference` (20, 3) lacks do not count. Frames share the meter's budget evenly.
-
-    Raises
-    ------
-    EyeglassesError
-        When no frame can be done; without `skip_failed`, when one cannot. Names the frame.
+    Key points that `reference` (20, 3) lacks do not count. Frames share the meter's budget evenly. Raises
+    EyeglassesError, naming the frame, when none can be done, or without `skip_failed` when one cannot.
     """
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
     done: list[WeightedFrame] = []

@@ -56,9 +56,9 @@ def require_posable(points: FloatArray) -> None:
 def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None = None) -> FloatArray:
     """Return (n,) factors that bring frames to one unit; all 1 where their sizes say that they share it.
 
-    A frame's size is the median length of its bones. Where sizes differ by more than five times, frames are
-    brought to the size of `reference`, or else of the one nearest to spectacles in mm: by a power of ten
-    where that leaves less than 1.4 times, so that true sizes are kept, otherwise to the very size.
+    A frame's size is the median length of its bones. Where sizes differ more than five times, frames come to
+    the size of `reference`, or of the frame nearest to spectacles in mm: by a power of ten where that leaves
+    less than 1.4 times, so that true sizes are kept, otherwise to the very size.
     """
     sizes = np.array([key_point_size(points) for points in keypoints])
     if reference is not None:
@@ -77,18 +77,11 @@ def usual_size_factor(points: FloatArray) -> float:
 
 
 def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoints:
-    """Return the mean of frames that are aligned to it rigidly.
+    """Return the mean of frames' key points (20, 3), in one unit, NaN for missing ones.
 
     Alternates x_k = mean over frames of (R_i p_ik + t_i) and the rigid Procrustes transforms (R_i, t_i) of
     each frame to x [1]_; sizes are kept. The mean lies in the glasses' own axes: x to the wearer's left, z
-    to the front, the centroid at 0.
-
-    Parameters
-    ----------
-    keypoints : sequence of (20, 3) float64
-        One unit; NaN rows for missing key points.
-    meter : Meter
-        Counts the rounds and records the change of the mean in bones, the skeleton's median one.
+    to the front, the centroid at 0. The meter records its change in bones, the skeleton's median one.
 
     References
     ----------

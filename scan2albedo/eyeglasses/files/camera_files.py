@@ -71,13 +71,7 @@ class Camera:
 
 
 def checked_name(name: str) -> str:
-    """Return the name of a camera when a file can bear it.
-
-    Raises
-    ------
-    ValueError
-        When it is empty, a folder, or holds a path.
-    """
+    """Return the name of a camera, or raise ValueError when no file can bear it."""
     if name in ("", ".", "..") or set(name) & set('/\\:*?"<>|\0'):
         raise ValueError(f"a camera cannot be named {name!r}: its mask gets a file of that name")
     return name

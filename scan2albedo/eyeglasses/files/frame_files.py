@@ -27,15 +27,7 @@ Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 
 
 def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) -> None:
-    """Write the attributes of `source` that `layout` names, whole or not at all.
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz; `what` is written, in words.
-    OutputError
-        When the folder cannot be written.
-    """
+    """Write the attributes of `source` that `layout` names as an NPZ file, whole or not at all."""
     arrays = {name: np.asarray(getattr(source, name)) for name in layout}
     write_npz(path, arrays, what=what, compressed=True)
 
@@ -43,20 +35,9 @@ def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) ->
 def read_arrays(path: str | Path, layout: Layout, *, what: str, example: str) -> dict[str, Any]:
     """Return the arrays of a file in their types; what has no sides as a number of Python's.
 
-    Parameters
-    ----------
-    path : str or Path
-    layout : mapping of str to tuple
-        Of all arrays that must be there. Those of "vertices" and "faces" make a mesh.
-    what : str
-        The thing in the file, for messages, such as "canonical frame".
-    example : str
-        The usual name of such a file.
-
-    Raises
-    ------
-    EyeglassesError
-        When the file is missing, damaged or something else; names it.
+    `layout` holds all arrays that must be there; those of "vertices" and "faces" make a mesh. Messages call
+    the content `what` and the usual file `example`. Raises EyeglassesError when the file is missing, damaged
+    or something else.
     """
     arrays = read_npz(path, layout, what=what, advice=f"give a {example}", error=EyeglassesError)
     lengths: dict[str, int] = {}

@@ -130,10 +130,7 @@ class ViewLabels:
     def of_cameras(self, names: Sequence[str]) -> FloatArray:
         """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.
 
-        Raises
-        ------
-        EyeglassesError
-            When there are labels of a camera that is not among them.
+        Raises EyeglassesError when there are labels of a camera that is not among them.
         """
         if strange := sorted(set(self.camera_names) - set(names)):
             raise EyeglassesError(

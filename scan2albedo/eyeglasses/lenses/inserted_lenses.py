@@ -64,29 +64,14 @@ def insert_lens(
     count: int = 128,
     seat_mm: float = 0.0,
 ) -> InsertedLens:
-    """Return the lens that fills one rim of a frame.
+    """Return the lens that fills one rim of a frame; lengths in mm.
 
-    Parameters
-    ----------
-    vertices, faces : (V, 3) float64, (F, 3) int64
-        The frame in mm.
-    keypoints : (20, 3) float64
-        In the order of `KEY_POINT_NAMES`; those of the rim are needed, all others may be NaN.
-    side : int
-        0 left, 1 right.
-    material : LensMaterial
-    center : (3,) float64, optional
-        Optical centre, moved into the lens plane along its normal; otherwise the outline's centroid.
-    count : int
-        Points of the outline.
-    seat_mm : float
-        How far measured points move outward, into the rim.
+    Of the key points (20, 3) those of the rim are needed, others may be NaN. The optical `center` (3,) is
+    moved into the lens plane along its normal; the outline's centroid when omitted. The outline has `count`
+    points; those that were measured move `seat_mm` outward, into the rim.
 
-    Raises
-    ------
-    EyeglassesError
-        When key points of the rim are missing, no rim is found, or its size is no lens's in mm; names the
-        lens.
+    Raises EyeglassesError, naming the lens, when key points of the rim are missing, no rim is found, or its
+    size is no lens's in mm.
     """
     name = f"the {SIDES[side]} lens"
     marks = rim_key_points(keypoints, side)
@@ -108,10 +93,7 @@ def insert_lens(
 def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
     """Return (5, 3) key points of a rim: top, bridge, inner, bottom, outer.
 
-    Raises
-    ------
-    EyeglassesError
-        When one is missing; names it and the lens.
+    Raises EyeglassesError, naming it and the lens, when one is missing.
     """
     wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
     marks = keypoints[wanted]

@@ -75,13 +75,7 @@ def trace_lenses(
 ) -> LensPaths:
     """Follow rays from one origin (3,) along unit directions (N, 3) through lenses to the scene.
 
-    Parameters
-    ----------
-    scene : LensScene
-    lenses : sequence of InsertedLens
-    origin, directions : (3,), (N, 3) float64
-    hits : RayHits
-        Of these rays on the scene without lenses.
+    `hits` are those of the rays on the scene without lenses.
     """
     count = len(directions)
     paths = LensPaths(

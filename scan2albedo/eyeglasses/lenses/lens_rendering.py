@@ -225,12 +225,7 @@ _NEGLIGIBLE = 1e-12
 def checked_image(name: str, values: ArrayLike) -> FloatArray:
     """Return an image (H, W, 3) of finite numbers.
 
-    Raises
-    ------
-    EyeglassesError
-        When numbers are not finite.
-    ValueError
-        When the shape is another.
+    Raises EyeglassesError when numbers are not finite, ValueError when the shape is another.
     """
     image = np.asarray(values, np.float64)
     if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:

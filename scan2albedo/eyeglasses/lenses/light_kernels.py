@@ -129,22 +129,11 @@ def shade(  # type: ignore[no-untyped-def]
 ):
     """Sum E (albedo f_d / pi + specular f_s) over lights into `bare` and `shaded` (N, 3).
 
-    Parameters
-    ----------
-    normal, viewer, albedo : (N, 3) float64
-        Unit normal, unit direction to the viewer, linear albedo.
-    surface : (N,) int64
-        Row of each point in `finish`.
-    finish : (S, 3) float64
-        Sigma of Oren and Nayar in radians, 0 is Lambert; strength and exponent of Phong's highlight.
-    paths : (N, K) uint8
-        As `light_paths` returns them.
-    passed : (P, 3) float64
-        Share of light for each way through lenses, 1 for the first, without any; it counts in `shaded`.
-    toward, irradiance : (K, 3) float64
-        Unit directions to the lights and E.
-    bare, shaded : (N, 3) float64
-        Overwritten.
+    Of points with unit normal, direction to the viewer and albedo (N, 3), each with a `surface` (N,), its row
+    in `finish` (S, 3): sigma of Oren and Nayar in radians, strength and exponent of Phong's highlight.
+    `paths` (N, K) are those of `light_paths`; `passed` (P, 3) is the share of light for each way through
+    lenses, 1 for the first, without any, and counts in `shaded`. Lights: unit directions `toward` and
+    irradiance E (K, 3).
     """
     matte, lost, glossy, lost_glossy = np.empty((4, 3))
     for i in range(normal.shape[0]):

@@ -143,21 +143,9 @@ def light_paths(
 ) -> Paths:
     """Return (N, K) how the light of K distant lights gets to N points.
 
-    `DARK` where a surface is in the way, `AWAY` where the light is behind the point's own; otherwise
-    1 + the sum of 2^j over the lenses j that it passes.
-
-    Parameters
-    ----------
-    caster : RayCaster
-        Of the surfaces.
-    lenses : sequence of InsertedLens
-    position, normal : (N, 3) float64
-    toward : (K, 3) float64
-        Unit directions to the lights.
-    stages : sequence of PointStage
-        All points, each once.
-    offset_mm : float
-        Rays start this far along the normal.
+    `DARK` where a surface of the `caster` is in the way, `AWAY` where the light is behind the point's own;
+    otherwise 1 + the sum of 2^j over the lenses j that it passes. Rays start `offset_mm` along the normal;
+    the stages hold all points, each once.
     """
     paths = np.empty((len(position), len(toward)), np.uint8)
     mark_facing(normal, toward, paths)

@@ -79,25 +79,13 @@ class LitSamples:
 
 
 class LitScene:
-    """A scene under distant lights.
+    """A scene under K distant lights in the unit directions `toward` (K, 3).
 
         radiance = sum over lights k of E_k V_k (albedo f_d / pi + specular f_s)
 
     with visibility V from rays, f_d of Oren and Nayar and f_s of Phong. Lenses take their share of light that
-    passes them on its way to a surface, but do not bend it.
-
-    Parameters
-    ----------
-    scene : LensScene
-    lenses : sequence of InsertedLens
-    toward : (K, 3) float64
-        Unit directions to the lights.
-    background : bool
-        Whether the environment is seen past all surfaces, and not only in mirrors.
-    offset_mm : float
-        Of shadow rays.
-    every_pixel : bool
-        Whether each pixel shoots shadow rays of its own, and not only where its neighbours differ.
+    passes them on its way to a surface, but do not bend it. With `background` the environment is seen past
+    all surfaces, not only in mirrors; with `every_pixel` each pixel shoots shadow rays of its own.
     """
 
     def __init__(

@@ -43,22 +43,12 @@ class _ShownSurface:
 
 
 class PhotographedScene:
-    """A photograph as the source of colours: points are looked up where the camera saw them.
+    """A linear photograph (H, W, 3) as the source of colours: points are looked up where the camera saw them.
 
-    Parameters
-    ----------
-    scene : LensScene
-        As photographed, the frame (without lenses) included.
-    picture : (H, W, 3) float64
-        Linear.
-    camera : (3, 4) float64
-        Normalised.
-    nearest : bool
-        Whether points that were not seen take the colour of the nearest one of their surface, or its albedo.
-    fringe_px : int
-        Pixels around the frame, and of the background around surfaces, that nothing is taken from.
-    region : (slice, slice)
-        Rows and columns among which nearest points are sought.
+    The scene is as photographed, the frame without lenses included. Points that were not seen take the colour
+    of the nearest one of their surface among the pixels of `region`, or with `nearest` False its albedo in
+    the photograph's brightness. Nothing is taken from `fringe_px` pixels around the frame and of the
+    background around surfaces.
     """
 
     def __init__(

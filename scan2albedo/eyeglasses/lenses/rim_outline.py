@@ -105,20 +105,11 @@ _JUMP = 0.12
 def shoot_rim(
     caster: RayCaster, plane: LensPlane, angles: FloatArray, lens_radius: float | None
 ) -> RimProfile:
-    """Return the rim's inner edge (R,) at each angle, NaN where there is none.
+    """Return the rim's inner edge (R,) at each of ascending even angles (R,), NaN where there is none.
 
     A single ray in the plane would meet a curved rim anywhere on its flank. Rays leave at several heights,
-    and the one that meets the rim first meets its inner edge; then the heights next to it are searched.
-
-    Parameters
-    ----------
-    caster : RayCaster
-        Of the frame.
-    plane : LensPlane
-    angles : (R,) float64
-        Ascending, evenly around the circle.
-    lens_radius : float, optional
-        About; otherwise the median of what rays in the plane hit.
+    and the one that meets the rim first meets its inner edge; then the heights next to it are searched. The
+    lens radius is roughly known, or else the median of what rays in the plane hit.
     """
     missing = np.full(len(angles), np.nan)
     if lens_radius is None:
@@ -228,13 +219,9 @@ def subdivide_rim(
     """Return an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
 
     Each level puts a point into the middle of every edge, by the four-point rule
-    (9 (b + c) - a - d) / 16 [1]_, and moves it to the closest vertex of the frame if there is one near.
-    Where the frame is open the curve stays round.
-
-    Notes
-    -----
-    It ends on whichever side of the rim's tube the vertices lie, the outer edge too: up to 4.5 mm off on
-    synthetic frames. Rays are better wherever they hit.
+    (9 (b + c) - a - d) / 16 [1]_, and moves it to the closest vertex of the frame if there is one near; where
+    the frame is open the curve stays round. It ends on whichever side of the rim's tube the vertices lie: up
+    to 4.5 mm off on synthetic frames. Rays are better wherever they hit.
 
     References
     ----------

@@ -53,13 +53,8 @@ class FrameMotion:
 
         y = R (sum over k of w_k (R_k (x - p_k) + p_k + s_k) - m) + o,
 
-    R_k the skeleton's turn at key point k (`turned_translations`), m the centroid of the key points p.
-
-    Parameters
-    ----------
-    keypoints : (K, 3) float64
-        At rest, in the order of `KEY_POINT_NAMES`; K = 20, NaN where the frame lacks one.
-    state : FrameState
+    R_k the skeleton's turn at key point k (`turned_translations`), m the centroid of the key points p (K, 3)
+    at rest, NaN where the frame lacks one.
     """
 
     def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
@@ -92,11 +87,7 @@ class FrameMotion:
     def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
         """Return (N, 3, 3) of points in the world, where a step has the covariance root root^T.
 
-        Parameters
-        ----------
-        points : SkinnedPoints
-        root : (6, P) or (6 + 3 K, P)
-            Of a step of a rigid frame, or of one that bends.
+        `root` is (6, P) for a frame that stays rigid, (6 + 3 K, P) for one that bends.
         """
         raw = np.zeros((RIGID + 2 * len(self.turns), root.shape[1]))
         raw[: len(root)] = root

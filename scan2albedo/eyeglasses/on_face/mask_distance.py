@@ -65,20 +65,11 @@ _EDGE = 0.5
 def search_edges(
     distance: MaskDistance, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray, facing: float
 ) -> FloatArray:
-    """Return (N,) signed ways along `outward` to the nearest place where the mask ends; NaN for none.
+    """Return (N,) signed ways along `outward` (N, 2) from `pixels` to where the mask ends; NaN for none.
 
-    Only ends that are left in the direction of `outward` count. Distances to the mask's nearest border would
-    find the sides of a bar, never its end.
-
-    Parameters
-    ----------
-    distance : MaskDistance
-    pixels, outward : (N, 2) float64
-        Places and unit vectors.
-    reach_px : (N,) float64
-        How far to look each way.
-    facing : float
-        Least cosine between `outward` and the mask's own outward direction where it ends.
+    Of the ends within `reach_px` (N,) each way the nearest; only ends that are left in the direction of
+    `outward` count, to a cosine of `facing` with the mask's own outward direction. Distances to the mask's
+    nearest border would find the sides of a bar, never its end.
     """
     result = np.full(len(pixels), np.nan)
     if not len(pixels):

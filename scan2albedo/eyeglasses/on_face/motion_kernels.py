@@ -70,19 +70,7 @@ def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row
 def point_covariances(rest, weights, positions, turns, keypoints, rotation, origin, root):  # type: ignore[no-untyped-def]
     """Return (N, 3, 3) covariances of points under parameters of covariance root root^T.
 
-    Parameters
-    ----------
-    rest, positions : (N, 3) float64
-        At rest, and in the world.
-    weights : (N, K)
-    turns : (K, 3, 3)
-        Rotations of the handles.
-    keypoints : (K, 3)
-    rotation : (3, 3)
-        `world_from_frame`.
-    origin : (3,)
-    root : (6 + 6 K, P)
-        In the order of `normal_sums`.
+    `root` is (6 + 6 K, P), in the order of `normal_sums`, whose other arguments these are.
     """
     count, size, parameters = len(rest), 6 + 6 * weights.shape[1], root.shape[1]
     result = np.empty((count, 3, 3))
@@ -111,25 +99,12 @@ def point_covariances(rest, weights, positions, turns, keypoints, rotation, orig
 def normal_sums(  # type: ignore[no-untyped-def]
     rest, weights, positions, slopes, values, votes, turns, keypoints, rotation, origin, with_matrix
 ):
-    """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2.
+    """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2 over N points.
 
-    A value's derivatives: by the frame's turn and translation, by the key points' shifts at fixed turns of
-    the handles, and by these turns. Most weights of a point are 0, so rows are summed without their zeros.
-
-    Parameters
-    ----------
-    rest, positions, slopes : (N, 3) float64
-        At rest, in the world, and the values' derivatives by the place in the world.
-    weights : (N, K)
-    values, votes : (N,)
-    turns : (K, 3, 3)
-        Rotations of the handles.
-    keypoints : (K, 3)
-    rotation : (3, 3)
-        `world_from_frame`.
-    origin : (3,)
-    with_matrix : bool
-        Otherwise the matrix stays zero.
+    Derivatives are by the frame's turn and translation, by the key points' shifts at fixed turns of the
+    handles, and by these turns. Most weights are 0, so rows are summed without their zeros. Points are `rest`
+    (N, 3) at rest and `positions` (N, 3) in the world, where `slopes` (N, 3) are the values' derivatives;
+    `turns` (K, 3, 3) rotate the handles, `rotation` (3, 3) and `origin` (3,) take the frame to the world.
     """
     count, handles = weights.shape
     size = 6 + 6 * handles

@@ -86,20 +86,12 @@ def mean_outline_px(at: Linearization) -> float:
 
 
 class RegistrationObjective:
-    """The sum of squares that a frame's state is judged by.
+    """The sum of squares that is minimised over a frame's state.
 
     labels:   sum of s^2 log(1 + |r|^2 / s^2), r in standard deviations, s = 2 (Cauchy's)
     outlines: sum of Huber's function of the mask's distance at the sample's place
     bend:     sum of squares of `bend_prior`
     contact:  square of the frame's distance from the nose, where there is a `contact`
-
-    Parameters
-    ----------
-    keypoints : (K, 3) float64
-        Of the frame at rest, NaN for those that it lacks.
-    views : tuple of ObservedView
-    options : FaceRegistrationOptions
-    contact : HeadContact, optional
     """
 
     def __init__(
@@ -128,16 +120,10 @@ class RegistrationObjective:
         rigid: bool = False,
         with_matrix: bool = True,
     ) -> Linearization:
-        """Return the objective at a state.
+        """Return the objective at a state, with outlines where there are `samples`.
 
-        Parameters
-        ----------
-        state : FrameState
-        samples : OutlineSamples, optional
-        rigid : bool
-            Of turn and translation alone, without a prior.
-        with_matrix : bool
-            Otherwise labels and outlines add to cost and gradient alone, as descents of first order need.
+        `rigid`: of turn and translation alone, without a prior. Without `with_matrix` labels and outlines add
+        to cost and gradient alone, as descents of first order need.
         """
         motion, sums = self.motion(state), _Sums(6 + 6 * len(self.keypoints), with_matrix)
         labels_px = self._add_labels(motion, sums)

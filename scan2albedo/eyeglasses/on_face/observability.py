@@ -46,11 +46,7 @@ def measured_noise(at: Linearization, least_px: float, otherwise: Noise) -> Nois
 class PointDeviations:
     """Standard deviations of the frame's points, from the Gauss-Newton matrix of cost in squared deviations.
 
-    Parameters
-    ----------
-    motion : FrameMotion
-    matrix : (P, P) float64
-        P = 6 for a rigid frame, 6 + 3 K otherwise.
+    The matrix is (6, 6) for a rigid frame, (6 + 3 K, 6 + 3 K) otherwise.
     """
 
     def __init__(self, motion: FrameMotion, matrix: FloatArray) -> None:

@@ -59,14 +59,8 @@ class Outline:
 def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]) -> Coverage:
     """Return what a mesh covers of a picture (H, W) with a perspective z-buffer.
 
-    Parameters
-    ----------
-    pixels : (V, 2) float64
-        Column and row; faces with vertices behind the camera (NaN) are left out.
-    depth : (V,) float64
-        Distances from the camera's plane, positive.
-    faces : (F, 3) int64
-    shape : (H, W)
+    `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane; faces with vertices
+    behind the camera (NaN) are left out.
     """
     seen = pixels[np.isfinite(pixels).all(1)]
     limits = np.array([shape[1], shape[0]])

@@ -60,16 +60,7 @@ def _px_per_mm(camera: FloatArray, depth: FloatArray) -> FloatArray:
 
 
 class OutlineSampler:
-    """Traces the outlines of a moving frame.
-
-    Parameters
-    ----------
-    mesh : FrameMesh
-    views : tuple of ObservedView
-    head : RayCaster, optional
-        In the world.
-    options : FaceRegistrationOptions
-    """
+    """Traces the outlines of a moving frame, with the head, if any, in front of it."""
 
     def __init__(
         self,
@@ -83,11 +74,7 @@ class OutlineSampler:
     def sample(self, motion: FrameMotion, deviation_mm: FloatArray) -> OutlineSamples:
         """Return outline points that the head does not hide and whose observed outline is within reach.
 
-        Parameters
-        ----------
-        motion : FrameMotion
-        deviation_mm : (K,) float64
-            How well the key points are known so far: what is vague reaches far.
+        `deviation_mm` (K,) says how well the key points are known so far: what is vague reaches far.
         """
         vertices = motion.positions(self.mesh.points)
         parts = [self._of_view(n, vertices, deviation_mm) for n in range(len(self.views))]

@@ -96,15 +96,7 @@ _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES
 
 
 class HeadContact:
-    """The least signed distance of a frame's front from a head.
-
-    Parameters
-    ----------
-    points : SkinnedPoints
-        The frame's vertices.
-    vertices, faces : (H, 3), (G, 3)
-        The head in the world.
-    """
+    """The least signed distance of a frame's front from a head in the world, (H, 3) and (G, 3)."""
 
     def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
         self._query = ClosestPointQuery(vertices, faces)

@@ -149,13 +149,7 @@ def register_on_face(
 
 
 class _Registration:
-    """One registration: what its stages share.
-
-    Raises
-    ------
-    EyeglassesError
-        When the glasses' weights cannot be solved.
-    """
+    """One registration: what its stages share. Raises EyeglassesError when weights cannot be solved."""
 
     def __init__(self, given: RegistrationInputs, options: FaceRegistrationOptions, meter: Meter) -> None:
         self.given, self.options, self.meter = given, options, meter
@@ -168,10 +162,7 @@ class _Registration:
     def run(self) -> RegisteredEyeglasses:
         """Run the stages that the input asks for.
 
-        Raises
-        ------
-        EyeglassesError
-            When the labels fix no pose and there is no start, or left and right are exchanged.
+        Raises EyeglassesError when labels fix no pose and there is no start, or left and right are exchanged.
         """
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
         return report(

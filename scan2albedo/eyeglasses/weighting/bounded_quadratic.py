@@ -47,27 +47,15 @@ def minimize_bounded(
     max_steps: int,
     meter: Meter,
 ) -> BoundedMinimum:
-    """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b of `right`.
+    """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
 
     Projected Newton [1]_: what sits at a bound and is pushed outward stays, the others take the Newton step
     A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. It
-    falls in every step, so a budget that ends early keeps the best so far. The pattern of the factor is
-    worked out once for all steps and columns.
+    falls in every step, so a budget that ends early keeps the best so far. A column is done when its scaled
+    residual is at most `tolerance`, or after `max_steps`; the meter counts the steps of all columns.
 
-    Parameters
-    ----------
-    matrix : (N, N) sparse
-        A, symmetric positive definite.
-    right : (N, K) float64
-    start : (N, K) float64
-        In [0, 1]. What it holds at a bound stays there in the first step, so that a start from a coarser
-        lattice, whose gradient is rough, hands on its active set.
-    tolerance : float
-        On the scaled residual.
-    max_steps : int
-        Newton steps a column.
-    meter : Meter
-        Counts the steps and records the largest residual of all columns.
+    What `start` (N, K), in [0, 1], holds at a bound stays there in the first step, so that a start from a
+    coarser lattice, whose gradient is rough, hands on its active set.
 
     References
     ----------

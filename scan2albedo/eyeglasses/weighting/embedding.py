@@ -53,14 +53,9 @@ _COINCIDENT = 1e-6
 
 
 def closest_spacing(handles: FloatArray, size: float, names: Sequence[str]) -> float:
-    """Return the spacing (in the mesh's unit) at which no two of the (K, 3) key points share a node.
+    """Return the spacing at which no two of the (K, 3) key points, called `names`, share a node.
 
-    `names` (K,) are for messages.
-
-    Raises
-    ------
-    EyeglassesError
-        When two key points coincide.
+    Raises EyeglassesError when two coincide.
     """
     if len(handles) < 2:
         return np.inf
@@ -79,10 +74,7 @@ def closest_spacing(handles: FloatArray, size: float, names: Sequence[str]) -> f
 def cells_of_handles(local: FloatArray, spacing: float, names: Sequence[str]) -> IntArray:
     """Return (K, 3) the cells of key points `local` (K, 3), given in units of the spacing.
 
-    Raises
-    ------
-    EyeglassesError
-        When two key points share a node.
+    Raises EyeglassesError when two share a node.
     """
     cells = np.floor(local).astype(np.int64)
     steps = squareform(pdist(cells.astype(float), "chebyshev")) if len(cells) > 1 else np.full((1, 1), np.inf)
@@ -109,9 +101,8 @@ _SKIN = 1e-5
 def thickness(vertices: FloatArray, faces: IntArray, part: float) -> float:
     """Return the thickness, in the mesh's unit, that `part` of the surface's area stays below.
 
-    Measured across the faces at 2,000 places spread evenly over the area, on the side where the mesh is
-    met first: winding does not matter, and a narrow gap counts like a thin part. Infinite where no ray meets
-    anything.
+    Measured across the faces at 2,000 places spread evenly over the area, on the side where the mesh is met
+    first: winding does not matter, and a narrow gap counts like a thin part. Infinite where nothing is met.
     """
     area = np.cumsum(face_areas(vertices, faces))
     if not area[-1] > 0:
@@ -127,16 +118,10 @@ def thickness(vertices: FloatArray, faces: IntArray, part: float) -> float:
 def spacing_wanted(
     vertices: FloatArray, faces: IntArray, size: float, closest: float, options: WeightOptions
 ) -> tuple[int, str]:
-    """Return into how many parts the size is to be divided, and why.
+    """Return into how many parts the size of the mesh is to be divided, and why.
 
-    A whole number of parts, so that rounding in another unit does not change the lattice.
-
-    Parameters
-    ----------
-    size : float
-        In the mesh's unit.
-    closest : float
-        Least spacing that two key points ask for, in the mesh's unit: they must not share a node.
+    `closest` is the greatest spacing at which no two key points share a node, in the mesh's unit. Parts are
+    a whole number, so that rounding in another unit does not change the lattice.
     """
     thin = thickness(vertices, faces, options.thin_part)
     spacing = float(np.clip(thin, options.finest * size, options.coarsest * size))
@@ -185,12 +170,7 @@ def embed(
 ) -> Embedding:
     """Return the lattice around a mesh (V, 3), (F, 3) and its key points (K, 3).
 
-    Messages call the key points by their `names` (K,), or by number.
-
-    Raises
-    ------
-    EyeglassesError
-        See `solve_weights`.
+    Messages call the key points by their `names` (K,), or by number. Raises what `solve_weights` does.
     """
     called = names if names is not None else [str(k) for k in range(len(handles))]
     size = _size(vertices[faces.ravel()], handles)

@@ -105,8 +105,7 @@ def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
     """Return the symmetric positive semi-definite (N, N) Laplacian L in units of the spacing.
 
     (L u)_p = sum over neighbours q of a_pq (u_p - u_q), where a_pq is the part of the dual face between
-    p and q that lies in cells: a quarter for each cell around the edge, 1 inside. This is the seven-point
-    stencil with the natural boundary condition; every off-diagonal entry is <= 0.
+    p and q that lies in cells, 1 inside: the seven-point stencil with the natural boundary condition.
     """
     ends = lattice.corners[:, np.array(_EDGES)].reshape(-1, 2)
     count = len(lattice.nodes)

@@ -19,18 +19,11 @@ _MAX_BOX = 1 << 26
 
 
 def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
-    """Return the unique cells (C, 3) that triangles touch, or None where they are more than about `limit`.
+    """Return the unique cells (C, 3) that triangles (T, 3, 3) touch, None where they are far beyond `limit`.
 
-    A cell (i, j, k) is the closed cube [i, i + 1] x [j, j + 1] x [k, k + 1]; the test is exact (separating
-    axes). Winding, repetitions and holes do not matter. A triangle without area contributes the cells of
-    its corners.
-
-    Parameters
-    ----------
-    triangles : (T, 3, 3) float64
-        Corners in units of the lattice spacing.
-    limit : int
-        Ends the search: a spacing far too fine for a mesh must not fill the memory.
+    Lengths are in lattice spacings; cell (i, j, k) is the closed cube [i, i + 1] x [j, j + 1] x [k, k + 1]
+    and the test is exact (separating axes). Winding, repetitions and holes do not matter. A triangle without
+    area contributes the cells of its corners. `limit` keeps a far too fine spacing from filling the memory.
     """
     # Every cell is found by the few triangles that touch it; 64 times the limit is beyond any mesh's share.
     room = 64 * limit
@@ -58,11 +51,10 @@ def unique_cells(cells: IntArray) -> IntArray:
 
 
 def enclosed_cells(cells: IntArray) -> IntArray:
-    """Return the cells (E, 3) that `cells` (C, 3) shut off from the outside; (0, 3) where there are none.
+    """Return the cells (E, 3) that `cells` (C, 3) shut off from the outside.
 
-    What is watertight at the lattice's resolution counts as solid, whatever the mesh says about itself:
-    holes smaller than a cell are closed, larger ones leave the part hollow. Boxes of more than 2^26
-    cells are left hollow too.
+    What is watertight at the lattice's resolution counts as solid: holes smaller than a cell are closed,
+    larger ones leave the part hollow, as do boxes of more than 2^26 cells.
     """
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
