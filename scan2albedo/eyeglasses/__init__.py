@@ -30,11 +30,11 @@ from scan2albedo.eyeglasses.files.keypoint_files import (
 )
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, lens_mesh
-from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial, LensPictureOptions
-from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, insert_lenses
+from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, LensPictureOptions, insert_lenses
 from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim
 from scan2albedo.eyeglasses.lenses.lens_scene import Surface
 from scan2albedo.eyeglasses.lenses.lens_shading import (
+    LensMaterial,
     blend_lens,
     environment_radiance,
     light_by_environment,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.frame_weights import WeightedFrame, frames_of, key_points, weigh_frames
+from scan2albedo.eyeglasses.canonical.frame_weights import WeightedFrame, frames_of, weigh_frames
 from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     MeanKeyPoints,
     align_key_points,
@@ -20,6 +20,7 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     require_posable,
     unit_factors,
 )
+from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.geometry.rigid import transform_points
@@ -214,7 +215,7 @@ def canonicalize(
 
 
 def _reference(mean_keypoints: ArrayLike) -> FloatArray:
-    points = key_points("mean_keypoints", mean_keypoints)
+    points = checked_keypoints("mean_keypoints", mean_keypoints)
     try:
         require_posable(points)
     except EyeglassesError as error:

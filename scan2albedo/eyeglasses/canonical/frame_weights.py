@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core import Budget, Meter, Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import fullest, require_posable
+from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import STAGE, UNIT, metered_weights
@@ -62,11 +63,7 @@ def frames_of(
     for i, (mesh, points) in enumerate(zip(meshes, keypoints, strict=True)):
         vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
         xyz = np.asarray(vertices, np.float64)
-        shares = None if weights is None else np.asarray(weights[i], np.float64)
-        if shares is not None and shares.shape != (len(xyz), KEY_POINT_COUNT):
-            raise ValueError(
-                f"weights {i} must have shape ({len(xyz)}, {KEY_POINT_COUNT}), got {shares.shape}"
-            )
+        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
         for name, array in (("vertices", xyz), ("weights", shares)):
             if array is not None and not np.isfinite(array).all():
                 raise ValueError(f"{name} {i} hold NaN or infinite numbers; repair the frame or leave it out")
@@ -76,21 +73,11 @@ def frames_of(
                 name=getattr(mesh, "name", None),
                 vertices=xyz,
                 faces=np.asarray(faces, np.int64),
-                points=key_points(f"keypoints {i}", points),
+                points=checked_keypoints(f"keypoints {i}", points),
                 weights=shares,
             )
         )
     return frames
-
-
-def key_points(name: str, values: ArrayLike) -> FloatArray:
-    """Return values as (20, 3) float64; `name` is for the message."""
-    points = np.asarray(values, np.float64)
-    if points.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(
-            f"{name} must have shape ({KEY_POINT_COUNT}, 3), got {points.shape}; NaN rows for missing ones"
-        )
-    return points
 
 
 def weigh_frames(

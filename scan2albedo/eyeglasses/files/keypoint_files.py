@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.files.camera_files import CameraName, refuse_equal_names
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.records import read_record, write_record
@@ -70,9 +71,7 @@ def write_keypoints(
     OutputError
         When the file cannot be written.
     """
-    points = np.asarray(keypoints, np.float64)
-    if points.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(f"keypoints must have shape ({KEY_POINT_COUNT}, 3), got {points.shape}")
+    points = checked_keypoints("keypoints", keypoints)
     seen = [bool(np.isfinite(p).all()) for p in points]
     entries = {
         name: (float(p[0]), float(p[1]), float(p[2])) if found else None

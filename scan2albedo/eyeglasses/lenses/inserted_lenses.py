@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial
 from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim, is_covered, pane_faces
 from scan2albedo.eyeglasses.lenses.lens_scene import Surface
+from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
 from scan2albedo.eyeglasses.lenses.refraction import ThinLens
 from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
 from scan2albedo.geometry.mesh import face_cross_products

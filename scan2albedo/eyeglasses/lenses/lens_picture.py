@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
+from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens, without_glass
-from scan2albedo.eyeglasses.lenses.lens_material import LensMaterial, LensPictureOptions
 from scan2albedo.eyeglasses.lenses.lens_rendering import (
     LensRelighting,
     LensRenderer,
@@ -22,6 +22,7 @@ from scan2albedo.eyeglasses.lenses.lens_rendering import (
     without_dark,
 )
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
+from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
 from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
 from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneColors
@@ -33,6 +34,48 @@ FloatArray = NDArray[np.float64]
 _NO_ENVIRONMENT = "no environment is given: lenses mirror surfaces only, and black"
 
 Lenses = LensMaterial | tuple[LensMaterial | None, LensMaterial | None]
+
+
+_FRINGE_PX = 1
+"""Pixels around the frame, and of the background around surfaces, that a photograph's colours are not taken
+from: they may hold some of both."""
+_SEAT_MM = 0.3
+"""How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
+_SHADOW_OFFSET_MM = 0.2
+"""Shadow rays start this far off the surface."""
+
+
+@dataclass(frozen=True)
+class LensPictureOptions:
+    """Settings of `insert_lenses`."""
+
+    supersampling: int = 3
+    """n x n rays for pixels on edges; one for all others."""
+    light_count: int = 64
+    """Distant lights that stand for an environment; time grows with them."""
+    background: Literal["environment", "black"] = "environment"
+    """What rays see that miss all surfaces. In a photograph it is always the photograph's own background."""
+    hidden: Literal["nearest", "albedo"] = "nearest"
+    """Colour of points that the photograph does not show: of the nearest point of the same surface that it
+    shows, or the surface's albedo in the photograph's brightness."""
+    shadows: Literal["shared", "every pixel"] = "shared"
+    """Whether a pixel takes over what four neighbours on the same smooth surface agree on, which may lose
+    shadows less than two pixels wide, or shoots rays of its own."""
+    relightable: bool = False
+    """Whether the picture keeps what `LensPicture.under` needs: some 150 bytes a pixel, and one a light."""
+
+    def __post_init__(self) -> None:
+        for name in ("supersampling", "light_count"):
+            if (count := getattr(self, name)) < 1:
+                raise ValueError(f"{name} must be 1 or more, got {count}")
+        choices = {
+            "hidden": ("nearest", "albedo"),
+            "shadows": ("shared", "every pixel"),
+            "background": ("environment", "black"),
+        }
+        for name, known in choices.items():
+            if (value := getattr(self, name)) not in known:
+                raise ValueError(f"{name} must be {known[0]!r} or {known[1]!r}, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -212,7 +255,7 @@ def insert_lenses(
         lights = without_dark(lights)
     toward = np.zeros((0, 3)) if lights is None else np.asarray(lights.directions)
     irradiance = np.zeros((0, 3)) if lights is None else np.asarray(lights.irradiance_linear)
-    placed = _placed(frame, keypoints, lenses, lens_centers, options)
+    placed = _placed(frame, keypoints, lenses, lens_centers)
     bare = without_glass(frame, placed, np.asarray(keypoints, np.float64))
     scene = LensScene(bare.surface, surfaces)
     region = PixelRegion.of_lenses(placed, matrix, size)
@@ -223,7 +266,7 @@ def insert_lenses(
             photograph,
             matrix,
             nearest=options.hidden == "nearest",
-            fringe_px=options.fringe_px,
+            fringe_px=_FRINGE_PX,
             region=region.slices,
         )
     else:
@@ -232,7 +275,7 @@ def insert_lenses(
             placed,
             toward,
             background=options.background == "environment",
-            offset_mm=options.shadow_offset_mm,
+            offset_mm=_SHADOW_OFFSET_MM,
             every_pixel=options.shadows == "every pixel",
         )
     renderer = LensRenderer(scene, placed, colors, matrix, region)
@@ -274,12 +317,9 @@ def _placed(
     keypoints: ArrayLike,
     lenses: Lenses,
     centers: ArrayLike | None,
-    options: LensPictureOptions,
 ) -> tuple[InsertedLens, ...]:
     """Return the lenses in their rims."""
-    marks = np.asarray(keypoints, np.float64)
-    if marks.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(f"keypoints must have shape ({KEY_POINT_COUNT}, 3), got {marks.shape}")
+    marks = checked_keypoints("keypoints", keypoints)
     materials = (lenses, lenses) if isinstance(lenses, LensMaterial) else tuple(lenses)
     if len(materials) != 2:
         raise ValueError(f"lenses must be one material or (left, right), got {len(materials)}")
@@ -294,8 +334,7 @@ def _placed(
             side,
             material,
             center=None if middles is None else middles[side],
-            count=options.rim_points,
-            seat_mm=options.seat_mm,
+            seat_mm=_SEAT_MM,
         )
         for side, material in enumerate(materials)
         if material is not None

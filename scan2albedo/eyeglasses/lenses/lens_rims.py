@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
 from scan2albedo.eyeglasses.lenses.rim_outline import (
     LensPlane,
     RimProfile,
@@ -188,9 +189,9 @@ def find_lens_rim(
     >>> rim.points.shape, rim.gaps
     ((128, 3), 'none')
     """
-    xyz, index = _checked_mesh(vertices, faces)
-    middle = _checked_points("center", center, (3,))
-    marks = None if rim_points is None else _checked_points("rim_points", rim_points, (-1, 3))
+    xyz, index = checked_mesh(vertices, faces, "the frame")
+    middle = _checked_vector("center", center)
+    marks = None if rim_points is None else checked_points("rim_points", rim_points)
     if count < _FEWEST:
         raise ValueError(f"count must be {_FEWEST} or more, got {count}")
     plane = _plane(xyz, middle, marks, normal)
@@ -217,7 +218,7 @@ def _plane(
     vertices: FloatArray, center: FloatArray, rim_points: FloatArray | None, normal: ArrayLike | None
 ) -> LensPlane:
     if normal is not None:
-        return LensPlane.at(center, _checked_points("normal", normal, (3,)))
+        return LensPlane.at(center, _checked_vector("normal", normal))
     if rim_points is None:
         raise EyeglassesError("a lens plane needs rim_points, three or more around the lens, or a normal")
     return LensPlane.at(center, fit_normal(rim_points, vertices))
@@ -248,21 +249,10 @@ def _filled(
     return RimProfile(fill(shot.radius, base.radius), fill(shot.height, base.height))
 
 
-def _checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
-    xyz, index = _checked_points("vertices", vertices, (-1, 3)), np.asarray(faces)
-    if index.ndim != 2 or index.shape[1] != 3 or not np.issubdtype(index.dtype, np.integer):
-        raise ValueError(f"faces must be integers of shape (F, 3), got {index.dtype} of {index.shape}")
-    if len(index) == 0:
-        raise EyeglassesError("the frame has no faces, so there is no rim to find")
-    if index.min() < 0 or index.max() >= len(xyz):
-        raise ValueError(f"faces must hold 0 to {len(xyz) - 1}, got {index.min()} to {index.max()}")
-    return xyz, index.astype(np.int64)
-
-
-def _checked_points(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = np.asarray(values, np.float64)
-    if array.ndim != len(shape) or array.shape[-1] != 3:
-        raise ValueError(f"{name} must have shape {str(shape).replace('-1', 'N')}, got {array.shape}")
-    if not np.isfinite(array).all():
+def _checked_vector(name: str, values: ArrayLike) -> FloatArray:
+    vector = np.asarray(values, np.float64)
+    if vector.shape != (3,):
+        raise ValueError(f"{name} must have shape (3,), got {vector.shape}")
+    if not np.isfinite(vector).all():
         raise EyeglassesError(f"{name} holds numbers that are not finite; repair the input first")
-    return array
+    return vector

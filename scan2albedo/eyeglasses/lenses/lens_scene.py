@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.checks import checked_mesh
 from scan2albedo.eyeglasses.lenses.light_kernels import seen_normals
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
@@ -60,17 +61,10 @@ class Surface:
     shininess: float = 32.0
 
     def __post_init__(self) -> None:
-        xyz = _checked("vertices", self.vertices, (None, 3))
-        index = np.asarray(self.faces)
-        if index.ndim != 2 or index.shape[1] != 3 or not np.issubdtype(index.dtype, np.integer):
-            raise ValueError(f"faces must be integers of shape (F, 3), got {index.dtype} of {index.shape}")
-        if len(index) == 0:
-            raise EyeglassesError("a surface has no faces; leave it out")
-        if index.min() < 0 or index.max() >= len(xyz):
-            raise ValueError(f"faces must hold 0 to {len(xyz) - 1}, got {index.min()} to {index.max()}")
+        xyz, index = checked_mesh(self.vertices, self.faces, "a surface")
         albedo = np.asarray(self.albedo_linear, np.float64)
         albedo = _checked("albedo_linear", albedo, (3,) if albedo.ndim == 1 else (len(xyz), 3))
-        fields = {"vertices": xyz, "faces": index.astype(np.int64), "albedo_linear": albedo}
+        fields = {"vertices": xyz, "faces": index, "albedo_linear": albedo}
         if self.texture_linear is not None:
             if self.uv is None:
                 raise ValueError("a texture needs uv")

@@ -1,6 +1,9 @@
-"""What a lens adds to the picture: its tint and the surroundings it mirrors."""
+"""What a lens is made of and adds to the picture: its tint and the surroundings it mirrors (S13 to S15)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -173,3 +176,60 @@ def light_by_environment(images_linear: ArrayLike, weights: ArrayLike) -> FloatA
     if shares.ndim == 1:
         shares = np.repeat(shares[:, None], 3, 1)
     return np.einsum("k...c,kc->...c", images, shares)
+
+
+@dataclass(frozen=True)
+class LensMaterial:
+    """A lens's power, tint and reflection; the default is clear window glass.
+
+    Raises
+    ------
+    EyeglassesError
+        When a number is out of range or not finite.
+
+    Examples
+    --------
+    >>> shortsighted = LensMaterial(dioptres=-4.0, beta=0.04, fresnel=True)
+    >>> sunglasses = LensMaterial(tint_linear=(0.1, 0.07, 0.03), alpha=0.85, tinting="filter")
+    """
+
+    dioptres: float = 0.0
+    """1/m, the optician's sign: negative for the shortsighted, 0 is plane."""
+    tint_linear: ArrayLike = (0.0, 0.0, 0.0)
+    """(3,) linear colour of the glass."""
+    alpha: float = 0.0
+    """Share of the tint."""
+    beta: float = 0.0
+    """Share of the reflection; with `fresnel`, at right angles. alpha + beta is at most 1."""
+    front_radius_mm: float = 130.0
+    """Of the sphere that mirrors; 130 mm is a usual front of 4 D, infinity a flat one."""
+    fresnel: bool = False
+    """Whether the reflection grows towards glancing angles (Schlick), at the cost of all other shares."""
+    tinting: Literal["paint", "filter"] = "paint"
+    """`paint` adds the tint as a matte colour, the paper's way; `filter` multiplies what lies behind with it,
+    as dyed glass does."""
+
+    def __post_init__(self) -> None:
+        tint = np.asarray(self.tint_linear, np.float64)
+        if tint.shape != (3,):
+            raise ValueError(f"tint_linear must have shape (3,), got {tint.shape}")
+        if not (np.isfinite(tint).all() and (tint >= 0).all() and np.isfinite(self.dioptres)):
+            raise EyeglassesError(f"a lens needs finite dioptres and a finite tint of 0 or more, got {self}")
+        if self.tinting == "filter" and tint.max() > 1:
+            raise EyeglassesError(f"a filter passes at most all light: tint_linear is up to {tint.max():g}")
+        if self.tinting not in ("paint", "filter"):
+            raise ValueError(f"tinting must be 'paint' or 'filter', got {self.tinting!r}")
+        if not self.front_radius_mm > 0:
+            raise EyeglassesError(f"a lens's front needs a positive radius, got {self.front_radius_mm} mm")
+        blend_lens(tint, tint, tint, self.alpha, self.beta)  # checks the shares
+
+    @property
+    def clear(self) -> bool:
+        """Whether no light is lost on the way through."""
+        return self.alpha == 0 and self.beta == 0 and not self.fresnel
+
+    @property
+    def transmission(self) -> NDArray[np.float64]:
+        """(3,) share of light that passes at right angles: 1 - alpha - beta, and alpha tint of a filter."""
+        passed = np.full(3, max(1 - self.alpha - self.beta, 0.0))
+        return passed + self.alpha * np.asarray(self.tint_linear) if self.tinting == "filter" else passed

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core import PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
+from scan2albedo.eyeglasses.checks import checked_keypoints, checked_mesh, checked_weights
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
 from scan2albedo.eyeglasses.on_face.objective import ObservedView
@@ -136,12 +137,7 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
             f"{type(glasses).__name__}"
         )
     vertices, faces = _mesh("the glasses", (parts[0], parts[1]))
-    keypoints = np.array(parts[2], np.float64)
-    if keypoints.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(
-            f"the glasses' keypoints must have shape ({KEY_POINT_COUNT}, 3), got {keypoints.shape}; NaN rows "
-            "for missing ones"
-        )
+    keypoints = checked_keypoints("the glasses' keypoints", parts[2])
     keypoints[~np.isfinite(keypoints).all(1)] = np.nan
     try:
         require_posable(keypoints)
@@ -149,31 +145,17 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
         raise EyeglassesError(f"the glasses: {error}") from error
     if parts[3] is None:
         return vertices, faces, keypoints, None
-    weights = np.asarray(parts[3], np.float64)
-    if weights.shape != (len(vertices), KEY_POINT_COUNT):
-        raise ValueError(
-            f"the glasses' weights must have shape ({len(vertices)}, {KEY_POINT_COUNT}), got {weights.shape}"
-        )
+    weights = checked_weights("the glasses' weights", parts[3], len(vertices))
     if not np.isfinite(weights).all() or np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
         raise EyeglassesError("the glasses' weights must be finite, each row of sum 1; solve them again")
     if weights[:, ~np.isfinite(keypoints).all(1)].any():
         raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
-    return vertices, faces, keypoints, np.ascontiguousarray(weights)
+    return vertices, faces, keypoints, weights
 
 
-def _mesh(name: str, mesh: Any) -> Mesh:
-    parts = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-    vertices, faces = np.ascontiguousarray(parts[0], np.float64), np.asarray(parts[1])
-    for what, array in (("vertices", vertices), ("faces", faces)):
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise ValueError(f"{name}: {what} must have shape (N, 3), got {array.shape}")
-        if len(array) == 0:
-            raise EyeglassesError(f"{name}: no {what}; give a mesh with faces")
-    if not np.isfinite(vertices).all():
-        raise EyeglassesError(f"{name}: vertices are not all finite; repair the mesh first")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"{name}: faces name vertices {faces.min()} to {faces.max()} of {len(vertices)}")
-    return vertices, np.ascontiguousarray(faces, np.int64)
+def _mesh(owner: str, mesh: Any) -> Mesh:
+    vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
+    return checked_mesh(vertices, faces, owner)
 
 
 def _masks(masks: Sequence[ArrayLike | None] | ArrayLike | None, count: int) -> tuple[BoolArray | None, ...]:

@@ -11,6 +11,7 @@ from scipy import sparse
 
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded
 from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
 from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy
@@ -246,7 +247,8 @@ def metered_weights(
     names: Sequence[str] | None = None,
 ) -> BoundedBiharmonicWeights:
     """Return what `solve_weights` does, on a meter that runs already; messages call key points by `names`."""
-    xyz, index, points = _checked(vertices, faces, handles)
+    xyz, index = checked_mesh(vertices, faces)
+    points = checked_points("handles", handles)
     embedding = embed(xyz, index, points, spacing, options, names)
     solution = solve_lattice(embedding.lattice, embedding.handle_cells, options, meter)
     total = solution.weights.sum(1)
@@ -256,7 +258,7 @@ def metered_weights(
         )
     weights = np.clip(embedding.interpolation @ (solution.weights / total[:, None]), 0.0, 1.0)
     return BoundedBiharmonicWeights(
-        weights=_rigid_parts(weights, embedding),
+        weights=_with_followers(weights, embedding),
         converged=bool((solution.residual <= options.tolerance).all()),
         iterations=solution.steps,
         residual=solution.residual,
@@ -268,34 +270,8 @@ def metered_weights(
     )
 
 
-def _rigid_parts(weights: FloatArray, embedding: Embedding) -> FloatArray:
+def _with_followers(weights: FloatArray, embedding: Embedding) -> FloatArray:
     """Return the weights with each part left out of the lattice given those of its vertex nearest to it."""
     weights = weights / weights.sum(1, keepdims=True)
     weights[embedding.follower] = weights[embedding.leader]
     return weights
-
-
-def _checked(
-    vertices: ArrayLike, faces: ArrayLike, handles: ArrayLike
-) -> tuple[FloatArray, IntArray, FloatArray]:
-    xyz, points = np.asarray(vertices, np.float64), np.asarray(handles, np.float64)
-    index = np.asarray(faces)
-    for name, array in (("vertices", xyz), ("faces", index), ("handles", points)):
-        if array.size == 0:
-            raise EyeglassesError(
-                f"{name} is empty: weights need a mesh with faces and one key point or more"
-            )
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
-    for name, array in (("vertex", xyz), ("key point", points)):
-        bad = np.flatnonzero(~np.isfinite(array).all(1))
-        if len(bad):
-            raise EyeglassesError(
-                f"{name} {bad[0]} is not finite: {array[bad[0]].tolist()} ({len(bad)} of {len(array)} are "
-                "not); repair the input first"
-            )
-    if not np.issubdtype(index.dtype, np.integer):
-        raise ValueError(f"faces must hold integers, got {index.dtype}")
-    if index.min() < 0 or index.max() >= len(xyz):
-        raise ValueError(f"faces must hold 0 to {len(xyz) - 1}, got {index.min()} to {index.max()}")
-    return xyz, index.astype(np.int64), points

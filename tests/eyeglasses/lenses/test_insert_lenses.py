@@ -677,7 +677,6 @@ def test_what_is_not_clear_is_refused():
     wrong = {
         "supersampling": 0,
         "light_count": 0,
-        "fringe_px": -1,
         "hidden": "?",
         "background": "?",
         "shadows": "?",

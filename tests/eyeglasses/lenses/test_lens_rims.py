@@ -172,7 +172,7 @@ def test_what_cannot_be_done_is_said():
         find(glasses, normal=[0.0, 0, 0])
     with pytest.raises(EyeglassesError, match="no faces"):
         find(glasses, faces=np.zeros((0, 3), int))
-    with pytest.raises(EyeglassesError, match="vertices holds"):
+    with pytest.raises(EyeglassesError, match="vertices 0 is not finite"):
         find_lens_rim(np.full((3, 3), np.nan), [[0, 1, 2]], [0, 0, 0], rim_points=marks)
     with pytest.raises(EyeglassesError, match="no closed rim"):
         find_lens_rim(

@@ -381,7 +381,7 @@ BAD = {
     "an empty head": (
         {"head": (np.zeros((0, 3)), np.zeros((0, 3), int))},
         EyeglassesError,
-        "the head: no vert",
+        "the head: vertices hold nothing",
     ),
     "a start that stretches": ({"start": np.diag([2.0, 1, 1, 1])}, EyeglassesError, "rigid"),
 }
@@ -404,7 +404,10 @@ def test_glasses_in_another_unit_than_the_cameras_are_refused():
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda g: (np.where(np.arange(len(g[0]))[:, None] == 7, np.nan, g[0]), *g[1:]), "not all finite"),
+        (
+            lambda g: (np.where(np.arange(len(g[0]))[:, None] == 7, np.nan, g[0]), *g[1:]),
+            "the glasses: vertices 7 is not finite",
+        ),
         (lambda g: (*g[:2], np.full((20, 3), np.nan), g[3]), "the glasses: 0 key points"),
         (lambda g: (*g[:3], 2 * g[3]), "sum 1"),
         (lambda g: (g[0], g[1][:0], *g[2:]), "the glasses: no faces"),
