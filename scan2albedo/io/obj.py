@@ -1,4 +1,4 @@
-"""Wavefront OBJ files: vertices stay shared as in the file, texture coordinates stay per corner."""
+"""Wavefront OBJ files: faces share vertices, texture coordinates belong to corners."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
+from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.mtl import (
     MaterialText,
@@ -98,6 +99,13 @@ def read_obj(path: Path) -> ParsedMesh:
         vertex_color_linear=_vertex_colors(positions, tokens),
         notes=cut_note(counts) + notes,
     )
+
+
+def write_obj(path: str | Path, vertices: FloatArray, faces: IntArray) -> None:
+    """Write the vertices (V, 3) and faces (F, 3) of a mesh, atomically; raises `OutputError`."""
+    lines = [f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in np.asarray(vertices).tolist()]
+    lines += [f"f {a} {b} {c}\n" for a, b, c in (np.asarray(faces) + 1).tolist()]
+    write_text(path, "".join(lines))
 
 
 def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntArray, IntArray]:

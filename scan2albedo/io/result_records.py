@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
@@ -12,7 +13,11 @@ from pydantic import Field
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from scan2albedo.core.plan import PlanStep
     from scan2albedo.core.point_light import PointLight
+    from scan2albedo.core.raw_scan import RawScan
 
 APPLICATION_FILE = "application.json"
 SHA256 = "^[0-9a-f]{64}$"
@@ -29,6 +34,18 @@ class InputRecord(Record):
     faces: int = Field(ge=1, description="After repairs.")
     texture_size: tuple[int, int] | None = Field(None, description="Width and height in texels.")
 
+    @classmethod
+    def of(cls, scan: RawScan, file: Path | None, sha256: str) -> InputRecord:
+        """Return the record of a scan that was read from `file`."""
+        texture = scan.texture_linear
+        return cls(
+            file=None if file is None else str(file),
+            sha256=sha256,
+            vertices=len(scan.vertices),
+            faces=len(scan.faces),
+            texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
+        )
+
 
 class PlanRecord(Record):
     """One decision: a step that ran or was left out."""
@@ -37,6 +54,11 @@ class PlanRecord(Record):
     ran: bool
     reason: str
     evidence: str = Field("", description="The measured figure behind the reason, with its unit.")
+
+    @classmethod
+    def of(cls, step: PlanStep) -> PlanRecord:
+        """Return the record of a step."""
+        return cls(**asdict(step))
 
 
 class LightRecord(Record):

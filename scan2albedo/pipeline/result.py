@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import OutputError
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_records import (
     InputRecord,
@@ -198,11 +198,7 @@ def _write_template(fitted: FittedFace, path: Path) -> None:
     """Write the face in its template's own vertices and triangles; models without a template have none."""
     if fitted.template_vertices is None or fitted.model.template_faces is None:
         return
-    import igl
-
-    igl.writeOBJ(str(path), fitted.template_vertices, fitted.model.template_faces)
-    if not path.is_file():
-        raise OutputError(f"{path} cannot be written")
+    write_obj(path, fitted.template_vertices, fitted.model.template_faces)
 
 
 def _registration_record(registration: Registration, fitted: FittedFace | None) -> RegistrationRecord:
@@ -218,21 +214,15 @@ def _registration_record(registration: Registration, fitted: FittedFace | None) 
 
 
 def _result_record(result: ProcessResult, metrics: dict[str, Any], files: tuple[str, ...]) -> ResultRecord:
-    scan, estimate, texture = result.scan, result.albedo, result.scan.texture_linear
+    scan, estimate = result.scan, result.albedo
     return ResultRecord(
         scan2albedo_version=VERSION,
         versions=installed_versions(),
         name=scan.name,
         seed=result.seed,
         options=dict(result.options),
-        input=InputRecord(
-            file=None if result.source is None else str(result.source),
-            sha256=result.input_sha256 or input_sha256(scan),
-            vertices=len(scan.vertices),
-            faces=len(scan.faces),
-            texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
-        ),
-        plan=tuple(PlanRecord(**asdict(step)) for step in result.plan),
+        input=InputRecord.of(scan, result.source, result.input_sha256 or input_sha256(scan)),
+        plan=tuple(PlanRecord.of(step) for step in result.plan),
         metrics=metrics,
         lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
         parameters={} if estimate is None else plain_json(estimate.parameters),

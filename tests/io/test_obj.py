@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
 from scan2albedo.io.mtl import parse_mtl
-from scan2albedo.io.obj import read_obj
+from scan2albedo.io.obj import read_obj, write_obj
 from tests.io.meshes import (
     CORNER_LINEAR,
     SQUARE_MM,
@@ -220,3 +220,13 @@ def test_mtl_numbers_that_are_none_leave_the_default():
     assert parse_mtl("newmtl a\nKd 0.25\n")["a"].diffuse_srgb == (0.25, 0.25, 0.25)
     assert parse_mtl("Kd 1 1 1\nmap_Kd lost.png\n") == {}
     assert parse_mtl("newmtl a\n\tmap_Kd\t2 faces.png\n")["a"].texture_file == "2 faces.png"
+
+
+def test_a_mesh_comes_back_to_the_last_bit(tmp_path):
+    vertices, faces = np.random.default_rng(0).normal(size=(5, 3)) * 90, np.array([[0, 1, 2], [2, 3, 4]])
+    write_obj(tmp_path / "a.obj", vertices, faces)
+    scan = load_scan(tmp_path / "a.obj", "mm")
+    np.testing.assert_allclose(scan.vertices, vertices, rtol=4e-16)
+    np.testing.assert_array_equal(scan.faces, faces)
+    with pytest.raises(OutputError, match="nowhere"):
+        write_obj(tmp_path / "nowhere" / "a.obj", vertices, faces)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core import Budget, Plan, ProgressCallback
+from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
 from scan2albedo.eyeglasses import (
@@ -170,7 +170,7 @@ def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Pa
         canonical_from_frame=plain_json(canonical.canonical_from_frame),
         converged=canonical.converged,
         missing_key_points=tuple(KEY_POINT_NAMES[k] for k in missing),
-        plan=_plan_records(canonical.plan),
+        plan=tuple(PlanRecord.of(step) for step in canonical.plan),
         metrics=figures,
         notes=frame.scan.notes,
         files=(*files, FRAME_RECORD),
@@ -217,11 +217,7 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         converged=result.converged,
         iterations=result.iterations,
         seconds=done.seconds,
-        plan=_plan_records(result.plan),
+        plan=tuple(PlanRecord.of(step) for step in result.plan),
         files=(*files, SET_RECORD),
     )
     write_record(folder / SET_RECORD, record)
-
-
-def _plan_records(plan: Plan) -> tuple[PlanRecord, ...]:
-    return tuple(PlanRecord(**asdict(step)) for step in plan)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import ProgressCallback
-from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import (
     Camera,
     LensMaterial,
@@ -35,6 +34,7 @@ from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.atomic import check_writable, result_folder
 from scan2albedo.io.glb import write_glb
+from scan2albedo.io.obj import write_obj
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
 
@@ -240,7 +240,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
         for number, matrix in enumerate(person.cameras, start=1)
     ]
     with result_folder(folder, staged_in=out) as staging:
-        _write_obj(staging / "frame.obj", (glasses.rest_vertices, glasses.faces))
+        write_obj(staging / "frame.obj", glasses.rest_vertices, glasses.faces)
         write_keypoints(keypoints_beside(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
         write_cameras(staging / "cameras.json", cameras)
         write_labels(staging / "labels.json", person.labels, [camera.name for camera in cameras])
@@ -254,11 +254,3 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
         masks=folder / "masks",
         head=None if head is None else folder / "head.glb",
     )
-
-
-def _write_obj(path: Path, mesh: Mesh) -> None:
-    import igl
-
-    igl.writeOBJ(str(path), *mesh)
-    if not path.is_file():
-        raise OutputError(f"{path} cannot be written")

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import InsertedLens, LensMaterial, LensPictureOptions, Surface
@@ -86,10 +85,10 @@ def _record(rendered: RenderedLenses, source: LensInput, files: tuple[str, ...])
         versions=installed_versions(),
         name=frame.name,
         options=asdict(rendered.options),
-        input=_input(frame.mesh_file, frame.mesh_sha256, frame.scan),
+        input=InputRecord.of(frame.scan, frame.mesh_file, frame.mesh_sha256),
         keypoints=FileRecord(file=str(frame.keypoints_file), sha256=frame.keypoints_sha256),
         mm_per_unit=frame.mm_per_unit,
-        head=_input(source.head_file, source.hashes[source.head_file], source.head),
+        head=InputRecord.of(source.head, source.head_file, source.hashes[source.head_file]),
         cameras=_file(source, source.cameras_file),
         pictures=tuple(_file(source, path) for path in source.picture_files),
         environment=None if environment is None else _file(source, environment),
@@ -103,17 +102,6 @@ def _record(rendered: RenderedLenses, source: LensInput, files: tuple[str, ...])
             *rendered.notes,
         ),
         files=files,
-    )
-
-
-def _input(path: Path, sha256: str, scan: RawScan) -> InputRecord:
-    texture = scan.texture_linear
-    return InputRecord(
-        file=str(path),
-        sha256=sha256,
-        vertices=len(scan.vertices),
-        faces=len(scan.faces),
-        texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),
     )
 
 

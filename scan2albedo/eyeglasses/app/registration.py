@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -199,7 +199,7 @@ def _write_all(done: PlacedFrame, folder: Path) -> dict[str, Any]:
         depth_observed=result.depth_observed,
         unobserved=result.unobserved,
         views=tuple(RegisteredViewRecord(**view) for view in done.view_figures()),
-        plan=tuple(PlanRecord(**asdict(step)) for step in result.plan),
+        plan=tuple(PlanRecord.of(step) for step in result.plan),
         metrics=figures,
         notes=done.notes,
         files=(*files, RECORD),
