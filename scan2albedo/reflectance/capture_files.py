@@ -105,24 +105,17 @@ class FlashCaptureFile(_Part):
 
 @dataclass(frozen=True)
 class CaptureFiles:
-    """The content of a capture file; pictures are read when they are needed.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    content : FlashCaptureFile
-    rig : CaptureRig
-        Millimetres.
-    vertices, faces : (V, 3) float64, (F, 3) int64
-        Of the mesh, mm.
-    """
+    """The content of a capture file; pictures are read when they are needed."""
 
     path: Path
+    """Of the file."""
     content: FlashCaptureFile
+    """What the file holds, in its own unit."""
     rig: CaptureRig
+    """Millimetres."""
     vertices: FloatArray
     faces: IntArray
+    """`vertices`, `faces`: (V, 3), (F, 3): of the mesh, mm."""
 
     @property
     def reference_distance_mm(self) -> float | None:

@@ -19,24 +19,16 @@ _ROTATION_TOLERANCE = 1e-4
 class CaptureRig:
     """Cameras and flashes of J pictures, in the frame of the face.
 
-    Parameters
-    ----------
-    cameras : (J, 3, 4) float64
-        Projection matrices, pixels (column, row) from points in mm, normalised so that depth is third.
-    light_positions : (J, 3) float64
-        Of the flash that lit each picture, in mm.
-    light : (J,) int64
-        Number of that flash, 0, 1, ...
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, or numbers are not finite.
+    Raises `ReflectanceError` when shapes disagree, or numbers are not finite.
     """
 
     cameras: FloatArray
+    """(J, 3, 4): projection matrices, pixels (column, row) from points in mm, normalised so that depth is
+    third."""
     light_positions: FloatArray
+    """(J, 3): of the flash that lit each picture, in mm."""
     light: NDArray[np.int64]
+    """(J,): number of that flash, 0, 1, ..."""
 
     def __post_init__(self) -> None:
         try:

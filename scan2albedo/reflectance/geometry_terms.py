@@ -33,10 +33,7 @@ _LEAST_VERTICES = 20
 class GeometryFitOptions:
     """How pose and shape are fitted to one image.
 
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     landmark_weight: float = 0.2

@@ -19,32 +19,21 @@ BoolArray = NDArray[np.bool_]
 class ImageObservation:
     """Radiance of V vertices in one image, with their normals and the directions to the camera.
 
-    Parameters
-    ----------
-    observed_linear : (V, 3) array_like of float
-        Linear colour at each vertex, of any exposure; unused where not seen.
-    normals, toward_camera : (V, 3) array_like of float
-        Unit vectors in one frame, the one that light is wanted in; unused where not seen.
-    seen : (V,) array_like of bool
-        Vertices that count: not occluded, skin, not saturated.
-    transfer : LightResponse, optional
-        Of the V vertices with the shadows that the surface casts on itself, from `light_transfer`; none are
-        cast when omitted. Unused where not seen.
-
-    Raises
-    ------
-    ReflectanceError
-        When a seen vertex has no finite colour or no unit vectors, nothing is seen, it is black there, or
-        its transfer is not finite or lets no light come.
-    ValueError
-        When shapes disagree.
+    Raises `ReflectanceError` when a seen vertex has no finite colour or no unit vectors, nothing is seen, it
+    is black there, or its transfer is not finite or lets no light come; `ValueError` when shapes disagree.
     """
 
     observed_linear: ArrayLike
+    """(V, 3): linear colour at each vertex, of any exposure; unused where not seen."""
     normals: ArrayLike
     toward_camera: ArrayLike
+    """`normals`, `toward_camera`: (V, 3): unit vectors in one frame, the one that light is wanted in; unused
+    where not seen."""
     seen: ArrayLike
+    """(V,): vertices that count: not occluded, skin, not saturated."""
     transfer: LightResponse | None = None
+    """Of the V vertices with the shadows that the surface casts on itself, from `light_transfer`; none are
+    cast when omitted. Unused where not seen."""
 
     def __post_init__(self) -> None:
         seen = np.asarray(self.seen)

@@ -32,23 +32,16 @@ class LightingModel:
     Every map is divided by its mean radiance in each channel, so that scale_rgb is that mean radiance and the
     directions describe only how light is distributed. Use it as a prior for fits, not as a source of light:
     lamps are rare and strong, and normally distributed coefficients give places with negative light.
-
-    Parameters
-    ----------
-    mean : (81, 3) float64
-        Coefficients of harmonics; sqrt(4 pi) comes first.
-    basis : (N, 81, 3) float64
-        The first coefficient of each is 0.
-    deviation : (N,) float64
-        Standard deviation along each direction, largest first.
-    total_variance : float
-        Of the maps' coefficients, all directions together.
     """
 
     mean: FloatArray
+    """(81, 3): coefficients of harmonics; sqrt(4 pi) comes first."""
     basis: FloatArray
+    """(N, 81, 3): the first coefficient of each is 0."""
     deviation: FloatArray
+    """(N,): standard deviation along each direction, largest first."""
     total_variance: float
+    """Of the maps' coefficients, all directions together."""
 
     @classmethod
     def default(cls) -> LightingModel:
@@ -59,15 +52,12 @@ class LightingModel:
     def generate(cls, *, count: int = 600, components: int = COMPONENTS, seed: int = 0) -> LightingModel:
         """Learn a model from `count` (2 or more) maps of `generated_environment`; same seed, same model.
 
+        Raises `ReflectanceError` when `count` is below 2, which has no directions.
+
         Parameters
         ----------
         count, components, seed : int
             Maps, directions to keep, and what the maps are drawn from.
-
-        Raises
-        ------
-        ReflectanceError
-            When `count` is below 2, which has no directions.
         """
         if count < 2:
             raise ReflectanceError(

@@ -51,10 +51,7 @@ def lobe_coefficients(exponent: float, order: int = ORDER) -> FloatArray:
         B_l = (s + 2) / 4 integral of ((1 + t) / 2)^a P_l(t) dt,
         B_0 = 1,   B_{l+1} = B_l (a - l) / (a + l + 2).
 
-    Raises
-    ------
-    ValueError
-        When the exponent s is not more than 0.
+    Raises `ValueError` when the exponent s is not more than 0.
 
     Examples
     --------
@@ -73,17 +70,14 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
     missing, and n.h falls more slowly that way. The second array is the tilt in rad from n to the mean
     direction, in the plane of n and v away from v; the mirrored view has the tilt `angle_rad`.
 
+    Raises `ValueError` when the exponent is not more than 0 or an angle not finite.
+
     Parameters
     ----------
     angle_rad : (...) array_like of float
         Between n and v; pi / 2 and more (a surface that is not seen) give coefficients 0.
     exponent : float
         s, more than 0.
-
-    Raises
-    ------
-    ValueError
-        When the exponent is not more than 0 or an angle not finite.
 
     Notes
     -----

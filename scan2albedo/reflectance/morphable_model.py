@@ -95,27 +95,7 @@ class MorphableReflectanceModel:
 
         c = c0 + sum b_i C_i,   s = s0 + sum b_i S_i,   w' = w'0 + sum b_i W_i.
 
-    Parameters
-    ----------
-    known : (V,) bool
-        Vertices the model knows; arrays hold zeros elsewhere.
-    support : (V,) int64
-        Samples that know each vertex.
-    diffuse_mean, diffuse_basis : (V, 3), (N, V, 3) float64
-    sum_mean, sum_basis : (V,), (N, V) float64
-    share_mean, share_basis : (V, 3), (N, V, 3) float64
-        The shares sum to 1 and their directions to 0.
-    deviation : (N,) float64
-        Standard deviation of the samples' albedo along each direction (the norm of C_i), largest first.
-    total_variance : float
-        Of the samples' albedo, all directions and vertices together.
-    samples : int
-        K.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree or a number is not finite.
+    Raises `ReflectanceError` when shapes disagree or a number is not finite.
 
     References
     ----------
@@ -134,16 +114,24 @@ class MorphableReflectanceModel:
     """
 
     known: BoolArray
+    """(V,): vertices the model knows; arrays hold zeros elsewhere."""
     support: NDArray[np.int64]
+    """(V,): samples that know each vertex."""
     diffuse_mean: FloatArray
     diffuse_basis: FloatArray
+    """`diffuse_mean`, `diffuse_basis`: (V, 3), (N, V, 3)."""
     sum_mean: FloatArray
     sum_basis: FloatArray
+    """`sum_mean`, `sum_basis`: (V,), (N, V)."""
     share_mean: FloatArray
     share_basis: FloatArray
+    """`share_mean`, `share_basis`: (V, 3), (N, V, 3): the shares sum to 1 and their directions to 0."""
     deviation: FloatArray
+    """(N,): standard deviation of the samples' albedo along each direction; largest first."""
     total_variance: float
+    """Of the samples' albedo, all directions and vertices together."""
     samples: int
+    """K."""
 
     def __post_init__(self) -> None:
         count, components = len(self.known), len(self.deviation)
@@ -178,6 +166,9 @@ class MorphableReflectanceModel:
         The deviations X (K x 3V) of the albedo from its mean have the Gram matrix X X^T = U diag(e) U^T;
         direction i is X^T u_i / sqrt(K - 1), and the deviations of s and w' ride on the same u_i.
 
+        Raises `ReflectanceError` when there is no sample, topologies differ, or no vertex has the support;
+        `ValueError` for options out of range.
+
         Parameters
         ----------
         samples : sequence of VertexReflectance
@@ -186,13 +177,6 @@ class MorphableReflectanceModel:
             Directions to keep; all, at most K - 1, when omitted.
         least_support : float
             Share of the samples, above 0, that must know a vertex for the model to know it.
-
-        Raises
-        ------
-        ReflectanceError
-            When there is no sample, topologies differ, or no vertex has the support.
-        ValueError
-            For options out of range.
 
         Notes
         -----
@@ -311,12 +295,8 @@ class MorphableReflectanceModel:
         Minimises sum |c - c0 - sum b_i C_i|^2 + prior |b|^2; the weights follow b. Use a prior above 0 when
         few vertices are known.
 
-        Raises
-        ------
-        ReflectanceError
-            When the topology is another, or no vertex is known to both.
-        ValueError
-            When `prior` is negative.
+        Raises `ReflectanceError` when the topology is another, or no vertex is known to both; `ValueError`
+        when `prior` is negative.
         """
         if not prior >= 0:
             raise ValueError(f"prior must be 0 or more, got {prior}")

@@ -26,24 +26,15 @@ _BRIGHTER_ROOM_PART = 0.02
 class OlatOptions:
     """How displayed values become light.
 
-    Parameters
-    ----------
-    gamma : float
-        Light is value^gamma; 1 for pictures that are linear already.
-    noise : float
-        Standard deviation of the values, white = 1.
-    saturation : float
-        Values from here on are clipped, or may be; inf for pictures that cannot clip.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     gamma: float = 1.2
+    """Light is value^gamma; 1 for pictures that are linear already."""
     noise: float = 0.01
+    """Standard deviation of the values, white = 1."""
     saturation: float = 0.98
+    """Values from here on are clipped, or may be; inf for pictures that cannot clip."""
 
     def __post_init__(self) -> None:
         for name in ("gamma", "noise"):
@@ -55,50 +46,34 @@ class OlatOptions:
 
 @dataclass(frozen=True)
 class CaptureDiagnostic:
-    """Something wrong with a pair of pictures.
-
-    Parameters
-    ----------
-    name : {"room_brighter_than_flash", "saturated", "not_finite"}
-    pair : int
-    part : float
-        Of the pair's pixels.
-    left_out : bool
-        Whether the whole pair is.
-    message : str
-        In words, with what to do.
-    """
+    """Something wrong with a pair of pictures."""
 
     name: str
+    """One of "room_brighter_than_flash", "saturated", "not_finite"."""
     pair: int
+    """Its number."""
     part: float
+    """Of the pair's pixels."""
     left_out: bool
+    """Whether the whole pair is."""
     message: str
+    """In words, with what to do."""
 
 
 @dataclass(frozen=True)
 class OlatImages:
-    """Light that the flash of each of J pairs added.
-
-    Parameters
-    ----------
-    linear : (J, H, W, 3) float32
-        Negative where noise made it so; 0 where not valid.
-    sigma : (J, H, W, 3) float32
-        Standard deviation.
-    valid : (J, H, W, 3) bool
-        Finite, not saturated, of a pair that is not left out.
-    saturated : (J, H, W, 3) bool
-        In either picture.
-    diagnostics : tuple of CaptureDiagnostic
-        Pair by pair.
-    """
+    """Light that the flash of each of J pairs added."""
 
     linear: NDArray[np.float32]
+    """(J, H, W, 3) float32: negative where noise made it so; 0 where not valid."""
     sigma: NDArray[np.float32]
+    """(J, H, W, 3) float32: standard deviation."""
     valid: NDArray[np.bool_]
+    """(J, H, W, 3): finite, not saturated, of a pair that is not left out."""
     saturated: NDArray[np.bool_]
+    """(J, H, W, 3): in either picture."""
     diagnostics: tuple[CaptureDiagnostic, ...] = ()
+    """Pair by pair."""
 
     def __len__(self) -> int:
         return len(self.linear)

@@ -34,27 +34,17 @@ _VIEW_COSINE = 0.1
 class PhotographOptions:
     """How displayed values become light, and when a vertex counts as seen.
 
-    Parameters
-    ----------
-    gamma : float
-        Light is value^gamma; 1 for pictures that are linear already.
-    saturation : float
-        Values from here on are clipped, or may be; inf for pictures that cannot clip.
-    margin_px : float
-        Distance in the picture from edges of the surface; 0 asks for none.
-    shadow_directions : int
-        Directions of `light_transfer`; 0 leaves shadows out.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     gamma: float = 1.2
+    """Light is value^gamma; 1 for pictures that are linear already."""
     saturation: float = 0.98
+    """Values from here on are clipped, or may be; inf for pictures that cannot clip."""
     margin_px: float = 1.5
+    """Distance in the picture from edges of the surface; 0 asks for none."""
     shadow_directions: int = 1024
+    """Directions of `light_transfer`; 0 leaves shadows out."""
 
     def __post_init__(self) -> None:
         if not 0 < self.gamma < math.inf:

@@ -59,34 +59,24 @@ class FacePhotographFile(BaseModel):
 
 @dataclass(frozen=True)
 class PhotographFiles:
-    """The content of a photograph file, with its image, mask and mesh.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    content : FacePhotographFile
-    image : (H, W, 3) uint8, uint16 or float32
-        Values.
-    mask : (H, W) bool or None
-    camera : (3, 4) float64
-        From points in mm.
-    vertices : (V, 3) float64 or None
-        Of the mesh, mm.
-    faces : (F, 3) int64 or None
-        Of the mesh; empty for points alone.
-    landmarks_px : (68, 2) float64 or None
-        NaN for what is hidden.
-    """
+    """The content of a photograph file, with its image, mask and mesh."""
 
     path: Path
+    """Of the file."""
     content: FacePhotographFile
+    """What the file holds, in its own unit."""
     image: NDArray[np.generic]
+    """(H, W, 3) uint8, uint16 or float32: values."""
     mask: NDArray[np.bool_] | None
+    """(H, W)."""
     camera: FloatArray
+    """(3, 4): from points in mm."""
     vertices: FloatArray | None
+    """(V, 3): of the mesh, mm."""
     faces: NDArray[np.int64] | None
+    """(F, 3): of the mesh; empty for points alone."""
     landmarks_px: FloatArray | None
+    """(68, 2): NaN for what is hidden."""
 
 
 def read_photograph(path: str | Path) -> PhotographFiles:

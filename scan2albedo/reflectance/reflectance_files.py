@@ -38,23 +38,15 @@ _OF_A_FIT = {
 class MeshReflectance:
     """The reflectance of the vertices of a mesh.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Millimetres.
-    faces : (F, 3) int64
-    reflectance : VertexReflectance
-        Of V vertices.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, vertices are not finite, or faces point outside them.
+    Raises `ReflectanceError` when shapes disagree, vertices are not finite, or faces point outside them.
     """
 
     vertices: FloatArray
+    """(V, 3): millimetres."""
     faces: IntArray
+    """(F, 3)."""
     reflectance: VertexReflectance
+    """Of V vertices."""
 
     def __post_init__(self) -> None:
         vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces)

@@ -21,29 +21,20 @@ _BLACK = 1e-30
 
 @dataclass(frozen=True)
 class RelightingError:
-    """Error over the observations of pictures left out of a fit, all channels together.
-
-    Parameters
-    ----------
-    relative_rmse : float
-        Root mean square of observed minus predicted radiance, over that of the observed.
-    psnr_db : float
-        Of displayed values, radiance^(1 / gamma) with the 99th percentile of the observed as white.
-    noise_part : float
-        What the observations' own sigma makes of `relative_rmse`.
-    of_picture : (J,) float64
-        Relative RMSE of each picture; NaN where it was not left out or shows nothing that is known.
-    observations : int
-    fit : ReflectanceFit
-        Of the other pictures.
-    """
+    """Error over the observations of pictures left out of a fit, all channels together."""
 
     relative_rmse: float
+    """Root mean square of observed minus predicted radiance, over that of the observed."""
     psnr_db: float
+    """Of displayed values, radiance^(1 / gamma) with the 99th percentile of the observed as white."""
     noise_part: float
+    """What the observations' own sigma makes of `relative_rmse`."""
     of_picture: FloatArray
+    """(J,): relative RMSE of each picture; NaN where it was not left out or shows nothing that is known."""
     observations: int
+    """Their number."""
     fit: ReflectanceFit
+    """Of the other pictures."""
 
 
 def relighting_error(

@@ -27,23 +27,17 @@ class ReflectancePrior:
     `ValueError`.
 
     It keeps lobes that no picture shows from fitting noise.
-
-    Parameters
-    ----------
-    diffuse_mean, diffuse_std : float
-        Of each channel's albedo; broad.
-    weights_mean, weights_std : tuple of three floats
-        Of the lobes with exponents 1, 8 and 64.
-    level : float or None
-        Unit of the others; None takes the median of the albedos without highlights, since the strength of the
-        flash and the albedo cannot be separated.
     """
 
     diffuse_mean: float = 1.0
     diffuse_std: float = 5.0
+    """`diffuse_mean`, `diffuse_std`: of each channel's albedo; broad."""
     weights_mean: tuple[float, float, float] = (0.1, 0.1, 0.1)
     weights_std: tuple[float, float, float] = (0.3, 0.3, 0.3)
+    """`weights_mean`, `weights_std`: of the lobes with exponents 1, 8 and 64."""
     level: float | None = None
+    """Unit of the others; None takes the median of the albedos without highlights, since the strength of the
+    flash and the albedo cannot be separated."""
 
     def __post_init__(self) -> None:
         if len(self.weights_mean) != 3 or len(self.weights_std) != 3:
@@ -60,38 +54,29 @@ class ReflectancePrior:
 
 @dataclass(frozen=True)
 class ReflectanceFitOptions:
-    """Settings of `fit_reflectance`; a value out of range is a `ValueError`.
-
-    Parameters
-    ----------
-    prior : ReflectancePrior
-    loss : {"cauchy", "charbonnier", "squares"}
-        Of a picture's residual, its three channels together: what no model of the light explains, a shadow
-        that the mesh does not cast for instance, pulls little or not at all.
-    width : float
-        Residual over sigma from which the loss departs from squares; wider for vertices that fit worse.
-    iterations : int
-        Most reweightings.
-    tolerance : float
-        A vertex is done when no number moves by more than this part of its standard deviation.
-    light_gains : bool
-        Estimate the strength of each flash in each channel, mean 1 over the flashes, beside the reflectance.
-    gain_iterations, gain_vertices, gain_tolerance : int, int, float
-        Most alternations, vertices (evenly chosen) that gains are found from, and change that ends them.
-    least_pairs : int
-        A vertex with fewer pictures of a channel is not known.
-    """
+    """Settings of `fit_reflectance`; a value out of range is a `ValueError`."""
 
     prior: ReflectancePrior = ReflectancePrior()
+    """Of every vertex."""
     loss: str = "cauchy"
+    """One of "cauchy", "charbonnier", "squares". Of a picture's residual, its three channels together: what
+    no model of the light explains, a shadow that the mesh does not cast for instance, pulls little or not at
+    all."""
     width: float = 2.4
+    """Residual over sigma from which the loss departs from squares; wider for vertices that fit worse."""
     iterations: int = 100
+    """Most reweightings."""
     tolerance: float = 0.02
+    """A vertex is done when no number moves by more than this part of its standard deviation."""
     light_gains: bool = False
+    """Estimate the strength of each flash in each channel, too; their mean is 1."""
     gain_iterations: int = 50
     gain_vertices: int = 2000
     gain_tolerance: float = 1e-5
+    """`gain_iterations`, `gain_vertices`, `gain_tolerance`: most alternations, vertices (evenly chosen) that
+    gains are found from, and change that ends them."""
     least_pairs: int = 1
+    """A vertex with fewer pictures of a channel is not known."""
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:

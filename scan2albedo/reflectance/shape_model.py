@@ -49,22 +49,8 @@ class ShapeModelHeader(BaseModel):
 class MorphableShapeModel:
     """Shape x = mean + sum a_i identity_i + sum b_i expression_i, coefficients of unit variance.
 
-    Parameters
-    ----------
-    mean : (V, 3) float64
-        Millimetres.
-    identity_basis : (N_S, V, 3) float64
-    expression_basis : (N_E, V, 3) float64
-        From the neutral face; coefficients 0 are the neutral expression.
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
-    landmark_vertices : (68,) int64
-        Vertex of each landmark, iBUG-68 order.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, a number is not finite, or an index points outside the vertices.
+    Raises `ReflectanceError` when shapes disagree, a number is not finite, or an index points outside the
+    vertices.
 
     References
     ----------
@@ -81,10 +67,15 @@ class MorphableShapeModel:
     """
 
     mean: FloatArray
+    """(V, 3): millimetres."""
     identity_basis: FloatArray
+    """(N_S, V, 3)."""
     expression_basis: FloatArray
+    """(N_E, V, 3): from the neutral face; coefficients 0 are the neutral expression."""
     faces: IntArray
+    """(F, 3): counter-clockwise seen from outside."""
     landmark_vertices: IntArray
+    """(68,): vertex of each landmark, iBUG-68 order."""
 
     def __post_init__(self) -> None:
         count = len(self.mean)
@@ -129,6 +120,9 @@ class MorphableShapeModel:
         X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1). Of expressions an offset and its opposite
         count as equally likely, so that no expression is the mean one.
 
+        Raises `ReflectanceError` when there is no face, topologies differ, or numbers are not finite;
+        `ValueError` when a number of components is negative.
+
         Parameters
         ----------
         neutral_vertices : (K, V, 3) array_like of float
@@ -139,13 +133,6 @@ class MorphableShapeModel:
         landmark_vertices : (68,) array_like of int
         identity_components, expression_components : int
             Most directions to keep; there are at most K - 1 and E.
-
-        Raises
-        ------
-        ReflectanceError
-            When there is no face, topologies differ, or numbers are not finite.
-        ValueError
-            When a number of components is negative.
 
         Notes
         -----

@@ -36,65 +36,48 @@ _LEAST_GAIN, _MOST_GAIN = 1e-3, 1e3
 
 @dataclass(frozen=True)
 class ReflectanceFit:
-    """Result of `fit_reflectance`; NaN where a vertex is not known, unless said otherwise.
-
-    Parameters
-    ----------
-    reflectance : VertexReflectance
-    std : (V, 6) float64
-        Standard deviation of the posterior without bounds, columns `PARAMETERS`; larger by the misfit where
-        residuals are above sigma.
-    low, high : (V, 6) float64
-        95 % intervals, >= 0; they hold the estimate.
-    pair_count : (V,) int64
-        Pictures used; 0 for unseen vertices.
-    condition : (V,) float64
-        Condition number of the observations' matrix, columns not scaled, without the prior; inf where it is
-        singular.
-    activation : (V, 3) float64
-        Largest value over the pictures of each lobe, over its peak: max(0, n.h)^s. 0 for unseen vertices.
-    identifiability : (V, 6) float64
-        Posterior over prior standard deviation, the former before the misfit: 1 where pictures add nothing.
-    identified : (V, 6) bool
-        Identifiability is small enough; False where not known.
-    misfit : (V,) float64
-        Root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where there are
-        not more observations than unknowns.
-    light_gain : (L, 3) float64
-        Strength of each flash, mean 1 over those used; NaN for flashes that lit nothing.
-    level : float
-        Unit of the prior.
-    bounded_albedos : int
-        Vertices where an albedo is held at 0.
-    settled : (V,) bool
-        Known and done when the fit ended.
-    converged : bool
-        All known vertices are, and the gains; False when the budget or the iterations ended the fit first.
-    iterations : int
-        Reweightings.
-    residual : float
-        Robust loss per observation; 1/2 is pure noise.
-    trace : Trace
-    """
+    """Result of `fit_reflectance`; NaN where a vertex is not known, unless said otherwise."""
 
     reflectance: VertexReflectance
+    """Of V vertices."""
     std: FloatArray
+    """(V, 6): standard deviation of the posterior without bounds, columns `PARAMETERS`; larger by the misfit
+    where residuals are above sigma."""
     low: FloatArray
     high: FloatArray
+    """`low`, `high`: (V, 6): 95 % intervals, >= 0; they hold the estimate."""
     pair_count: NDArray[np.int64]
+    """(V,): pictures used; 0 for unseen vertices."""
     condition: FloatArray
+    """(V,): condition number of the observations' matrix, columns not scaled, without the prior; inf where it
+    is singular."""
     activation: FloatArray
+    """(V, 3): largest value over the pictures of each lobe, over its peak: max(0, n.h)^s. 0 for unseen
+    vertices."""
     identifiability: FloatArray
+    """(V, 6): posterior over prior standard deviation, the former before the misfit: 1 where pictures add
+    nothing."""
     identified: NDArray[np.bool_]
+    """(V, 6): identifiability is small enough; False where not known."""
     misfit: FloatArray
+    """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
+    there are not more observations than unknowns."""
     light_gain: FloatArray
+    """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float
+    """Unit of the prior."""
     bounded_albedos: int
+    """Vertices where an albedo is held at 0."""
     settled: NDArray[np.bool_]
+    """(V,): known and done when the fit ended."""
     converged: bool
+    """All known vertices are, and the gains; False when the budget or the iterations ended the fit first."""
     iterations: int
+    """Reweightings."""
     residual: float
+    """Robust loss per observation; 1/2 is pure noise."""
     trace: Trace
+    """Of the loss per observation."""
 
     @property
     def parameters(self) -> FloatArray:

@@ -25,19 +25,7 @@ class VertexReflectance:
 
         c / pi max(0, n.l) + sum_k w_k (s_k + 2) / (8 pi) max(0, n.h)^s_k,   h = (l + v) / |l + v|.
 
-    Parameters
-    ----------
-    diffuse_linear : (V, 3) float64
-        Albedo c, not negative; NaN where it is not known.
-    weights : (V, 3) float64
-        Of the lobes with `EXPONENTS`, not negative, achromatic; NaN where they are not known.
-    known : (V,) bool
-        Vertices with numbers.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, or a known vertex has a negative number or none.
+    Raises `ReflectanceError` when shapes disagree, or a known vertex has a negative number or none.
 
     References
     ----------
@@ -45,8 +33,11 @@ class VertexReflectance:
     """
 
     diffuse_linear: FloatArray
+    """(V, 3): albedo c, not negative; NaN where it is not known."""
     weights: FloatArray
+    """(V, 3): of the lobes with `EXPONENTS`, not negative, achromatic; NaN where they are not known."""
     known: NDArray[np.bool_]
+    """(V,): vertices with numbers."""
 
     def __post_init__(self) -> None:
         diffuse, weights = np.asarray(self.diffuse_linear, float), np.asarray(self.weights, float)

@@ -26,29 +26,19 @@ _LEAST_SIGMA = 1e-100
 class SamplingOptions:
     """When a vertex counts as seen and lit.
 
-    Parameters
-    ----------
-    view_cosine, light_cosine : float
-        n.v and n.l must be above these.
-    margin_px : float
-        Distance in the picture from edges of the surface; 0 asks for none.
-    position_sigma_px : float
-        Standard deviation of where a vertex is in the picture, along each axis: where pixels differ, a
-        vertex's sigma is larger.
-    reference_distance_mm : float or None
-        Distance at which light has fallen off to 1, with its square; None is no falloff.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     view_cosine: float = 0.1
     light_cosine: float = 0.0
+    """`view_cosine`, `light_cosine`: n.v and n.l must be above these."""
     margin_px: float = 1.5
+    """Distance in the picture from edges of the surface; 0 asks for none."""
     position_sigma_px: float = 0.3
+    """Standard deviation of where a vertex is in the picture, along each axis: where pixels differ, a
+    vertex's sigma is larger."""
     reference_distance_mm: float | None = None
+    """Distance at which light has fallen off to 1, with its square; None is no falloff."""
 
     def __post_init__(self) -> None:
         for name in ("view_cosine", "light_cosine"):
@@ -67,30 +57,19 @@ class SamplingOptions:
 class VertexSamples:
     """Observations of V vertices in J pictures.
 
-    Parameters
-    ----------
-    observed_linear : (J, V, 3) float64
-        Linear, negative where noise made it so; 0 where not valid.
-    sigma : (J, V, 3) float64
-        Standard deviation, > 0 where valid.
-    valid : (J, V, 3) bool
-        Seen, lit, neither saturated nor missing.
-    lobes : (J, V, 4) float64
-        What unit albedo and unit weights would send, see `point_light_lobes`.
-    light : (J,) int64
-        Number of the flash.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, or a valid observation is not finite or has no sigma.
+    Raises `ReflectanceError` when shapes disagree, or a valid observation is not finite or has no sigma.
     """
 
     observed_linear: FloatArray
+    """(J, V, 3): linear, negative where noise made it so; 0 where not valid."""
     sigma: FloatArray
+    """(J, V, 3): standard deviation, > 0 where valid."""
     valid: NDArray[np.bool_]
+    """(J, V, 3): seen, lit, neither saturated nor missing."""
     lobes: FloatArray
+    """(J, V, 4): what unit albedo and unit weights would send, see `point_light_lobes`."""
     light: NDArray[np.int64]
+    """(J,): number of the flash."""
 
     def __post_init__(self) -> None:
         observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
