@@ -38,10 +38,10 @@ def swap(
     """Give A's shape B's skin."""
     from scan2albedo.applications import SwapOptions, load_result, swap_texture
 
-    _new_folder(out, [a, b])
+    _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
     made = swap_texture(first, second, options=SwapOptions(match_level=not keep_level))
-    _finish(made, out, "swap", [first, second], {"match_level": not keep_level}, json_summary)
+    _write_face(made, out, "swap", [first, second], {"match_level": not keep_level}, json_summary)
 
 
 def blend(
@@ -56,10 +56,10 @@ def blend(
 
     if not 0 <= weight <= 1:
         raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
-    _new_folder(out, [a, b])
+    _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
     made = blend_faces(first, second, weight)
-    _finish(made, out, "blend", [first, second], {"weight": weight}, json_summary)
+    _write_face(made, out, "blend", [first, second], {"weight": weight}, json_summary)
 
 
 def transfer_expression(
@@ -91,14 +91,14 @@ def transfer_expression(
         options = applications.TransferOptions(**chosen)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    _new_folder(out, [neutral_a, expression_a, neutral_b])
+    _check_new_folder(out, [neutral_a, expression_a, neutral_b])
     load = applications.load_result
     faces = [load(neutral_a), load(expression_a), load(neutral_b)]
     template = chosen_model(model)
     made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
     refined = level_to_refine(faces[0].mesh, options, template) is not None
     chosen["correspondence"] = "refined" if refined else "as-fitted"
-    _finish(made, out, "transfer-expression", faces, chosen, json_summary)
+    _write_face(made, out, "transfer-expression", faces, chosen, json_summary)
 
 
 def personal_model(
@@ -132,8 +132,8 @@ def personal_model(
         echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
 
 
-def _new_folder(out: Path, inputs: list[Path]) -> None:
-    """Refuse to write a new face over one that it is made of, or over a processed scan."""
+def _check_new_folder(out: Path, inputs: list[Path]) -> None:
+    """Refuse to overwrite a face that the new one is made of, or a processed scan."""
     from scan2albedo.applications.files import check_face_folder
 
     if out.resolve() in [path.resolve() for path in inputs]:
@@ -141,7 +141,7 @@ def _new_folder(out: Path, inputs: list[Path]) -> None:
     check_face_folder(out)
 
 
-def _finish(
+def _write_face(
     face: ProcessedFace,
     out: Path,
     application: str,
@@ -149,7 +149,7 @@ def _finish(
     options: dict[str, Any],
     json_summary: bool,
 ) -> None:
-    """Write the face and tell where."""
+    """Write the face, and print where."""
     from scan2albedo.applications import write_face
 
     stop_cleanly_on_interrupt(out)

@@ -1,4 +1,4 @@
-"""The command `identify`: who of a gallery of processed scans is on other processed scans."""
+"""The command `identify`: which persons of a gallery of processed scans other processed scans show."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def identify(
 ) -> None:
     """Tell which person of a gallery each probe resembles most, by albedo.
 
-    Somebody of the gallery is always the most similar: how similar, and how much less the next person is,
-    says whether to believe it. Where probes name their person, the rate of right answers is told.
+    Somebody of the gallery is always the most similar: how similar, and by how much more than the next
+    person, shows how reliable that is. Where probes name their person, the rate of right answers is printed.
     """
     _check_options(probes, out, combine, save_templates)
     stop_cleanly_on_interrupt(out)

@@ -108,7 +108,7 @@ def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
 
 
 def _refuse_result_files(result: Path, out: Path) -> None:
-    """Refuse to write over the files of the result that is shown."""
+    """Refuse to overwrite files of the result itself."""
     from scan2albedo.applications.files import FILES
     from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
