@@ -36,8 +36,8 @@ def refined_expression(
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
     Two fits of one person slide along the skin each in its own way. So the face at rest itself becomes the
-    model, its jaw turned as the two fits tell, and is fitted to the surface that the expression's fit found;
-    the film that spans an open mouth there is left out.
+    model, its jaw turned by the angle between the two fits, and is fitted to the surface that the
+    expression's fit found; the film that spans an open mouth there is left out.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def refined_expression(
     Notes
     -----
     1.4 s CPU. Where both surfaces are the same the answer is `rest`, to rounding. Skin without features
-    (cheeks, forehead) is carried by what surrounds it: how it slides, no shape tells.
+    (cheeks, forehead) is carried by what surrounds it: its shape does not show how it slides.
 
     Mean errors in mm of points of light-stage shapes given to another person, everything registered and
     fitted with the default model (``tools/bench_applications.py expression``):

@@ -28,8 +28,8 @@ def personal_model(
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
     itself. An expression that starts from the person's own face at rest, and not from the model's, mostly
-    ends with what did not move where it was. For `transfer_expression` there is no need of it: that finds out
-    which points correspond by itself, and better (the figures are with `refined_expression`).
+    ends with what did not move where it was. `transfer_expression` does not need it: it finds out
+    which points correspond, and more exactly (the figures are with `refined_expression`).
 
     Parameters
     ----------

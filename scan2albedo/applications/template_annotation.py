@@ -40,13 +40,7 @@ LIPS = ("upper_lip", "lower_lip")
 def annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
     """Make a model in the convention's axes, with the default model's annotation where none is given.
 
-    Parameters
-    ----------
-    surface : TemplateSurface
-        Of `given`, in any pose.
-    given : DenseTemplate
-    control_size : int
-        Control vertices aimed at.
+    `surface` is that of `given`, in any pose; about `control_size` control vertices are aimed at.
 
     Raises
     ------

@@ -46,14 +46,7 @@ class DenseTemplate:
 
 
 def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
-    """Make a surface of about `control_size` control vertices; see `AnnotatedFaceModel.from_mesh`.
-
-    Parameters
-    ----------
-    surface : TemplateSurface
-        Of `given`, in the model's axes.
-    given : DenseTemplate
-    control_size : int
+    """Make a surface of about `control_size` control vertices from a template in the model's axes.
 
     Raises
     ------
@@ -105,7 +98,7 @@ def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: F
     """Return what was done to the template, and how far the surface stays from it where that is much."""
     cut = len(surface.faces) - int((~template.filled).sum())
     apart = np.linalg.norm(offset[template.source], axis=1)
-    told = (
+    possible = (
         (cut > 0, f"faces cut off the back of a closed surface: {cut}"),
         (template.holes > 0, f"holes filled: {template.holes}"),
         (
@@ -114,7 +107,7 @@ def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: F
             "template; a greater control_size follows it better",
         ),
     )
-    return tuple(text for applies, text in told if applies)
+    return tuple(text for applies, text in possible if applies)
 
 
 def _all_placed(

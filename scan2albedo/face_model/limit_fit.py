@@ -52,20 +52,14 @@ def decimated(vertices: FloatArray, faces: IntArray, size: int) -> ControlMesh:
 
 
 def fit_limit_surface(start: ControlMesh, vertices: FloatArray, faces: IntArray) -> ControlMesh:
-    """Move control vertices until the limit surface passes near the dense vertices.
+    """Move the control vertices of `start` until the limit surface passes near the dense mesh (K, 3), (F, 3).
 
     Alternates projection of the dense vertices x_i on the limit surface with the least-squares problem
 
         min_P  sum_i |A_i P - x_i|^2 + s N / C |L (P - P_0)|^2,
 
-    A_i the row that evaluates the limit surface at the projection, L the graph Laplacian, s small.
-
-    Parameters
-    ----------
-    start : ControlMesh
-        P_0, lying near the dense mesh.
-    vertices, faces
-        The dense mesh (K, 3), (F, 3).
+    A_i the row that evaluates the limit surface at the projection, L the graph Laplacian, s small, P_0 the
+    start.
     """
     count = len(start.vertices)
     subdivision = LoopSubdivision.of(count, start.faces, LEVELS)

@@ -48,14 +48,7 @@ class CleanTemplate:
 
 
 def clean_template(surface: TemplateSurface, name: str) -> CleanTemplate:
-    """Cut a closed head open at the back, fill the holes, and see that a disc remains.
-
-    Parameters
-    ----------
-    surface : TemplateSurface
-        In the model's axes: +x left, +y up, +z out of the face.
-    name : str
-        Used in messages.
+    """Cut a closed head in the model's axes open at the back, fill the holes, and see that a disc remains.
 
     Raises
     ------
@@ -115,20 +108,11 @@ def boundary_loops(faces: IntArray) -> list[IntArray]:
 
 
 def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:
-    """Return the (n - 2, 3) faces of least total area that close a loop of n vertices.
+    """Return the (n - 2, 3) faces of least total area that close a loop (n,) of `boundary_loops`.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-        The mesh with the hole; its edges are not used again as chords, which would join three faces.
-    loop : (n,) int64
-        Boundary loop in the direction of the faces' edges (`boundary_loops`); the new faces run
-        against it, so that the mesh stays consistently oriented.
-
-    Notes
-    -----
-    Dynamic programming over polygon chords, O(n^3): 74 vertices take a millisecond, 500 a second.
+    The new faces run against the loop, so that the mesh stays consistently oriented; the mesh's own edges are
+    not used again as chords, which would join three faces. Dynamic programming over polygon chords [1]_,
+    O(n^3): 74 vertices take a millisecond, 500 a second.
 
     References
     ----------

@@ -25,7 +25,7 @@ SEARCH_EVERY = 6
 GATE_SHRINK = 0.85
 REACH_PER_MEDIAN = 5.0
 SCALE_PRIOR = 0.02
-"""Weight that pulls the scale to 1, as a part of what all samples together say."""
+"""Weight of the prior that pulls the scale to 1, relative to that of all samples together."""
 KNOTS = 5
 """Quadratic B-splines over the height of the face."""
 HALF_WIDTH_MM = 60.0
@@ -53,23 +53,12 @@ def refine_similarity(
     """Return the similarity that lays the model's rigid regions on the scan as posed so far.
 
     Gauss-Newton on (rotation, translation, log scale) of
-    sum_i w_i [ (n_i . d_i)^2 + t |d_i - (n_i . d_i) n_i|^2 ], d_i = y_i - x_i, with the closest points
-    y_i, normals n_i and gated robust weights renewed every iteration.
 
-    Parameters
-    ----------
-    scan : ScanSurface
-    samples : SurfaceSamples
-        Where the surface is sampled.
-    rest : (C, 3) float64
-        Control points at rest.
-    weight : (N,) float64
-        Area times rigidity of each sample.
-    gates : (ForceGates, ForceGates)
-        First and last; the distance gate shrinks from one to the other.
-    iterations : int
-    scale_range : (float, float)
-    meter : Meter
+        sum_i w_i [ (n_i . d_i)^2 + t |d_i - (n_i . d_i) n_i|^2 ],   d_i = y_i - x_i,
+
+    with the closest points y_i, normals n_i and gated robust weights renewed every iteration. `rest` (C, 3) are
+    the control points, `weight` (N,) area times rigidity of each sample; the distance gate shrinks from the
+    first of `gates` to the last.
     """
     points = samples.matrix @ rest
     pose = Similarity(np.eye(3), np.zeros(3))
@@ -150,21 +139,11 @@ def _largest_motion(step: FloatArray, points: FloatArray) -> float:
 def proportioned(
     scan: ScanSurface, samples: SurfaceSamples, reference: FloatArray, options: FitOptions, meter: Meter
 ) -> FloatArray:
-    """Return control points whose face has the scan's proportions.
+    """Return control points (C, 3) whose face has the scan's proportions.
 
-    Gauss-Newton on a rigid motion and three splines of height (`_modes`), point to plane with the gates and
-    robust weights of the forces, against a Gaussian prior on the splines.
-
-    Parameters
-    ----------
-    scan : ScanSurface
-    samples : SurfaceSamples
-    reference : (C, 3) float64
-        Control points at rest, in the scan's frame and about of its size.
-    options : FitOptions
-        `proportion_iterations` steps are taken.
-    meter : Meter
-        One evaluation a step; rows in mm.
+    Gauss-Newton, `proportion_iterations` steps, on a rigid motion and three splines of height (`_modes`),
+    point to plane with the gates and robust weights of the forces, against a Gaussian prior on the splines.
+    `reference` (C, 3) are control points at rest, in the scan's frame and about of its size.
     """
     modes, precision = _modes(reference)
     moves = np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1)

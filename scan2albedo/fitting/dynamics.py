@@ -74,17 +74,9 @@ class ImplicitSystem:
     ) -> State:
         """Return the state one time step later.
 
-        Parameters
-        ----------
-        state : State
-        force : (C, 3) float64
-            At `state`.
-        springs : callable
-            x (C, 3) -> H x.
-        iterations : int
-            Most conjugate gradient iterations.
-        tolerance : float
-            They end when the residual (in the preconditioner's norm) has fallen to this part.
+        `force` (C, 3) acts at `state`, `springs` maps x (C, 3) to H x. At most so many conjugate gradient
+        `iterations`; they end when the residual (in the preconditioner's norm) has fallen to `tolerance` of
+        the first.
         """
         right = self._mass * state.velocity / self.time_step - self._stiffness @ state.q + force
         moved = conjugate_gradients(

@@ -83,7 +83,7 @@ def fit(
 
     Notes
     -----
-    The paper's linear finite elements are replaced by the cotangent Laplacian of the control mesh, and
+    The linear finite elements of [1]_ are replaced by the cotangent Laplacian of the control mesh, and
     its damping by the implicit treatment of the forces' own stiffness: each step is a few preconditioned
     conjugate gradients on x, y, z together, so that samples slide along the scan as freely as `tangential`
     lets them. Closest points that are not mutual do not pull; folds left at the end are stiffened away.

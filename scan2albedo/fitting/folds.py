@@ -30,15 +30,8 @@ def guarded(
     """Return control points (C, 3) between `before` and `after` for which no triangle turns over.
 
     The step is halved at the control points around each offending triangle and their neighbours, up to
-    MAX_HALVINGS times, then dropped there, then dropped everywhere.
-
-    Parameters
-    ----------
-    before, after : (C, 3) float64
-    face_normals : (F, 3) float64
-        Unit normals of the sampled triangles at `before`.
-    samples : SurfaceSamples
-    control_faces : (F_C, 3) int64
+    MAX_HALVINGS times, then dropped there, then dropped everywhere. `face_normals` (F, 3) are unit normals of
+    the sampled triangles at `before`.
     """
     fraction = np.ones((len(before), 1))
     for attempt in range(MAX_HALVINGS + 1):
@@ -54,15 +47,10 @@ def guarded(
 
 
 class FoldFinder:
-    """Finds triangles at edges that folded over.
+    """Finds triangles (F, 3) at edges that folded over.
 
-    That is, by more than 150 degrees, and more than 45 degrees further than at rest: the rims of
+    That is, by more than 150 degrees, and more than 45 degrees further than at `rest` (V, 3): the rims of
     lips and lids are creases of 130 degrees that may close.
-
-    Parameters
-    ----------
-    rest : (V, 3) float64
-    faces : (F, 3) int64
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray) -> None:

@@ -80,12 +80,8 @@ class ScanForces:
 
         Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
         behind a part of the model that y belongs to, about as far as y is: such pairs must not pull. Kept are
-        those whose return ends within MUTUAL_SLOPE |y - x| of x, and a part of the spacing of samples.
-
-        Parameters
-        ----------
-        samples : (N, 3) float64
-        area : (N,) float64
+        those whose return ends within MUTUAL_SLOPE |y - x| of x, and a part of the spacing of samples, which
+        stand for `area` (N,) each.
         """
         used = np.flatnonzero(self.weight > 0)
         _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
@@ -114,18 +110,10 @@ def scan_forces(
     """Return the springs w (n n^T + t (I - n n^T)) (y - x) that pull samples x to their closest points y.
 
     n is the scan's normal at y, t the tangential part, w the product of the gates (distance, angle of
-    normals, border of the scan) and of Geman and McClure's robust weight.
-
-    Parameters
-    ----------
-    scan : ScanSurface
-    samples, sample_normals : (N, 3) float64
-        Points of the model's surface and their unit normals.
-    gates : ForceGates
-    start : ScanForces, optional
-        Of the last call, when the samples are the same ones moved a little.
-    rim : (N,) float64, optional
-        `SurfaceSamples.rim`; there, scan that stands before the model is likely hair or cloth.
+    normals, border of the scan) and of Geman and McClure's robust weight. `samples` and `sample_normals` (N,
+    3) are points of the model's surface; `start` are the forces of the last call, when the samples are the
+    same ones moved a little; at the `rim` (N,) of `SurfaceSamples`, scan before the model is likely hair or
+    cloth.
     """
     vertex = scan.nearest.nearest_vertices(samples) if start is None else start.vertex.copy()
     offset, normal, distance, border = pulled(

@@ -147,7 +147,7 @@ class JawHinge:
 
 @dataclass(frozen=True)
 class MouthSearch:
-    """Opened control points worth a trial, and what tells them apart.
+    """Opened control points worth a trial, and their cost on the scan.
 
     Parameters
     ----------

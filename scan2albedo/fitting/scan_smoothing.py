@@ -18,7 +18,7 @@ BoolArray = NDArray[np.bool_]
 SPREAD_PER_PASS = 0.43
 """Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""
 REACH = 0.6
-"""Standard deviation of the say of neighbours with their distance, per scale (or usual edge, if longer).
+"""Standard deviation of the neighbours' weight over distance, per scale (or usual edge, if longer).
 
 Without it a vertex whose neighbours are 8 mm away would be averaged with them as one 0.5 mm away is.
 """
@@ -26,23 +26,15 @@ SPIKE = 6.0
 """Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
 MAX_PASSES = 40
 _NO_SHARE = 1e-9
-"""Sum of the shares below which nothing has a say in a vertex's mean."""
+"""Sum of the shares below which nothing weighs in a vertex's mean."""
 
 
 @dataclass(frozen=True)
 class SurfaceAverages:
-    """A surface whose points are averaged with their neighbours'.
+    """A surface (V, 3), (F, 3) whose points are averaged with their neighbours'.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Each in a face.
-    faces : (F, 3) int64
-        One at least.
-    boundary : (V,) bool
-        Vertices that stay.
-    count : (V,) float64, optional
-        How many measurements each vertex is the mean of: its say.
+    Every vertex is in a face; those on the `boundary` (V,) stay. A vertex that is the mean of `count` (V,)
+    measurements weighs as many.
     """
 
     vertices: FloatArray
@@ -54,7 +46,7 @@ class SurfaceAverages:
         """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
 
         As many averages over the neighbours as the length of the edges asks for, none when edges are more
-        than twice as long as the scale, MAX_PASSES at most. Borders stay; spikes have no say, and move to
+        than twice as long as the scale, MAX_PASSES at most. Borders stay; spikes have no weight, and move to
         where their neighbours are.
 
         Averages flatten what is curved. With `keep_curvature` what they took away is averaged as well and
@@ -91,19 +83,19 @@ class SurfaceAverages:
         return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
 
     @cached_property
-    def _say(self) -> FloatArray:
+    def _weight(self) -> FloatArray:
         count = np.ones(len(self.vertices)) if self.count is None else self.count
         return np.where(self._spike, 0.0, count)
 
     def _shares(self, reach_mm: float) -> FloatArray:
         """Return (N,) what each vertex takes from each neighbour; spikes take from all alike."""
-        return _neighbour_shares(self.vertices, *self._joined, self._spike, self._say, reach_mm)
+        return _neighbour_shares(self.vertices, *self._joined, self._spike, self._weight, reach_mm)
 
     def _averaged(
         self, values: FloatArray, at_border: FloatArray, shares: FloatArray, passes: int
     ) -> FloatArray:
         for _ in range(passes):
-            values = _average(values, at_border, self.boundary, *self._joined, shares, self._say)
+            values = _average(values, at_border, self.boundary, *self._joined, shares, self._weight)
         return values
 
 
@@ -133,7 +125,7 @@ def _largest_around(values, begins, neighbours):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _neighbour_shares(vertices, begins, neighbours, spike, say, reach_mm):  # type: ignore[no-untyped-def]
+def _neighbour_shares(vertices, begins, neighbours, spike, weight, reach_mm):  # type: ignore[no-untyped-def]
     shares = np.empty(len(neighbours))
     for v in range(len(vertices)):
         for e in range(begins[v], begins[v + 1]):
@@ -143,16 +135,16 @@ def _neighbour_shares(vertices, begins, neighbours, spike, say, reach_mm):  # ty
                 for k in range(3):
                     square += (vertices[n, k] - vertices[v, k]) ** 2
                 near = np.exp(-0.5 * square / reach_mm**2)
-            shares[e] = near * say[n]
+            shares[e] = near * weight[n]
     return shares
 
 
 @njit(cache=True, nogil=True)
-def _average(values, at_border, boundary, begins, neighbours, shares, say):  # type: ignore[no-untyped-def]
+def _average(values, at_border, boundary, begins, neighbours, shares, weight):  # type: ignore[no-untyped-def]
     """Return (V, 3) each vertex's mean over itself and its neighbours; `at_border` where it has none."""
     result = np.empty_like(values)
     for v in range(len(values)):
-        total = say[v]
+        total = weight[v]
         a, b, c = total * values[v, 0], total * values[v, 1], total * values[v, 2]
         for e in range(begins[v], begins[v + 1]):
             share, n = shares[e], neighbours[e]

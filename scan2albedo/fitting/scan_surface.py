@@ -107,7 +107,7 @@ def scan_near_model(
     scan costs and makes seams no borders; then noise is averaged and floaters are dropped. Faces that reach
     out of the box stay when one corner is inside, so that the cut itself makes no border near the model, but
     not when another lies as far away as only a stray vertex does. A scan torn into shreds has borders
-    everywhere, which tell nothing: it keeps its floaters and has none.
+    everywhere, which mean nothing: it keeps its floaters and has none.
     """
     xyz = transform_points(model_from_scan, vertices)
     inside = np.all((xyz >= low) & (xyz <= high), axis=1)

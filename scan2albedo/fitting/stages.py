@@ -32,7 +32,7 @@ FINEST_STEPS = 3
 FINEST_MENDING_ROUNDS = 3
 """On the finest samples 5 steps and more rounds cost about an eighth more and end no nearer."""
 TRIAL_LEVEL, TRIAL_STAGES, TRIAL_STEPS = 1, 2, 5
-"""A trial's samples, stages, and steps in each; longer trials tell the candidates apart no better."""
+"""A trial's samples, stages, and steps in each; longer trials choose no better."""
 USUAL_SPRINGS = 0.5
 """Stiffness of the springs, relative to an open gate's, that the preconditioner reckons with."""
 
@@ -128,7 +128,7 @@ def run_stages(deformation: Deformation, count: int | None = None) -> StagesResu
 
     However few seconds there were, one step is taken. Where the sheet has folded over it is made stiffer, in
     short rounds of the last stage, until no fold is left. A scan as fine as the samples of
-    `FitOptions.finest_level` then gets a few steps with these: more of its vertices have a say, and their
+    `FitOptions.finest_level` then gets a few steps with these: more of its vertices count, and their
     noise averages out.
     """
     levels, meter = deformation.options.levels, deformation.meter

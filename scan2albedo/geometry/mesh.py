@@ -203,19 +203,10 @@ def far_vertices(vertices: FloatArray, used: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the vertices joined to each by an edge, ascending, each once.
+    """Return the vertices joined to each by an edge, ascending, each once, as rows of one list.
 
-    Parameters
-    ----------
-    vertex_count : int
-    faces : (F, 3) int64
-        Of vertices below `vertex_count`.
-
-    Returns
-    -------
-    begins : (V + 1,) int64
-    neighbours : (N,) int64
-        Those of vertex v are ``neighbours[begins[v]:begins[v + 1]]``.
+    The neighbours of vertex v are ``neighbours[begins[v]:begins[v + 1]]`` of `begins` (V + 1,) and
+    `neighbours` (N,).
     """
     index = np.ascontiguousarray(faces, np.int64)
     require_vertices(index, vertex_count)
@@ -264,19 +255,9 @@ def _sort_rows_once(ends, every, begins):  # type: ignore[no-untyped-def]
 
 
 def face_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the faces around each vertex, ascending.
+    """Return the faces around each vertex, ascending, as rows of one list.
 
-    Parameters
-    ----------
-    vertex_count : int
-    faces : (F, 3) int64
-        Of vertices below `vertex_count`.
-
-    Returns
-    -------
-    begins : (V + 1,) int64
-    around : (3 F,) int64
-        Those of vertex v are ``around[begins[v]:begins[v + 1]]``.
+    Those of vertex v are ``around[begins[v]:begins[v + 1]]`` of `begins` (V + 1,) and `around` (3 F,).
     """
     index = np.ascontiguousarray(faces, np.int64)
     require_vertices(index, vertex_count)

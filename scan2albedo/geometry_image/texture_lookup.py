@@ -183,18 +183,11 @@ def texel_steps(
 
 @njit(cache=True, nogil=True)
 def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
-    """Return (N, C) float32 means of bilinear samples spread evenly over each footprint.
+    """Return (N, C) float32 means of samples of a photograph (H, W, C) over each texel's footprint.
 
-    Parameters
-    ----------
-    photograph : (H, W, C) float32
-        Continued beyond its border by the border's pixels.
-    centre : (N, 2) float64
-        Middle of each footprint in pixels, (0, 0) the middle of the first pixel.
-    footprint : (N, 2, 2) float64
-        Its two sides, as columns, in pixels.
-    taps : int
-        Samples along each side.
+    Samples are bilinear and evenly spread. `centre` (N, 2) is the middle of each footprint in pixels, (0, 0)
+    the middle of the first pixel; `footprint` (N, 2, 2) has its two sides, as columns; `taps` samples are
+    taken along each side. Beyond its border the photograph is continued by the border's pixels.
     """
     height, width, channels = photograph.shape
     mean = np.empty((len(centre), channels), np.float32)

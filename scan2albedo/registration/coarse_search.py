@@ -83,20 +83,11 @@ def coarse_poses(
 def anchored_starts(
     scan: OrientedPoints, model_anchor: FloatArray, *, rotation_count: int, anchor_spacing_mm: float
 ) -> Poses:
-    """Put the model's front point on well-spread scan points, in every rotation that faces outward there.
+    """Put the model's front point (3,) on well-spread scan points, in every rotation facing outward there.
 
-    A face may lie anywhere on a scan that also holds shoulders and hair, so centroids say little;
+    A face may lie anywhere on a scan that also holds shoulders and hair, so centroids are of little use;
     but its front always is a piece of surface whose averaged normal is roughly the face's +z axis.
-
-    Parameters
-    ----------
-    scan : OrientedPoints
-    model_anchor : (3,) float64
-        The front of the model, in the model's frame.
-    rotation_count : int
-        Super-Fibonacci rotations, of which each anchor takes those that face outward.
-    anchor_spacing_mm : float
-        Least distance between two anchors.
+    `rotation_count` super-Fibonacci rotations are tried at each anchor, `anchor_spacing_mm` apart.
     """
     anchors = farthest_points(scan.points, anchor_spacing_mm, _ANCHOR_LIMIT)
     around = scan.tree.query_ball_point(scan.points[anchors], _NORMAL_SMOOTHING_MM)

@@ -53,19 +53,11 @@ class Annealed:
 class DepthDerivativeObjective:
     """Truncated weighted L1 difference between the depth derivatives of model and scan.
 
-    cost = sum_p w_p (min(|dx_p - dx'_p|, tau) + min(|dy_p - dy'_p|, tau)) / (2 tau sum_p w_p), 0 ... 1,
-    over the pixels where the scan has derivatives; a pixel the model does not reach counts as tau. The scan
-    is drawn once in the start pose, the model at every evaluation. Derivatives do not see a shift along the
-    viewing axis, so there are five parameters (rotation vector in radians and x, y in mm, about the
-    model's origin) and z is solved apart.
-
-    Parameters
-    ----------
-    scan_vertices, scan_faces : (V, 3) float64 mm, (F, 3) int64
-    template : Template
-    start : Similarity
-    size : int
-        Pixels a side.
+    cost = sum_p w_p (min(|dx_p - dx'_p|, tau) + min(|dy_p - dy'_p|, tau)) / (2 tau sum_p w_p), 0 ... 1, over
+    the pixels where the scan has derivatives; a pixel the model does not reach counts as tau. The scan,
+    vertices (V, 3) mm and faces (F, 3), is drawn once in the `start` pose, the model at every evaluation,
+    both with `size` pixels a side. Derivatives do not see a shift along the viewing axis, so there are five
+    parameters (rotation vector in radians and x, y in mm, about the model's origin) and z is solved apart.
     """
 
     def __init__(
@@ -124,26 +116,8 @@ def anneal_depth_derivatives(
 ) -> AnnealedPose:
     """Anneal the pose within 8 degrees and 8 mm of the start, then more finely near what was found.
 
-    Half of the evaluations see images of half the size.
-
-    Parameters
-    ----------
-    scan_vertices, scan_faces : (V, 3) float64 mm, (F, 3) int64
-    template : Template
-    start : Similarity
-        Its scale is kept.
-    size : int
-        Pixels a side of the depth images.
-    evaluations : int
-        Length of the cooling schedule.
-    seed : int
-    meter : Meter
-        Records the objective's improvements.
-
-    References
-    ----------
-    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
-       application to face recognition", section 3.1.1.
+    Half of the `evaluations` see images of half the `size` (pixels a side). The scale of `start` is kept; the
+    meter records the objective's improvements.
     """
     bounds = np.array([_LARGEST_ANGLE_RAD] * 3 + [_LARGEST_SHIFT_MM] * 2)
     coarse, fine = (
@@ -219,7 +193,7 @@ def annealed(
     meter: Meter,
     seed: int,
 ) -> Annealed:
-    """Anneal on depth derivatives when forced, finish, and keep the answer if the surface says so.
+    """Anneal on depth derivatives when forced, tighten, and keep the answer if the surface is nearer for it.
 
     Left out by default: where ICP settled on a fixed point, the tight ICP mostly comes back to it from where
     annealing ends; where ICP keeps moving (another person's face, an open jaw), annealing's optimum is biased

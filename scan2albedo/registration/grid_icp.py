@@ -17,18 +17,10 @@ _MAX_CELLS = 1_500_000
 
 @dataclass(frozen=True)
 class NearestGrid:
-    """A voxel grid over a point cloud; each cell holds (nearly) the nearest point to its centre.
+    """A voxel grid over a point cloud (mm).
 
-    Parameters
-    ----------
-    samples : OrientedPoints
-        The cloud, in millimetres.
-    nearest : (X, Y, Z) int32
-        Index of the nearest sample.
-    origin : (3,) float64
-        Corner of cell (0, 0, 0).
-    cell_mm : float
-        Side of a cell.
+    `nearest` (X, Y, Z) holds the index of (nearly) the nearest sample to each cell's centre, `origin` (3,) is
+    the corner of cell (0, 0, 0), `cell_mm` the side of a cell.
     """
 
     samples: OrientedPoints
@@ -108,24 +100,21 @@ def refine_on_grid(
     iterations: int,
     sigma_mm: tuple[float, float],
 ) -> FloatArray:
-    """Run a robust ICP of the model samples from every start; poses change in place.
+    """Run a robust ICP of the (M,) model samples from every start; poses change in place.
 
     Minimises, per start, sum_i w_i rho_i (n_i . (R p_i + t - q_i))^2 plus a tenth of the
     point-to-point term, where q_i is the scan sample nearest to R p_i + t, n_i the mean of both
-    normals, and rho_i falls with distance (Geman-McClure, scale sigma) and with the normals' angle.
+    normals [1]_, and rho_i falls with distance (Geman-McClure, scale sigma, geometric between the two of
+    `sigma_mm`) and with the normals' angle.
 
     Parameters
     ----------
     grid : NearestGrid
         Of the scan.
     model : OrientedPoints
-        (M,) samples of the model.
     weights : (M,) float64
     rotations, translations : (N, 3, 3) and (N, 3) float64
         `scan_from_model`, overwritten.
-    iterations : int
-    sigma_mm : (float, float)
-        Scale at the first and at the last iteration; geometric in between.
 
     Returns
     -------

@@ -35,13 +35,7 @@ def import_open3d() -> ModuleType:
 
 
 class ScanTarget:
-    """Scan samples prepared for many ICP runs.
-
-    Parameters
-    ----------
-    samples : OrientedPoints
-        In millimetres.
-    """
+    """Scan samples (mm) prepared for many ICP runs."""
 
     def __init__(self, samples: OrientedPoints) -> None:
         self._open3d = import_open3d()
@@ -62,23 +56,11 @@ class ScanTarget:
         scale_mm: float,
         iterations: int,
     ) -> FloatArray:
-        """Return the (4, 4) `scan_from_model` after point-to-plane ICP with Tukey's loss.
+        """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model with Tukey's loss.
 
-        Runs on one thread: Open3D adds up its normal equations in the order the threads finish, so
-        more threads would give other bits each time.
-
-        Parameters
-        ----------
-        model : OrientedPoints
-            Source samples, mm.
-        scan_from_model : (4, 4) float64
-            Start.
-        max_distance_mm : float
-            Greatest distance of a pair.
-        scale_mm : float
-            Tukey's constant: pairs farther apart along the normal have no weight.
-        iterations : int
-            At most so many.
+        `max_distance_mm` is the greatest distance of a pair, `scale_mm` Tukey's constant: pairs farther apart
+        along the normal have no weight. Runs on one thread: Open3D adds up its normal equations in the order
+        the threads finish, so more threads would give other bits each time.
         """
         registration = self._open3d.pipelines.registration
         with _one_thread(self._open3d):

@@ -113,7 +113,7 @@ def register(
     Raises
     ------
     RegistrationError
-        When the scan is too small to judge or holds no face; the message carries the figures.
+        When the scan is too small or too large, or holds no face; the message carries the figures.
     ValueError
         When `seed` is no whole number of 0 or more.
     MissingDependencyError

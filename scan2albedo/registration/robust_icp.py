@@ -99,21 +99,10 @@ def robust_icp(
     """Refine a pose by iteratively reweighted point-to-plane ICP over rotation, translation and scale.
 
     Minimises sum_i w_i rho_i (n_i . (s R p_i + t - q_i))^2 + W (sigma log s / 0.1)^2 (W a fiftieth of the
-    weights' sum) with Geman-McClure weights
-    rho_i = (sigma^2 / (sigma^2 + r_i^2))^2 times the squared agreement of the normals. The scale takes up
+    weights' sum) over the model's (M,) samples with Geman-McClure weights
+    rho_i = (sigma^2 / (sigma^2 + r_i^2))^2 times the squared agreement of the normals; w is larger where the
+    model is rigid, sigma goes geometrically from the first to the second of `sigma_mm`. The scale takes up
     that people differ in size, which would otherwise push the pose along the viewing axis.
-
-    Parameters
-    ----------
-    scan : OrientedPoints
-    model : OrientedPoints
-        (M,) samples.
-    weights : (M,) float64
-        Larger where the model is rigid.
-    start : Similarity
-    iterations : int
-    sigma_mm : (float, float)
-        Scale of the weights at the first and last iteration, geometric in between.
     """
     pose = start
     for sigma in np.geomspace(*sigma_mm, iterations):

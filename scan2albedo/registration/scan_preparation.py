@@ -111,16 +111,7 @@ def box_text(vertices: FloatArray) -> str:
 
 
 def without_stray_faces(vertices: FloatArray, faces: IntArray) -> IntArray:
-    """Return the faces (K, 3) that keep near the rest of the surface.
-
-    A face goes when a corner of it lies more than 4 times as far from the vertices' median as 98 % of them
-    do; so at most 2 % of the vertices can stray.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-    """
+    """Return the faces (K, 3) without those that reach to `far_vertices`: at most 2 % of the vertices."""
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     stray = far_vertices(vertices, used)
@@ -128,23 +119,12 @@ def without_stray_faces(vertices: FloatArray, faces: IntArray) -> IntArray:
 
 
 def in_principal_frame(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Move a mesh into the principal axes of its surface.
+    """Return the vertices (V, 3) in the surface's principal axes, and the rigid (4, 4) transform there.
 
-    Origin at the surface's centroid, axes along the eigenvectors of its second moments (longest first)
-    and toward the heavier tail of the third moments; so the same mesh in another pose arrives at the same
-    coordinates, up to rounding. Where a moment is ambiguous (a ball) any of the frames will do: the
-    search covers every rotation from each.
-
-    Parameters
-    ----------
-    vertices, faces : (V, 3) float64, (F, 3) int64
-
-    Returns
-    -------
-    vertices : (V, 3) float64
-        In that frame.
-    prepared_from_scan : (4, 4) float64
-        The rigid transform.
+    Origin at the surface's centroid, axes along the eigenvectors of its second moments (longest first) and
+    toward the heavier tail of the third moments [1]_; so the same mesh in another pose arrives at the same
+    coordinates, up to rounding. Where a moment is ambiguous (a ball) any of the frames will do: the search
+    covers every rotation from each.
 
     References
     ----------

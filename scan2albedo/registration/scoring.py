@@ -77,13 +77,7 @@ class FaceScores:
 
 
 class FaceImage:
-    """The model's depth image, against which posed scans are judged.
-
-    Parameters
-    ----------
-    vertices, faces : (V, 3) float64 mm, (F, 3) int64
-        The model's surface in its own frame.
-    """
+    """The model's depth image, to score posed scans by: of its vertices (V, 3) mm and faces (F, 3)."""
 
     def __init__(self, vertices: FloatArray, faces: NDArray[np.int64]) -> None:
         low, high = vertices.min(0), vertices.max(0)
@@ -102,7 +96,7 @@ class FaceImage:
         model_from_scan: FloatArray,
         rms_mm: float = 0.0,
     ) -> FaceScores:
-        """Judge a scan under a (4, 4) transform into the model's frame (rigid or similarity)."""
+        """Score a scan under a (4, 4) transform into the model's frame (rigid or similarity)."""
         seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
         difference = np.where(self._inside, seen, np.inf) - np.where(self._inside, self.depth, 0.0)
         common = np.abs(difference) < _SAME_SURFACE_MM
@@ -161,16 +155,9 @@ def normal_relief(
 ) -> float:
     """Return the correlation of model and scan slopes without their quadratic trend, -1 ... 1.
 
-    Slopes come from the normals of the model samples and of the scan samples nearest to them; the
-    result is lessened by the square root of the part of the model that has a near scan sample.
-
-    Parameters
-    ----------
-    grid : NearestGrid
-        Of the scan.
-    model : OrientedPoints
-    rotation, translation : (3, 3) and (3,) float64
-        `scan_from_model`.
+    Slopes come from the normals of the model samples, placed by rotation (3, 3) and translation (3,)
+    `scan_from_model`, and of the scan samples nearest to them; the result is lessened by the square root of
+    the part of the model that has a near scan sample.
     """
     placed = model.points @ rotation.T + translation
     index = grid.nearest_samples(placed)

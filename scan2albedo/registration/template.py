@@ -35,7 +35,7 @@ class Template:
     front : (3,) float64
         Where the z axis leaves the face.
     image : FaceImage
-        What posed scans are compared with.
+        Scores posed scans.
     coarse_vertices, coarse_faces : (C, 3) float64, (F, 3) int64
         The limit surface at the control vertices: light enough to be drawn thousands of times.
     coarse_stiffness : (C,) float64
