@@ -154,7 +154,12 @@ def vertex_uv(count: int, faces: IntArray, corner_uv: FloatArray) -> FloatArray 
 
 
 def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
-    """Return the model that a user means: a model, a file of one or of a template, "default" or "none".
+    """Return the model that a user means; None for "none".
+
+    Parameters
+    ----------
+    model : AnnotatedFaceModel, str, Path or None
+        A model, the file of a model or of a template, "default" (also None) or "none".
 
     Raises
     ------
