@@ -1,4 +1,4 @@
-"""Every public function and class tells its parameters, what it returns and raises, as numpydoc has it.
+"""Every public function and class documents its parameters, results and errors, as numpydoc has it.
 
 Read from the source, without importing it, which takes a second instead of several.
 """
@@ -12,9 +12,9 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1] / "scan2albedo"
 TITLES = ("Parameters", "Returns", "Yields", "Raises", "Warns", "Notes", "References", "Examples")
 RETURNING = ("Return", "Give", "Yield")
-"""A first line that begins so tells what is returned."""
-TOLD_IN_TEXT = 2
-"""Methods of no more parameters may tell of them in their text."""
+"""A first line that begins so says what is returned."""
+DESCRIBED_IN_TEXT = 2
+"""Methods of no more parameters may describe them in their text."""
 Function = ast.FunctionDef
 
 
@@ -82,7 +82,7 @@ def section(text: str, title: str) -> str | None:
     return dict(zip(parts[1::2], parts[2::2], strict=True)).get(title)
 
 
-def told_parameters(text: str) -> set[str]:
+def documented_parameters(text: str) -> set[str]:
     """Names at the margin of the section Parameters."""
     names: set[str] = set()
     for line in (section(text, "Parameters") or "").partition(">>>")[0].splitlines():
@@ -118,12 +118,12 @@ def is_dataclass(node: ast.ClassDef) -> bool:
 
 
 def fields(node: ast.ClassDef) -> Iterator[tuple[str, bool]]:
-    """Names of a dataclass's public fields, and whether a string below tells of each."""
+    """Names of a dataclass's public fields, and whether a string below documents each."""
     following = [*node.body[1:], None]
     for line, after in zip(node.body, following, strict=True):
         if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name) and line.target.id[0] != "_":
-            told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            yield line.target.id, told
+            documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            yield line.target.id, documented
 
 
 def methods() -> Iterator[tuple[str, Function]]:
@@ -135,11 +135,11 @@ def methods() -> Iterator[tuple[str, Function]]:
 
 
 def lacks_of_function(function: Function) -> Iterator[str]:
-    """What a function's docstring does not tell, or tells without need."""
+    """What a function's docstring lacks, or documents without need."""
     text = docstring(function)
-    told = told_parameters(text)
-    yield from sorted(parameters(function) - told)
-    yield from (f"no parameter {name}" for name in sorted(told - parameters(function)))
+    documented = documented_parameters(text)
+    yield from sorted(parameters(function) - documented)
+    yield from (f"no parameter {name}" for name in sorted(documented - parameters(function)))
     if returns_something(function) and not text.startswith(RETURNING) and section(text, "Returns") is None:
         yield "section Returns"
     yield from (
@@ -156,9 +156,9 @@ def lacks_of_dataclass(node: ast.ClassDef) -> Iterator[str]:
         and isinstance(line.value, ast.Constant)
         and isinstance(line.value.value, str)
     ]
-    named = told_parameters(docstring(node)) | set(re.findall(r"`(\w+)`", " ".join(strings)))
-    yield from (field for field, told in fields(node) if not told and field not in named)
-    yield from told_parameters(docstring(node)) - {field for field, _ in fields(node)}
+    named = documented_parameters(docstring(node)) | set(re.findall(r"`(\w+)`", " ".join(strings)))
+    yield from (field for field, documented in fields(node) if not documented and field not in named)
+    yield from documented_parameters(docstring(node)) - {field for field, _ in fields(node)}
 
 
 def lacks_of_method(method: Function) -> Iterator[str]:
@@ -166,8 +166,8 @@ def lacks_of_method(method: Function) -> Iterator[str]:
     text = docstring(method)
     if not text:
         yield "docstring"
-    if len(parameters(method)) > TOLD_IN_TEXT:
-        yield from sorted(parameters(method) ^ told_parameters(text))
+    if len(parameters(method)) > DESCRIBED_IN_TEXT:
+        yield from sorted(parameters(method) ^ documented_parameters(text))
     yield from (f"raises {error}" for error in raised(method) if error not in text)
 
 
@@ -185,17 +185,17 @@ def test_the_first_line_is_a_sentence():
     assert not {name: line for name, line in first.items() if not line.endswith((".", ":", "`"))}
 
 
-def test_functions_tell_parameters_returns_and_errors():
+def test_functions_document_parameters_returns_and_errors():
     lacks = {name: list(lacks_of_function(node)) for name, node in FUNCTIONS.items()}
     assert not {name: lack for name, lack in lacks.items() if lack}
 
 
-def test_dataclasses_tell_their_fields():
+def test_dataclasses_document_their_fields():
     lacks = {name: list(lacks_of_dataclass(node)) for name, node in CLASSES.items() if is_dataclass(node)}
     assert not {name: lack for name, lack in lacks.items() if lack}
 
 
-def test_methods_tell_many_parameters_and_all_errors():
+def test_methods_document_many_parameters_and_all_errors():
     lacks = {name: list(lacks_of_method(node)) for name, node in methods()}
     assert not {name: lack for name, lack in lacks.items() if lack}
 

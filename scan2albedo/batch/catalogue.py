@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan2albedo.batch.columns import FILES, FIXED, METRICS, STAGES, path_column
 from scan2albedo.batch.layout import CATALOGUE
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan
-from scan2albedo.batch.records import BatchScanRecord
+from scan2albedo.batch.records import FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
 from scan2albedo.errors import BatchError, needs_extra
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.result_records import column_name, metric_columns
@@ -32,7 +31,7 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     Returns
     -------
     pyarrow.Table
-        The columns of `columns`, figures of stages that only some scans have, and the manifest's own columns
+        The columns of `records`, figures of stages that only some scans have, and the manifest's own columns
         as text. Numbers are float64, empty where a scan has none.
     """
     import pyarrow as pa

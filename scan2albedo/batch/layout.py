@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder, write_text
+from scan2albedo.io.input_hash import file_sha256
 from scan2albedo.io.records import read_record, write_record
 
 CATALOGUE, RECORD = "catalogue.parquet", "batch.json"
@@ -139,3 +140,19 @@ class Layout:
             except OSError:
                 pass  # a file system without locks
             yield
+
+
+def folder_sha256(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file in a folder, by name."""
+    return {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file()}
+
+
+def changed_file(folder: Path, files: Mapping[str, str]) -> str | None:
+    """Return the name of a file that is missing or not as it was, None when all are."""
+    for name, sha256 in files.items():
+        try:
+            if file_sha256(folder / name) != sha256:
+                return name
+        except OSError:
+            return name
+    return None

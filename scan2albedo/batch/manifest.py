@@ -10,7 +10,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from scan2albedo.batch.columns import is_taken
+from scan2albedo.batch.records import is_taken
 from scan2albedo.errors import BatchError
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text

@@ -93,7 +93,7 @@ def _scan_mb(path: Path) -> float:
 
 
 def _pixels(image: Path) -> int:
-    """Return the number of pixels from the image's header, 0 when it tells none."""
+    """Return the number of pixels from the image's header, 0 when that has none."""
     from PIL import Image, UnidentifiedImageError
 
     try:

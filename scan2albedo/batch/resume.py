@@ -10,8 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from scan2albedo.batch.fingerprints import changed_file
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.layout import Layout, changed_file
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.errors import Scan2AlbedoError

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import secrets
 import signal
@@ -11,11 +13,11 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 
 from scan2albedo.batch.catalogue import catalogue_table, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
-from scan2albedo.batch.fingerprints import model_sha256, options_sha256
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
@@ -24,8 +26,9 @@ from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.resume import Resumed, remove_leftovers, verified
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import BatchError, needs_extra
+from scan2albedo.errors import BatchError, ModelError, needs_extra
 from scan2albedo.io.atomic import check_writable
+from scan2albedo.io.input_hash import file_sha256, files_of_scan
 from scan2albedo.io.records import installed_versions, write_record
 from scan2albedo.pipeline.options import ProcessOptions
 
@@ -118,7 +121,7 @@ def _tasks(
         chosen = scan.options(options, manifest.folder)
         model = str(chosen.model)
         if model not in models:
-            models[model] = model_sha256(model)
+            models[model] = _model_sha256(model)
         tasks.append(
             ScanTask(
                 name=scan.name,
@@ -126,7 +129,7 @@ def _tasks(
                 path=str(scan.path),
                 out=str(layout.out),
                 options=chosen,
-                options_sha256=options_sha256(chosen, models[model]),
+                options_sha256=_options_sha256(chosen, models[model]),
                 model_sha256=models[model],
                 run=run,
                 version=VERSION,
@@ -134,6 +137,42 @@ def _tasks(
             )
         )
     return tasks
+
+
+def _model_sha256(model: str) -> str | None:
+    """Return the SHA-256 of a model's or a template's files; None for "none".
+
+    Raises
+    ------
+    ModelError
+        When there is no such file.
+    """
+    if model == "none":
+        return None
+    path = Path(_default_model() if model == "default" else model)
+    arrays = path.with_suffix(".npz")
+    try:
+        files = [path, arrays] if path.suffix.lower() == ".json" else [*files_of_scan(path)]
+        return hashlib.sha256("".join(file_sha256(f) for f in files if f.exists()).encode()).hexdigest()
+    except OSError as error:
+        raise ModelError(
+            f"{model}: {error.strerror or error}; give a model's or a template's file"
+        ) from error
+
+
+def _options_sha256(options: ProcessOptions, model_hash: str | None) -> str:
+    """Return the SHA-256 of options, package version and model."""
+    hashed = {"version": VERSION, "model_sha256": model_hash, **options.plain()}
+    if options.model not in ("default", "none"):
+        hashed["model"] = Path(str(options.model)).name  # its place does not count
+    return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def _default_model() -> Path:
+    from scan2albedo import face_model
+
+    return Path(str(face_model.__file__)).parent / "data" / "afm.json"
 
 
 @dataclass
@@ -167,7 +206,7 @@ class _Run:
             with closing(self.processed(todo)) as ended:
                 for row in ended:
                     self.rows[row.name] = row
-                    self.tell(last=row)
+                    self.show(last=row)
                     if time.monotonic() - self.written > CATALOGUE_INTERVAL_S:
                         self.write("running")
             status = "ended"
@@ -220,9 +259,9 @@ class _Run:
 
     def note(self, text: str) -> None:
         self.notes.append(text)
-        self.tell(note=text)
+        self.show(note=text)
 
-    def tell(self, last: BatchScanRecord | None = None, note: str = "") -> None:
+    def show(self, last: BatchScanRecord | None = None, note: str = "") -> None:
         if self.on_progress is not None:
             self.on_progress(replace(self.progress(), last=last, note=note))
 

@@ -1,4 +1,4 @@
-"""What a worker does: one scan after the other, in one thread, telling what became of each."""
+"""What a worker does: one scan after the other in one thread, each with a record of how it ended."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan2albedo.batch.fingerprints import folder_sha256
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.layout import Layout, folder_sha256
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.input_hash import input_sha256
@@ -86,7 +85,7 @@ def begin_worker(parent: int) -> None:
 
 
 def process_task(task: ScanTask) -> BatchScanRecord:
-    """Process one scan, write its files and its record, and return that; it tells of any failure."""
+    """Process one scan, write its files and its record, and return that: of a failure too, whatever it is."""
     layout = Layout(Path(task.out))
     earlier = layout.row(task.name)
     if earlier is not None and earlier.run == task.run:
@@ -121,7 +120,7 @@ def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
 
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
-    """Process a scan and return what its record tells of it."""
+    """Process a scan and return the fields of its record."""
     from scan2albedo.core.version import VERSION
 
     if task.version != VERSION:

@@ -20,10 +20,10 @@ from scan2albedo.cli.common import (
     one_line,
     refuse_shared_folders,
     stop_cleanly_on_interrupt,
+    with_process_flags,
 )
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
-from scan2albedo.cli.process_flags import with_process_flags
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.report import report
 from scan2albedo.errors import Scan2AlbedoError
@@ -213,7 +213,7 @@ def validate(
 
 @app.command()
 def doctor(json_summary: JsonOption = False) -> None:
-    """Tell what is missing on this machine and the command that mends it."""
+    """Show what is missing on this machine and the command that mends it."""
     from dataclasses import asdict
 
     from scan2albedo.cli.doctor import examine

@@ -46,7 +46,7 @@ class ValidationRow:
     light_angle_deg : float
         True azimuth of the one distant light.
     texture, brdf : str
-        What the scene was made with; the estimator is told neither.
+        What the scene was made with; the estimator knows neither.
     input_mse_percent : float
         Error of the texture as it is, nothing removed.
     mse_percent, relative_rmse : float

@@ -61,7 +61,7 @@ def stand_in(diary):
         import time
         from pathlib import Path
 
-        from scan2albedo.batch.fingerprints import folder_sha256
+        from scan2albedo.batch.layout import folder_sha256
         from scan2albedo.io.input_hash import input_sha256
 
         tries = len(list(diary.glob(f"{task.name}@*")))

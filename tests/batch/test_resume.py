@@ -31,12 +31,12 @@ def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
     (out / "missing" / "albedo.exr").unlink()
     Layout.of(out).row_file("row").write_text('{"cut": ')
     (manifest.parent / "gone.ply").unlink()
-    told = []
-    report = run_batch(manifest, out, options=TINY, resume=True, on_progress=told.append)
+    shown = []
+    report = run_batch(manifest, out, options=TINY, resume=True, on_progress=shown.append)
     assert [no_workers(name) for name in names] == [1, 2, 2, 2, 2, 2, 2, 2]
     assert stamps(out / "same") == before
     assert (report.progress.kept, report.files_verified, report.progress.done) == (1, 2, 5)
-    assert told[0].note == (
+    assert shown[0].note == (
         "kept 1 (hashes verified), 7 to do "
         "(1 with a changed scan, 2 with changed or missing files, 1 not run, "
         "1 without their scan, 2 failed before)"
