@@ -22,10 +22,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scan2albedo.albedo.finishing import inpainted
 from scipy.ndimage import binary_erosion, uniform_filter
 from skimage.restoration import inpaint_biharmonic
 
-from scan2albedo.albedo.finishing import inpainted
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at

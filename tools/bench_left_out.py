@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import scan2albedo as s2a
-from scan2albedo.albedo import EstimateOptions
+from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.core import Plan
 from scan2albedo.pipeline.demo import compare_with_truth
 from scan2albedo.pipeline.options import FORCEABLE
@@ -23,7 +23,6 @@ from scan2albedo.synthetic import Material, RawScanOptions, face, hemisphere, li
 from scan2albedo.synthetic.scenes import SyntheticScene
 
 REPEATS = 2
-EVERYTHING = {step.removeprefix("albedo."): True for step in FORCEABLE if step.startswith("albedo.")}
 GLOSSY = Material(sigma_rad=0.3, specular_strength=0.1, specular_exponent=20.0)
 MATT = Material(sigma_rad=0.0)
 
@@ -90,7 +89,7 @@ def light_scenes(size: int, seed: int) -> Iterator[tuple[str, SyntheticScene]]:
 
 def trials(size: int, seeds: int) -> Iterator[Trial]:
     """Yield every scene's two runs."""
-    free, all_parts = EstimateOptions(), EstimateOptions(**EVERYTHING)
+    free, all_parts = EstimateOptions(), EstimateOptions(force=OPTIONAL_STEPS)
     for seed in range(seeds):
         for name, scene in light_scenes(size, seed):
             yield Trial(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -18,13 +17,12 @@ from bench_albedo import light_error_deg, synthetic_case, value_of
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions, albedo_error
-from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.light_model import LightModel
-from scan2albedo.albedo.problem import Problem
-from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.albedo.lit_image import LitImage
+from scan2albedo.albedo.paper_search import DeviationProblem
+from scan2albedo.albedo.residual import ResidualProblem
 from scan2albedo.core import Budget, Meter
-from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import cone_directions
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
 
 MAKERS = {"hemisphere": hemisphere, "face": face}
@@ -174,21 +172,18 @@ def print_speed() -> None:
     """Print evaluations a CPU second at 128 x 128 and the CPU seconds of whole estimates at 512 x 512."""
     scene = face(size=128, lights=[light_at(40, 10)])
     options, view = EstimateOptions(), (0.0, 0.0, 1.0)
-    level = build_level(scene.image, usable_texels(scene.image, options), 128, options)
-    caster = RayCaster(*scene.image.occluder_mesh())
-    plain = Problem(level, caster, np.array(view), "residual", 0.2, Meter("m", "u"), 0.5 / 128)
-    table = plain.table(cone_directions(120, view, options.cone_rad))
+    meter, usable = Meter("m", "u"), usable_texels(scene.image, options)
+    lit = LitImage(scene.image, usable, "oren-nayar", view, options, meter)
+    level = lit.level(128)
+    problem, paper = ResidualProblem(level, lit.lattice(level), meter), DeviationProblem(lit, level)
     model = LightModel(1, "oren-nayar", view, 100.0, rough=True, specular=True)
     x = model.from_lights(np.array([[0.6, 0.2, 0.77]]), np.array([2.0]))
-    hypothesis = model.decode(x)
-    visible = table.nearest(hypothesis.rows[0, :3])[None]
-    slopes = ResidualProblem(level, caster, np.array(view), 0.2, 0.5, Meter("m", "u"))
-    matte = replace(hypothesis, reflectance=replace(hypothesis.reflectance, specular_strength=0.0))
-    tabled, dull = (per_second(lambda h=h: plain.evaluate(h, visible)) for h in (hypothesis, matte))
-    sloped = per_second(lambda: slopes.linearize(model, x))
+    tabled = per_second(lambda: paper.cost(model, x, rays=False))
+    residual = per_second(lambda: problem.at(model, x))
+    sloped = per_second(lambda: problem.at(model, x).quadratic_model())
     print(
-        f"evaluations a CPU second at 128 x 128: {dull:.0f} with the visibility table, {tabled:.0f} "
-        f"with a highlight as well, {sloped:.0f} with derivatives"
+        f"evaluations a CPU second at 128 x 128: {tabled:.0f} of the paper's objective with its table, "
+        f"{residual:.0f} of the residual, {sloped:.0f} with its normal equations"
     )
     for name, make, lights in (
         ("hemisphere, one light", hemisphere, [light_at(30)]),

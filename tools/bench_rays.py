@@ -15,12 +15,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import brdf_reference
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting import brdf
-from scan2albedo.lighting.kernels import OREN_NAYAR, shade
+from scan2albedo.lighting.asrm import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import face
 
@@ -106,31 +106,20 @@ def bench_shading(size: int, runs: int) -> None:
     visible = (np.random.default_rng(0).random((2, len(position))) > 0.2).astype(np.uint8)
     lights = np.array([[0.6, 0.0, 0.8, 0.0, 2.0], [-0.48, 0.6, 0.64, 1 / 700, 1.5]])
     view, sigma, specular, exponent = np.array([0.0, 0.0, 1.0]), 0.4, 0.2, 20.0
-    scale = np.ones(len(position))
-    light, gloss = np.empty((2, len(position)))
+    reflectance = Reflectance("oren-nayar", sigma, specular, exponent)
+    ours: list[Shading] = []
     result: list[FloatArray] = []
 
     def compiled() -> None:
-        shade(
-            position,
-            normal,
-            visible,
-            lights,
-            view,
-            OREN_NAYAR,
-            sigma,
-            specular,
-            exponent,
-            scale,
-            light,
-            gloss,
-        )
+        ours[:] = [shade_rows(position, normal, visible, lights, view, reflectance, np.ones(len(position)))]
 
     def reference() -> None:
         result[:] = _reference(position, normal, visible, lights, view, sigma, specular, exponent)
 
     timing = interleaved({"ours": compiled, "reference": reference}, runs)
-    error = max(float(np.abs(a - b).max()) for a, b in zip((light, gloss), result, strict=True))
+    error = max(
+        float(np.abs(a - b).max()) for a, b in zip((ours[0].light, ours[0].specular), result, strict=True)
+    )
     ratio = timing["reference"].wall_s / timing["ours"].wall_s
     print(
         f"shading, {len(position)} points, 2 lights: kernel {1e3 * timing['ours'].wall_s:.1f} ms, "
@@ -159,8 +148,8 @@ def _reference(
         unit = vector / length[:, None]
         n_l, l_v = np.einsum("ij,ij->i", normal, unit), unit @ view
         energy = seen * row[4] / length**2
-        light += energy * brdf.oren_nayar(n_l, n_v, l_v, sigma)
-        gloss += energy * brdf.phong(n_l, n_v, l_v, exponent)
+        light += energy * brdf_reference.oren_nayar(n_l, n_v, l_v, sigma)
+        gloss += energy * brdf_reference.phong(n_l, n_v, l_v, exponent)
     return light, specular * gloss
 
 

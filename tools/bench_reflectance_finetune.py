@@ -22,8 +22,7 @@ from benchmarks.reflectance_scenes import Surface, albedo_error, person, surface
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import surface_diffusion
-from scan2albedo.lighting.environment_harmonics import project_environment
-from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     FineTuneOptions,
     FineTuning,

@@ -33,7 +33,7 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.io.images import write_png
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.lighting.environment_harmonics import project_distant_lights, project_environment
+from scan2albedo.lighting.harmonics import project_distant_lights, project_environment
 from scan2albedo.reflectance import (
     GeometryFit,
     GeometryFitOptions,

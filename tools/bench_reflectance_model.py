@@ -33,8 +33,7 @@ from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.images import write_png
 from scan2albedo.lighting.environment import distant_directions
-from scan2albedo.lighting.environment_harmonics import project_environment
-from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     EXPONENTS,
     ImageFit,

@@ -2,11 +2,12 @@
 
 from scan2albedo.albedo.error import AlbedoError, albedo_error
 from scan2albedo.albedo.estimate import estimate_albedo
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty
 
 __all__ = [
+    "OPTIONAL_STEPS",
     "AlbedoError",
     "AlbedoEstimate",
     "Alternative",

@@ -12,22 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.division import divide_light
-from scan2albedo.albedo.evidence import LightSearch
-from scan2albedo.albedo.finishing import inpainted, rectified
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import (
-    median_value,
-    toward_viewer,
-    usable_texels,
-    value_channel,
-    with_every_normal,
-)
-from scan2albedo.albedo.light_search import LeastSquaresSearch
-from scan2albedo.albedo.light_task import LightFound
-from scan2albedo.albedo.limits import limits_step
+from scan2albedo.albedo.levels import toward_viewer, usable_texels, value_channel, with_every_normal
+from scan2albedo.albedo.light_model import Solution
+from scan2albedo.albedo.light_search import LightSearch
+from scan2albedo.albedo.lit_image import LightFound, LitImage
+from scan2albedo.albedo.model_selection import limits_step
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.albedo.problem import Solution
+from scan2albedo.albedo.paper_search import paper_search
+from scan2albedo.albedo.rectification import rectified
 from scan2albedo.albedo.result import AlbedoEstimate, shade_image
+from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
@@ -107,20 +102,18 @@ def estimate_albedo(
     """
     count = _light_count(lights, brdf)
     view = _unit_view(view_direction)
-    if brdf == "lambert" and options.roughness:
-        raise ValueError("options.roughness is True, but a Lambertian surface has none: choose another brdf")
+    if brdf == "lambert" and options.choice("albedo.roughness"):
+        raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image, options)
     image = with_every_normal(image)
     _warn_when_turned_away(toward_viewer(image, usable, view), view)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     if brdf == "spherical-harmonics":
         return _divide_harmonics(image, usable, view, options, meter)
-    search: LightSearch | LeastSquaresSearch
-    if options.refiner == "auto" and options.objective == "residual":
-        search = LeastSquaresSearch(image, usable, brdf, view, options, meter)
-    else:
-        search = LightSearch(image, usable, brdf, view, options, meter, seed)
-    return _divide(image, search.run(count), usable, view, seed, options, meter)
+    scene = LitImage(image, usable, brdf, view, options, meter)
+    paper = options.objective == "albedo-deviation"
+    found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+    return _divide(image, found, usable, view, seed, options, meter)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
@@ -167,7 +160,7 @@ def _divide(
     """Remove the light found from the full-size image."""
     assert image.texture_linear is not None
     mask, deviation = image.mask, found.albedo_deviation
-    lights, reflectance = physical_light(found.solution, median_value(image, usable))
+    lights, reflectance = physical_light(found.solution, found.unit)
     lit = shade_image(image, lights, reflectance, view, found.caster, options.shadow_offset_mm)
     light, specular, shadow, cast = (
         _on_grid(mask, field)
@@ -175,15 +168,21 @@ def _divide(
     )
     value = value_channel(image.texture_linear)
     # What makes a good albedo better is left out once the seconds have ended.
-    hasty, begin = meter.out_of_time, meter.elapsed_s
-    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink and not hasty)
+    late, begin = meter.out_of_time, meter.elapsed_s
+    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink and not late)
     # Lines along shadows err most, and go in at most twice the seconds that the division took.
-    hasty = hasty and meter.would_overrun(2 * (meter.elapsed_s - begin))
-    albedo, rectification = rectified(division.albedo, light, cast, usable, options, hasty=hasty)
+    late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))
+    rectification = _left_out("albedo.rectification", options, late)
+    albedo = division.albedo
+    if rectification is None:
+        forced = options.choice("albedo.rectification") is True
+        albedo, rectification = rectified(albedo, light, cast, usable, forced=forced)
     # A highlight is white: what remains below it has the albedo's hue.
     below = np.maximum(image.texture_linear - specular[..., None], 0)
     color = recolor(below, value_channel(below), albedo)
-    color, inpainting = inpainted(color, image, specular, usable, options, seed, hasty=hasty)
+    inpainting = _left_out("albedo.inpainting", options, late)
+    if inpainting is None:
+        color, inpainting = inpainted(color, image, usable, options, seed)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lights,
@@ -207,6 +206,14 @@ def _divide(
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
     )
+
+
+def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | None:
+    """Return the plan's row of a repair that is not even looked at, else None."""
+    choice = options.choice(stage)
+    if choice is False:
+        return PlanStep(stage, False, "left out by the caller")
+    return PlanStep(stage, False, "the budget ended before it") if late and choice is None else None
 
 
 def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:

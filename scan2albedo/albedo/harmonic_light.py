@@ -12,12 +12,14 @@ from scan2albedo.albedo.levels import Level, build_level
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.lighting.spherical_harmonics import COEFFICIENTS, spherical_harmonics_basis
+from scan2albedo.lighting.harmonics import harmonics
 
 FloatArray = NDArray[np.float64]
 
 _LIGHT_FLOOR = 0.02
 """Shading below this part of its mean counts as this: harmonics may turn negative, light may not."""
+_BLOCK_AREA = 0.125
+"""Area of a block of constant albedo as a part of the chart's."""
 _ROUNDS = 20
 
 
@@ -35,7 +37,7 @@ def fit_harmonic_light(
     """
     assert image.texture_linear is not None
     channels = [
-        build_level(image, usable, options.sizes[0], options, values=image.texture_linear[..., channel])
+        build_level(image, usable, options.sizes[1], values=image.texture_linear[..., channel])
         for channel in range(3)
     ]
     return np.stack([_fit_channel(level, meter) for level in channels], 1)
@@ -43,10 +45,10 @@ def fit_harmonic_light(
 
 def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     """Return (9,) the coefficients of one channel."""
-    basis = spherical_harmonics_basis(level.normal)
+    basis = harmonics(level.normal, 2)
     mean = np.average(basis, axis=0, weights=level.weight)
     residual = _residual(level, basis, mean, meter)
-    free = np.zeros(COEFFICIENTS - 1)
+    free = np.zeros(basis.shape[1] - 1)
     for _ in range(_ROUNDS):
         # A few steps at a time, so that a budget can end the fit between them.
         if meter.exhausted:
@@ -71,14 +73,15 @@ def _residual(
     level: Level, basis: FloatArray, mean: FloatArray, meter: Meter
 ) -> Callable[[FloatArray], FloatArray]:
     root, floor = np.sqrt(level.weight), 1e-12
+    blocks, count = level.blocks(_BLOCK_AREA)
 
     def residual(free: FloatArray) -> FloatArray:
         meter.count()
         light = np.maximum(basis @ _complete(free, mean), _LIGHT_FLOOR)
         parts = []
-        for block in level.blocks:
-            top = np.bincount(block, level.weight * level.value * light, level.block_count)
-            bottom = np.bincount(block, level.weight * light**2, level.block_count)
+        for block in blocks:
+            top = np.bincount(block, level.weight * level.value * light, count)
+            bottom = np.bincount(block, level.weight * light**2, count)
             parts.append(root * (level.value - light * (top / np.maximum(bottom, floor))[block]))
         return np.concatenate(parts)
 
@@ -88,6 +91,6 @@ def _residual(
 def harmonic_shading(image: GeometryImage, coefficients: FloatArray) -> FloatArray:
     """Return (H, W, 3) the shading of each channel, floored; 1 outside the mask."""
     shading = np.ones((*image.shape, 3))
-    lit = spherical_harmonics_basis(image.normal[image.mask]) @ coefficients
+    lit = harmonics(image.normal[image.mask], 2) @ coefficients
     shading[image.mask] = np.maximum(lit, _LIGHT_FLOOR)
     return shading

@@ -1,7 +1,8 @@
-"""The image at several sizes: texels averaged into cells, with weights and the blocks of the objective."""
+"""The image at several sizes: texels averaged into cells, with weights and partitions into blocks."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
-from scan2albedo.geometry.mesh import lengths
+from scan2albedo.geometry.mesh import lengths, normalized
 
 FloatArray = NDArray[np.float64]
 
@@ -42,19 +43,16 @@ class Level:
         Part of the cell's texels that can be used.
     scale : (N,) float64
         Annotated strength of highlights.
-    blocks : (S, N) int32
-        Block of each cell in S overlapping partitions.
-    block_count : int
     unit : float
-        Median V of the usable texels.
+        Median V of the usable texels: the unit of `value` and `color`, and of the highlight's strength.
     color : (N, 3) float64
         Mean linear colour, divided by `unit`.
     cell : (N, 2) int64
         Row and column among the cells.
     center : (N, 2) float64
         Mean row and column of the cell's texels.
-    block_side : float
-        Side of a block in texels.
+    texels : int
+        Of the whole chart.
     factor : int
         Side of a cell in texels.
     """
@@ -65,14 +63,29 @@ class Level:
     value: FloatArray
     weight: FloatArray
     scale: FloatArray
-    blocks: NDArray[np.int32]
-    block_count: int
     unit: float
     color: FloatArray
     cell: NDArray[np.int64]
     center: FloatArray
-    block_side: float
+    texels: int
     factor: int
+
+    def blocks(
+        self, area: float, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.5, 0.5))
+    ) -> tuple[NDArray[np.int32], int]:
+        """Return (S, N) the block of each cell in S overlapping partitions, and how many blocks there are.
+
+        Blocks are squares whose area is a part `area` of the chart's; each of `shifts` moves them by parts of
+        their side, by row and column.
+        """
+        side, low = math.sqrt(area * self.texels), self.center.min(0)
+        found, total = [], 0
+        for shift in shifts:
+            row, column = (np.floor((self.center - low) / side + np.asarray(shift)).astype(np.int64)).T
+            _, index = np.unique(row * 100_000 + column, return_inverse=True)
+            found.append(index + total)
+            total += int(index.max()) + 1
+        return np.stack(found).astype(np.int32), total
 
 
 def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
@@ -114,17 +127,6 @@ def toward_viewer(image: GeometryImage, usable: NDArray[np.bool_], view: tuple[f
     return float(np.mean((image.normal @ np.asarray(view))[usable] > 0))
 
 
-def median_value(image: GeometryImage, usable: NDArray[np.bool_]) -> float:
-    """Return the median V of the usable texels: the unit in which the search measures V."""
-    assert image.texture_linear is not None
-    return float(np.median(value_channel(image.texture_linear)[usable]))
-
-
-def block_side(image: GeometryImage, options: EstimateOptions) -> float:
-    """Return the side of a block of the objective in texels."""
-    return float(np.sqrt(options.block_area * image.mask.sum()))
-
-
 def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.bool_]:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
@@ -163,7 +165,6 @@ def build_level(
     image: GeometryImage,
     usable: NDArray[np.bool_],
     size: int,
-    options: EstimateOptions,
     values: NDArray[np.floating] | None = None,
 ) -> Level:
     """Average the usable texels into cells so that the longer side has at most `size` of them.
@@ -187,22 +188,18 @@ def build_level(
     middle[filled] = position
     anchor = image.position[tuple(_closest_texels(image.position, middle, usable, factor)[filled].T)]
     unit = max(float(np.median(field[usable])), 1e-12)
-    side = block_side(image, options)
-    blocks, block_count = partitions(center, side, ((0.0, 0.0), (0.5, 0.5)))
     return Level(
         position,
-        _unit(mean(image.normal)),
+        normalized(mean(image.normal)),
         anchor,
         value / unit,
         count[filled] / factor**2,
         scale,
-        blocks,
-        block_count,
         unit,
         mean(image.texture_linear) / unit,
         np.argwhere(filled),
         center,
-        side,
+        int(image.mask.sum()),
         factor,
     )
 
@@ -236,27 +233,6 @@ def _closest_texels(position, mean, usable, factor):  # type: ignore[no-untyped-
                     best[a, b] = square
                     found[a, b, 0], found[a, b, 1] = i, j
     return found
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-
-
-def partitions(
-    center: FloatArray, side: float, shifts: Sequence[tuple[float, float]]
-) -> tuple[NDArray[np.int32], int]:
-    """Return (S, N) the squares of `side` texels that each cell lies in, and how many there are in all.
-
-    One partition for each of `shifts`, which are parts of a side by row and column.
-    """
-    low = center.min(0)
-    found, total = [], 0
-    for shift in shifts:
-        row, column = (np.floor((center - low) / side + np.asarray(shift)).astype(np.int64)).T
-        _, index = np.unique(row * 100_000 + column, return_inverse=True)
-        found.append(index + total)
-        total += int(index.max()) + 1
-    return np.stack(found).astype(np.int32), total
 
 
 def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:

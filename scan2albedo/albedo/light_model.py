@@ -1,4 +1,4 @@
-"""The unknowns of the light as a vector for an optimiser, and back."""
+"""The unknowns of the light as a vector for an optimiser, and back; solutions of its search."""
 
 from __future__ import annotations
 
@@ -166,15 +166,30 @@ class LightModel:
                 return 3 * self.lights + k
         raise ValueError(f"{part!r} is not free in {self}")
 
-    def without_part(self, part: str) -> LightModel:
-        """Return the model with "near", "rough" or "specular" fixed at its plain value."""
-        return replace(self, **{part: False})  # type: ignore[arg-type]
-
-    def with_part(self, part: str) -> LightModel:
-        """Return the model with "near", "rough" or "specular" free."""
-        return replace(self, **{part: True})  # type: ignore[arg-type]
+    def with_part(self, part: str, free: bool = True) -> LightModel:
+        """Return the model with "near", "rough" or "specular" free, or fixed at its plain value."""
+        return replace(self, **{part: free})  # type: ignore[arg-type]
 
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
         """Return x of `other`, which has the same lights and more or fewer free parts, at the same state."""
         mine = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
         return np.concatenate([x[: 3 * self.lights], [mine.get(row[0], row[1]) for row in other._tail]])
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A model, its parameters and their cost."""
+
+    model: LightModel
+    x: FloatArray
+    cost: float
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The state of the light."""
+        return self.model.decode(self.x)
+
+
+def cost_removed(cost: float, before: float) -> float:
+    """Return which part of the cost `before` is gone at `cost`; 0 where there was nothing to remove."""
+    return 1 - cost / before if before > 0 else 0.0

@@ -4,159 +4,154 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.alternatives import Alternatives, apart
-from scan2albedo.albedo.first_light import hasty_light, nearest_first, shading_direction
-from scan2albedo.albedo.levels import Level, brightest_around, build_level, cell_image
-from scan2albedo.albedo.levenberg_marquardt import descend, promise
-from scan2albedo.albedo.light_model import LightModel
-from scan2albedo.albedo.light_task import LightFound, LightTask
-from scan2albedo.albedo.one_more_light import judged, starts_with_one_more, without_weakest
-from scan2albedo.albedo.parts import PartsDecided, allowed_parts, decide_parts, undecided
-from scan2albedo.albedo.problem import Solution, Yardstick, cost_removed
-from scan2albedo.albedo.residual_problem import ResidualProblem
-from scan2albedo.albedo.shadow_caster import shadow_caster
-from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
+from scan2albedo.albedo.levels import cell_image
+from scan2albedo.albedo.light_model import LightModel, Solution, cost_removed
+from scan2albedo.albedo.lit_image import LightFound, LitImage
+from scan2albedo.albedo.model_selection import (
+    LIGHT_GAIN,
+    allowed_parts,
+    decide_parts,
+    light_evidence,
+    undecided,
+)
+from scan2albedo.albedo.residual import ResidualProblem, descend, one_step
+from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
 from scan2albedo.core.plan import PlanStep
-from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import cone_directions
 
 FloatArray = NDArray[np.float64]
 
-_FIRST_STRENGTH = 2.0
-"""Intensity at which the directions of the only light are tried."""
+_FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
+"""Intensities at which the directions of the only light, and of one more, are tried."""
+_SPLIT_RAD = 0.2, 0.4
+"""Half the angles between the two lights that replace one."""
+_CLOSER_LOOK = 0.5
+"""One more light is tried on a larger image when it removes this part of what is asked on the smallest."""
+_LAST_EVALUATIONS = 8
+"""Of the descent on the largest image, which starts near its end."""
+_LEAST_EVALUATIONS = 4
+"""What any answer takes, whatever the budget: a step toward the light from where the shading grows."""
 
 
 @dataclass(frozen=True)
-class LeastSquaresSearch(LightTask):
-    """Search by least squares; `evidence.LightSearch` is the former one, by simplex and annealing."""
+class LightSearch:
+    """Least squares from several starts on growing images; the budget ends it with the best so far."""
+
+    scene: LitImage
+    alternatives: Alternatives = field(default_factory=Alternatives)
 
     def run(self, lights: int | None) -> LightFound:
-        """Search for the light.
-
-        Parameters
-        ----------
-        lights : int or None
-            How many; None lets the evidence decide.
-        """
-        options = self.options
-        coarse = self._problem(options.grid_size).guided(None)
-        if self.meter.exhausted:
-            return self._hasty(coarse)
-        unguided, fine = (self._problem(size) for size in options.sizes)
-        middle = unguided.guided(None)
-        yardstick = Yardstick(self.meter, lambda s: fine.linearize(s.model, s.x).cost)
-        current = self._first_light(coarse, middle, yardstick)
-        most = self.options.maximal_lights if lights is None else lights
+        """Search for the light; `lights` None lets the evidence decide how many there are."""
+        meter, options = self.scene.meter, self.scene.options
+        current = self._first_light()
         decision = PlanStep("albedo.lights", True, "one light", "no second one tried")
-        for _ in range(1, most):
-            if self.meter.exhausted:
+        for _ in range(1, options.maximal_lights if lights is None else lights):
+            if meter.exhausted:
                 break
-            trial, decision, accepted = self._one_more(coarse, middle, current, forced=lights is not None)
+            trial, decision, accepted = self._one_more(current, forced=lights is not None)
             current = trial
             if not accepted:
                 break
-            yardstick.record(current)
+            self._record(current)
         if lights is not None:
             found = current.model.lights
             short = "" if found == lights else f", {found} found before the budget ended"
             decision = replace(decision, reason=f"{lights} asked for{short}")
-        if self.meter.exhausted:
-            rows = undecided(current.model, self.options)
-            return LightFound(current, [self._shadows[1], decision, *rows], self._shadows[0])
-        current = self._descend(unguided, current.model, current.x)
-        decided = decide_parts(unguided, current, self.options, self._descend)
-        yardstick.record(decided.solution)
-        guided, best, step = self._finish(fine, current, decided)
-        steps = [self._shadows[1], decision, *decided.steps, step]
-        sure, cells = light_uncertainty(guided, best, self._alternatives.of(best))
-        # Last, so that the trace ends with all evaluations spent.
-        yardstick.record(best)
-        deviation = cell_image(guided.level, cells, self.image.mask)
-        return LightFound(best, steps, self._shadows[0], sure, deviation)
+        steps = [self.scene.shadows[1], decision]
+        if meter.exhausted:
+            return self._found(current, [*steps, *undecided(current.model, options)])
+        return self._with_parts(current, steps)
 
-    def _hasty(self, coarse: ResidualProblem) -> LightFound:
-        """Return one light, found in a few steps on the smallest image, when the budget has ended already."""
-        model = self.model(1)
-        start = model.from_lights(self._directions[:1], np.array([_FIRST_STRENGTH]))
-        found = hasty_light(coarse, model, start)
-        decision = PlanStep("albedo.lights", True, "one light", "the budget had ended before the search")
-        rows = undecided(model, self.options)
-        return LightFound(found, [self._shadows[1], decision, *rows], self._shadows[0])
+    def _found(self, solution: Solution, steps: list[PlanStep]) -> LightFound:
+        unit = self.scene.level(self.scene.options.sizes[0]).unit
+        return LightFound(solution, unit, steps, self.scene.shadows[0])
 
-    def _finish(
-        self, fine: ResidualProblem, full: Solution, decided: PartsDecided
-    ) -> tuple[ResidualProblem, Solution, PlanStep]:
-        """Return the largest image with the texture that colour tells divided out, and its optimum."""
-        highlight = fine.highlight(full.model, full.x) if decided.keeps_highlight else None
-        guided = fine.guided(highlight)
+    def _with_parts(self, current: Solution, steps: list[PlanStep]) -> LightFound:
+        """Return the light with the parts of the model that the scene needs, refined on the largest image."""
+        options, largest = self.scene.options, self._largest
+        current = self._descend(self._unguided, current.model, current.x)
+        decided = decide_parts(self._unguided, current, options)
+        self._record(decided.solution)
+        highlight = largest.at(current.model, current.x).highlight() if decided.highlight else None
+        guided = largest.guided(highlight)
+        best = descend(guided, decided.solution.model, decided.solution.x, _LAST_EVALUATIONS)
+        best = best if math.isfinite(best.cost) else decided.solution
         explained = guided.guide.explained
-        evidence = f"colour explains {100 * explained:.0f} % of the local change of brightness"
-        solution = decided.solution
-        best = descend(guided, solution.model, solution.x, self.options.final_iterations)
-        best = best if math.isfinite(best.cost) else solution
-        ran = explained > 0
-        reason = "pigment shows in the hue" if ran else "hue tells nothing of the texture"
-        return guided, best, PlanStep("albedo.color_guide", ran, reason, evidence)
-
-    @cached_property
-    def _alternatives(self) -> Alternatives:
-        return Alternatives()
-
-    @cached_property
-    def _directions(self) -> FloatArray:
-        every = cone_directions(self.options.start_directions, self.view, self.options.cone_rad)
-        return nearest_first(every, shading_direction(self._coarse_level))
-
-    @cached_property
-    def _value(self) -> FloatArray:
-        assert self.image.texture_linear is not None
-        return brightest_around(self.image.texture_linear, self.usable)
-
-    @cached_property
-    def _coarse_level(self) -> Level:
-        return self._level(self.options.grid_size)
-
-    def _level(self, size: int) -> Level:
-        return build_level(self.image, self.usable, size, self.options, self._value)
-
-    @cached_property
-    def _shadows(self) -> tuple[RayCaster | None, PlanStep]:
-        return shadow_caster(
-            self.image, self._coarse_level, self._directions, self.options, hasty=self.meter.exhausted
+        guide = PlanStep(
+            "albedo.color_guide",
+            explained > 0,
+            "pigment shows in the hue" if explained > 0 else "hue tells nothing of the texture",
+            f"colour explains {100 * explained:.0f} % of the local change of brightness",
+        )
+        sure, cells = light_uncertainty(guided, best, self.alternatives.of(best))
+        # Last, so that the trace ends with all evaluations spent.
+        self._record(best)
+        return replace(
+            self._found(best, [*steps, *decided.steps, guide]),
+            uncertainty=sure,
+            albedo_deviation=cell_image(guided.level, cells, self.scene.image.mask),
         )
 
-    def _problem(self, size: int) -> ResidualProblem:
-        options = self.options
-        level = self._coarse_level if size == options.grid_size else self._level(size)
-        return ResidualProblem(
-            level,
-            self._shadows[0],
-            np.asarray(self.view),
-            options.shadow_offset_mm,
-            options.fit_block_area / options.block_area,
-            self.meter,
-        )
+    @cached_property
+    def _coarse(self) -> ResidualProblem:
+        return self._problem(0).guided(None)
 
-    def _first_light(
-        self, coarse: ResidualProblem, middle: ResidualProblem, yardstick: Yardstick
-    ) -> Solution:
+    @cached_property
+    def _unguided(self) -> ResidualProblem:
+        return self._problem(1)
+
+    @cached_property
+    def _middle(self) -> ResidualProblem:
+        return self._unguided.guided(None)
+
+    @cached_property
+    def _largest(self) -> ResidualProblem:
+        return self._problem(2)
+
+    def _problem(self, k: int) -> ResidualProblem:
+        level = self.scene.level(self.scene.options.sizes[k])
+        return ResidualProblem(level, self.scene.lattice(level), self.scene.meter)
+
+    def _record(self, solution: Solution) -> None:
+        """Add a trace row with the cost on the largest image: costs at different sizes do not compare."""
+        meter = self.scene.meter
+        if not (meter.exhausted and meter.rows):
+            meter.record(self._largest.at(solution.model, solution.x).cost)
+
+    def _descend(self, problem: ResidualProblem, model: LightModel, x: FloatArray) -> Solution:
+        return descend(problem, model, x, self.scene.options.descent_iterations)
+
+    def _first_light(self) -> Solution:
         """Return one light with every allowed part free."""
-        model = self.model(1)
-        starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self._directions)
-        tried = self._polished(coarse, model, starts, self.options.starts, yardstick.record)
-        polished = [self._descend(middle, s.model, s.x) for s in apart(tried, 2)]
-        self._alternatives.note(polished)
-        best = min([*polished, tried[0]] if self.meter.exhausted else polished, key=lambda s: s.cost)
-        yardstick.record(best)
-        full = self._with_all_parts(middle, best)
-        yardstick.record(full)
-        return full
+        meter, model = self.scene.meter, self.scene.model(1)
+        starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self.scene.directions)
+        if meter.exhausted:
+            return self._least(next(starts), model)
+        tried = self._polished(self._coarse, model, starts, self.scene.options.starts, self._record)
+        polished = [self._descend(self._middle, s.model, s.x) for s in apart(tried, 2)]
+        self.alternatives.note(polished)
+        best = min([*polished, tried[0]] if meter.exhausted else polished, key=lambda s: s.cost)
+        self._record(best)
+        for part in allowed_parts(self.scene.brdf, self.scene.options):
+            if not meter.exhausted:
+                freed = best.model.with_part(part)
+                best = self._descend(self._middle, freed, best.model.extend(best.x, freed))
+        self._record(best)
+        return best
+
+    def _least(self, x: FloatArray, model: LightModel) -> Solution:
+        """Return where a few steps lead on the smallest image, and record its cost there."""
+        found = one_step(self._coarse, model, x)
+        for _ in range(_LEAST_EVALUATIONS - 1):
+            found = one_step(self._coarse, model, found.x)
+        self.scene.meter.record(found.cost)
+        return found
 
     def _polished(
         self,
@@ -166,68 +161,81 @@ class LeastSquaresSearch(LightTask):
         count: int,
         on_first: Callable[[Solution], None] | None = None,
     ) -> list[Solution]:
-        """Return local minima from the most promising, distinct starts, best first."""
-        promising: list[Solution] = []
+        """Return local minima, best first, from the distinct starts that one step improves most."""
+        meter, ahead = self.scene.meter, list[Solution]()
         for x in starts:
-            if self.meter.exhausted and promising:
+            if meter.exhausted and ahead:
                 break
-            cost, ahead = promise(problem, model, x)
-            promising.append(Solution(model, ahead, cost))
-        chosen = apart(sorted(promising, key=lambda s: s.cost), count)
+            ahead.append(one_step(problem, model, x))
+        chosen = apart(sorted(ahead, key=lambda s: s.cost), count)
         if on_first is not None:
             on_first(chosen[0])
         descended = (self._descend(problem, s.model, s.x) for s in chosen)
-        # A budget that has ended leaves infinite costs: the promise is then what is known.
+        # A budget that has ended leaves infinite costs: the prediction is then what is known.
         known = (d if math.isfinite(d.cost) else s for d, s in zip(descended, chosen, strict=True))
         return sorted(known, key=lambda s: s.cost)
 
-    def _descend(self, problem: ResidualProblem, model: LightModel, x: FloatArray) -> Solution:
-        return descend(problem, model, x, self.options.descent_iterations)
-
-    def _with_all_parts(self, problem: ResidualProblem, base: Solution) -> Solution:
-        """Free the allowed parts one after another."""
-        current = base
-        for part in allowed_parts(self.brdf, self.options):
-            if not getattr(current.model, part) and not self.meter.exhausted:
-                model = current.model.with_part(part)
-                current = self._descend(problem, model, current.model.extend(current.x, model))
-        return current
-
-    def _one_more(
-        self, coarse: ResidualProblem, middle: ResidualProblem, fewer: Solution, *, forced: bool
-    ) -> tuple[Solution, PlanStep, bool]:
+    def _one_more(self, fewer: Solution, *, forced: bool) -> tuple[Solution, PlanStep, bool]:
         """Return the solution with one more light, the plan's row, and whether it is worth it."""
-        options, stage, lights = self.options, "albedo.lights", fewer.model.lights + 1
-        starts = starts_with_one_more(fewer, self._directions)
-        tried = self._polished(coarse, replace(fewer.model, lights=lights), starts, 2 * options.starts)
-        before = self._descend(coarse, fewer.model, fewer.x)
-        glimpsed = cost_removed(tried[0].cost, before.cost)
-        wanted = options.light_gain
-        if not forced and glimpsed < options.closer_look * wanted:
+        stage, lights, middle = "albedo.lights", fewer.model.lights + 1, self._middle
+        starts = _starts_with_one_more(fewer, self.scene.directions)
+        more = replace(fewer.model, lights=lights)
+        tried = self._polished(self._coarse, more, starts, 2 * self.scene.options.starts)
+        before = self._descend(self._coarse, fewer.model, fewer.x)
+        gain = cost_removed(tried[0].cost, before.cost)
+        if not forced and gain < _CLOSER_LOOK * LIGHT_GAIN:
             evidence = (
-                f"light {lights} removes {100 * glimpsed:.1f} % of the cost of the smallest image "
-                f"({100 * options.closer_look * wanted:g} % asked for a closer look)"
+                f"light {lights} removes {100 * gain:.1f} % of the cost of the smallest image "
+                f"({100 * _CLOSER_LOOK * LIGHT_GAIN:g} % asked for a closer look)"
             )
-            return (
-                fewer,
-                PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence),
-                False,
-            )
+            row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
+            return fewer, row, False
         polished = [self._descend(middle, s.model, s.x) for s in apart(tried, 2)]
-        if self.meter.exhausted:
+        if self.scene.meter.exhausted:
             row = PlanStep(
                 stage, True, f"{lights - 1} light(s)", "the budget ended before one more was judged"
             )
             return fewer, row, False
         trial = min(polished, key=lambda s: s.cost)
-        reduced = self._descend(middle, fewer.model, without_weakest(trial))
+        reduced = self._descend(middle, fewer.model, _without_weakest(trial))
         if reduced.cost < fewer.cost:
             # The way over one more light led out of a local minimum.
             fewer = reduced
-        verdict = judged(middle, trial, fewer, options)
-        if verdict.one_or_two:
-            self._alternatives.split.append(Alternative(trial.hypothesis.lights(), -verdict.gain))
-        if not forced and not verdict.pays:
-            row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", verdict.evidence)
+        found = light_evidence(middle, trial, fewer)
+        if found.one_or_two:
+            self.alternatives.split.append(Alternative(trial.hypothesis.lights(), -found.gain))
+        if not forced and not found.accepted:
+            row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", found.evidence)
             return fewer, row, False
-        return trial, PlanStep(stage, True, f"{lights} lights", verdict.evidence), True
+        return trial, PlanStep(stage, True, f"{lights} lights", found.evidence), True
+
+
+def _starts_with_one_more(fewer: Solution, directions: FloatArray) -> Iterable[FloatArray]:
+    """Yield starts with one more light: a weak one from every direction, and each light split in two."""
+    model = replace(fewer.model, lights=fewer.model.lights + 1)
+    rows = fewer.hypothesis.rows
+    tail = fewer.x[3 * fewer.model.lights :]
+
+    def start(toward: FloatArray, intensities: FloatArray) -> FloatArray:
+        x = model.from_lights(toward, intensities)
+        x[3 * model.lights :] = tail
+        return x
+
+    for direction in directions:
+        yield start(np.vstack([rows[:, :3], direction]), np.append(rows[:, 4], _ADDED_STRENGTH))
+    for k in range(len(rows)):
+        others = np.delete(rows, k, 0)
+        p = fewer.x[3 * k : 3 * k + 2]
+        for half, angle in product(_SPLIT_RAD, np.arange(4) * math.pi / 4):
+            shift = half * np.array([math.cos(angle), math.sin(angle)])
+            pair = np.stack([model.direction(*(p + shift)), model.direction(*(p - shift))])
+            yield start(
+                np.vstack([others[:, :3], pair]), np.append(others[:, 4], np.repeat(rows[k, 4] / 2, 2))
+            )
+
+
+def _without_weakest(solution: Solution) -> FloatArray:
+    """Return x of one light less."""
+    lights = solution.model.lights
+    weakest = int(np.argmin(solution.hypothesis.rows[:, 4]))
+    return np.delete(solution.x, slice(3 * weakest, 3 * weakest + 3)) if lights > 1 else solution.x

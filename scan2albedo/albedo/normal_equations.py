@@ -1,21 +1,20 @@
-"""The robust residual over blocks, its gradient and its Gauss-Newton matrix in one compiled pass."""
+"""The robust residual over blocks, its gradient and its Gauss-Newton matrix, compiled."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-_SWEEPS = 3
-"""Reweighted estimates of the block albedos an evaluation; the weights start from the last evaluation's."""
-
 
 @njit(cache=True, nogil=True)
-def block_albedos(value, weight, light, specular, blocks, softness, robust, albedo, mass):  # type: ignore[no-untyped-def]
-    """Fill `albedo` (B,): the robust sum w (T - I_s) I / sum w I^2 of each block, and `mass` (B,) sum w I^2.
+def block_albedos(value, weight, light, specular, blocks, softness, robust, albedo, mass, sweeps):  # type: ignore[no-untyped-def]
+    """Fill `albedo` (B,), the robust sum w (T - I_s) I / sum w I^2 of each block; return the cost with it.
 
-    `robust` (S, N) holds the weights of iterative reweighting and is updated.
+    The cost is sum sqrt((w r)^2 + e^2) - e with r = T - I_s - a_b I; `mass` (B,) gets sum w I^2. `robust`
+    (S, N), the weights of iterative reweighting, is updated in each of the `sweeps`.
     """
-    for _ in range(_SWEEPS):
+    cost = 0.0
+    for _ in range(sweeps):
         albedo[:] = 0.0
         mass[:] = 0.0
         for s in range(blocks.shape[0]):
@@ -26,14 +25,18 @@ def block_albedos(value, weight, light, specular, blocks, softness, robust, albe
                 mass[block] += w * light[i] * light[i]
         for block in range(albedo.size):
             albedo[block] = max(albedo[block], 0.0) / mass[block] if mass[block] > 0.0 else 0.0
+        cost = 0.0
         for s in range(blocks.shape[0]):
             for i in range(value.size):
                 r = weight[i] * (value[i] - specular[i] - albedo[blocks[s, i]] * light[i])
-                robust[s, i] = weight[i] / np.sqrt(r * r + softness * softness)
+                spread = np.sqrt(r * r + softness * softness)
+                cost += spread - softness
+                robust[s, i] = weight[i] / spread
     mass[:] = 0.0
     for s in range(blocks.shape[0]):
         for i in range(value.size):
             mass[blocks[s, i]] += weight[i] * robust[s, i] * light[i] * light[i]
+    return cost
 
 
 @njit(cache=True, nogil=True)
@@ -45,14 +48,13 @@ def normal_equations(  # type: ignore[no-untyped-def]
     light_slope,
     specular_slope,
     blocks,
-    softness,
     robust,
     albedo,
     mass,
     matrix,
     gradient,
 ):
-    """Return sum sqrt((w r)^2 + e^2) - e with r = T - I_s - a_b I, and fill its normal equations.
+    """Fill the normal equations of the cost that `block_albedos` returned, around what it left.
 
     The block albedos a_b are eliminated: their part of the Gauss-Newton matrix is taken out by the Schur
     complement, so that a step in the P parameters of the light lets them follow.
@@ -65,38 +67,30 @@ def normal_equations(  # type: ignore[no-untyped-def]
     light_slope, specular_slope : (>= P, N) float64
         See `lighting.kernels.shade_with_derivatives`.
     blocks : (S, N) int32
-    softness : float
-        e: residuals beyond it count by their size, not their square.
-    robust : (S, N) float64
-        Updated, see `block_albedos`.
-    albedo, mass : (B,) float64
-        Filled.
+    robust, albedo, mass : (S, N), (B,), (B,) float64
+        From `block_albedos`.
     matrix, gradient : (P, P), (P,) float64
-        Filled; the step that solves ``matrix step = gradient`` lessens the cost.
+        Filled; the step that solves ``matrix step = -gradient`` lessens the cost.
 
     References
     ----------
     .. [1] G. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its
        applications", Inverse Problems 19(2), 2003.
     """
-    block_albedos(value, weight, light, specular, blocks, softness, robust, albedo, mass)
     size = gradient.size
     matrix[:, :] = 0.0
     gradient[:] = 0.0
     cross, slope = np.zeros((albedo.size, size)), np.zeros(size)
-    cost = 0.0
     for s in range(blocks.shape[0]):
         for i in range(value.size):
             block = blocks[s, i]
             rest = value[i] - specular[i] - albedo[block] * light[i]
-            r = weight[i] * rest
-            cost += np.sqrt(r * r + softness * softness) - softness
             w = weight[i] * robust[s, i]
             for j in range(size):
                 slope[j] = specular_slope[j, i] + albedo[block] * light_slope[j, i]
             for j in range(size):
                 weighted = w * slope[j]
-                gradient[j] += weighted * rest
+                gradient[j] -= weighted * rest
                 cross[block, j] += weighted * light[i]
                 for k in range(j + 1):
                     matrix[j, k] += weighted * slope[k]
@@ -108,7 +102,6 @@ def normal_equations(  # type: ignore[no-untyped-def]
     for j in range(size):
         for k in range(j):
             matrix[k, j] = matrix[j, k]
-    return cost
 
 
 @njit(cache=True, nogil=True)
@@ -120,22 +113,19 @@ def cluster_scores(  # type: ignore[no-untyped-def]
     light_slope,
     specular_slope,
     blocks,
-    softness,
     robust,
     albedo,
     mass,
     clusters,
     scores,
-    costs,
 ):
-    """Fill `scores` (C, P) and `costs` (C,): each cluster's part of the gradient and of the cost.
+    """Fill `scores` (C, P) with each cluster's part of the gradient.
 
-    The other arguments are as `normal_equations` left them. `clusters` (N,) are patches of the surface:
+    The other arguments are those of `normal_equations`. `clusters` (N,) are patches of the surface:
     texture correlates within them, hardly between them.
     """
     size = scores.shape[1]
     scores[:, :] = 0.0
-    costs[:] = 0.0
     cross = np.zeros((albedo.size, size))
     for s in range(blocks.shape[0]):
         for i in range(value.size):
@@ -147,11 +137,9 @@ def cluster_scores(  # type: ignore[no-untyped-def]
         for i in range(value.size):
             block = blocks[s, i]
             rest = value[i] - specular[i] - albedo[block] * light[i]
-            r = weight[i] * rest
-            costs[clusters[i]] += np.sqrt(r * r + softness * softness) - softness
             w = weight[i] * robust[s, i] * rest
             for j in range(size):
                 slope = specular_slope[j, i] + albedo[block] * light_slope[j, i]
                 if mass[block] > 0.0:
                     slope -= cross[block, j] / mass[block] * light[i]
-                scores[clusters[i], j] += w * slope
+                scores[clusters[i], j] -= w * slope

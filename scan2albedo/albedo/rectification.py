@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label, maximum_filter
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
+from scan2albedo.core.plan import PlanStep
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -32,6 +33,17 @@ class Rectification:
     albedo: FloatArray
     changed: bool
     evidence: str
+
+
+def rectified(
+    albedo: FloatArray, light: FloatArray, shadow: FloatArray, usable: BoolArray, *, forced: bool
+) -> tuple[FloatArray, PlanStep]:
+    """Return V of the albedo (H, W) rectified along cast shadows, or as it is, and the plan's row."""
+    result = rectify(albedo, light, shadow, usable, force=forced)
+    reason = "shadow outlines left lines in the albedo" if result.changed else "shadow outlines left no lines"
+    if result.changed and forced:
+        reason = "asked for"
+    return result.albedo, PlanStep("albedo.rectification", result.changed, reason, result.evidence)
 
 
 def rectify(

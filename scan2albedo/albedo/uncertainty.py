@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.problem import Solution
-from scan2albedo.albedo.residual_problem import ResidualProblem
+from scan2albedo.albedo.light_model import Solution, cost_removed
+from scan2albedo.albedo.residual import ResidualProblem
 from scan2albedo.core.point_light import PointLight
 
 FloatArray = NDArray[np.float64]
+
+_NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
+"""An alternative costs more by less than this part, and its lights are this far away."""
 
 
 @dataclass(frozen=True)
@@ -80,22 +83,58 @@ class LightUncertainty:
         }
 
 
+@dataclass(frozen=True)
+class Alternatives:
+    """Local minima of equal models that were found on the way, and lights that may be two close ones."""
+
+    found: list[list[Solution]] = field(default_factory=list)
+    split: list[Alternative] = field(default_factory=list)
+
+    def note(self, minima: list[Solution]) -> None:
+        """Keep the minima of one descent from several starts."""
+        self.found.append(sorted(minima, key=lambda s: s.cost))
+
+    def of(self, best: Solution) -> list[Alternative]:
+        """Return splits, and those with as many lights as `best`, elsewhere, that cost little more."""
+        result = list(self.split)
+        for minima in self.found:
+            for other in minima:
+                excess = -cost_removed(other.cost, minima[0].cost)
+                same = len(apart([best, other], 2, _ELSEWHERE_RAD)) == 1
+                if other.model.lights == best.model.lights and not same and excess < _NEARLY_AS_GOOD:
+                    result.append(Alternative(other.hypothesis.lights(), excess))
+        return sorted(result, key=lambda a: a.excess)
+
+
+def apart(solutions: list[Solution], count: int, separation_rad: float = 0.25) -> list[Solution]:
+    """Return the first `count` of which no two have all their lights within `separation_rad`."""
+    kept: list[Solution] = []
+    cosine = math.cos(separation_rad)
+    for solution in solutions:
+        rows = solution.hypothesis.rows[:, :3]
+        if not any((rows @ other.hypothesis.rows[:, :3].T > cosine).any(1).all() for other in kept):
+            kept.append(solution)
+        if len(kept) == count:
+            break
+    return kept
+
+
 def light_uncertainty(
     problem: ResidualProblem, solution: Solution, others: Sequence[Alternative] = ()
 ) -> tuple[LightUncertainty, FloatArray]:
     """Return how sure a solution is, and (N,) the relative deviation of each cell's albedo that follows.
 
-    The covariance of the parameters, robust to texture that correlates nearby (see
-    `ResidualProblem.covariance`), carried to the albedo by its derivatives.
+    The covariance of the parameters, robust to texture that correlates nearby (see `Residual.covariance`),
+    carried to the albedo by its derivatives.
     """
     model, x = solution.model, solution.x
-    covariance = problem.covariance(model, x)
+    covariance = problem.at(model, x, outlines=False).covariance()
     rows = solution.hypothesis.rows
     order = np.argsort(-rows[:, 4], kind="stable")
     variance = np.maximum(np.diag(covariance), 0.0)
     direction = tuple(float(np.sqrt(variance[3 * k : 3 * k + 2].mean())) for k in order)
     intensity = tuple(float(np.sqrt(variance[3 * k + 2])) for k in order)
-    slopes = problem.albedo_slopes(model, x)
+    slopes = problem.at(model, x).albedo_slopes()
     cells = np.sqrt(np.maximum(np.einsum("in,ij,jn->n", slopes, covariance, slopes), 0.0))
     overall = float(np.sqrt(np.mean(cells**2)))
     return LightUncertainty(direction, intensity, overall, tuple(others)), cells

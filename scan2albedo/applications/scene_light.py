@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.lighting.asrm import Reflectance
-from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
+from scan2albedo.lighting.asrm import Reflectance, lamp_factors
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -108,8 +107,7 @@ def shade(
     Cost: a shadow ray and a reflectance for each lamp and point that faces it.
     """
     position, normal = shadows.position, shadows.normal
-    toward_viewer = np.broadcast_to(np.asarray(view, np.float64), normal.shape)
-    facing = np.einsum("ij,ij->i", normal, toward_viewer)
+    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
     diffuse = np.tile(light.ambient, (len(normal), 1))
     specular = np.zeros_like(diffuse)
     for direction, distance, intensity in zip(
@@ -117,25 +115,10 @@ def shade(
     ):
         if not intensity.any():
             continue
-        lit = np.flatnonzero(shadows.visible(direction, float(distance)))
-        ray = np.broadcast_to(direction, (len(lit), 3))
-        if math.isfinite(distance):
-            ray = ray - position[lit] / distance
-        square = np.maximum(np.einsum("ij,ij->i", ray, ray), 1e-12)
-        unit = ray / np.sqrt(square)[:, None]
-        n_l = np.einsum("ij,ij->i", normal[lit], unit)
-        l_v = np.einsum("ij,ij->i", toward_viewer[lit], unit)
-        energy = intensity / square[:, None]
-        diffuse[lit] += _diffuse_factor(reflectance, n_l, facing[lit], l_v)[:, None] * energy
+        visible = shadows.visible(direction, float(distance))
+        factors = lamp_factors(position, normal, visible, direction, 1 / distance, toward_viewer, reflectance)
+        diffuse += factors.diffuse[:, None] * intensity
         if reflectance.specular_strength > 0:
-            specular[lit] += phong(n_l, facing[lit], l_v, reflectance.exponent)[:, None] * energy
+            specular += factors.highlight[:, None] * intensity
     scale = np.ones(len(normal)) if specular_scale is None else specular_scale
     return Shaded(diffuse, reflectance.specular_strength * scale[:, None] * specular)
-
-
-def _diffuse_factor(
-    reflectance: Reflectance, n_l: FloatArray, n_v: FloatArray, l_v: FloatArray
-) -> FloatArray:
-    if reflectance.brdf == "minnaert":
-        return minnaert(n_l, n_v, reflectance.roughness)
-    return oren_nayar(n_l, n_v, l_v, reflectance.roughness)

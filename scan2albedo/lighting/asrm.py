@@ -53,7 +53,7 @@ class Reflectance:
 
     @property
     def kernel_brdf(self) -> int:
-        """The number by which `kernels.shade` knows the diffuse model."""
+        """The number by which the kernels know the diffuse model."""
         return _BRDFS[self.brdf]
 
 
@@ -66,7 +66,7 @@ class Shading:
 
 
 def light_rows(lights: Sequence[PointLight]) -> FloatArray:
-    """Return (L, 5) float64: direction, 1/distance, intensity, as `kernels.shade` takes them."""
+    """Return (L, 5) float64: direction, 1/distance, intensity."""
     rows = np.zeros((len(lights), 5))
     for row, light in zip(rows, lights, strict=True):
         row[:3], row[3], row[4] = light.direction, 1.0 / light.distance_mm, light.intensity
@@ -133,22 +133,60 @@ def shade_points(
     scale = np.ones(count) if specular_scale is None else np.asarray(specular_scale, np.float64)
     view = np.asarray(view_direction, np.float64)
     _check_points(xyz, unit, seen, scale, view, len(lights))
-    shading = Shading(np.empty(count), np.empty(count))
-    kernels.shade(
-        xyz,
-        unit,
-        np.ascontiguousarray(seen, np.uint8),
-        light_rows(lights),
-        view / np.linalg.norm(view),
+    return shade_rows(xyz, unit, seen, light_rows(lights), view / np.linalg.norm(view), reflectance, scale)
+
+
+def shade_rows(
+    position: FloatArray,
+    normal: FloatArray,
+    visible: NDArray,
+    rows: FloatArray,
+    view: FloatArray,
+    reflectance: Reflectance,
+    scale: FloatArray,
+) -> Shading:
+    """Do as `shade_points` for `rows` of `light_rows` and a unit `view`, unchecked."""
+    light, gloss = np.ones(len(position)), np.zeros(len(position))
+    for row, seen in zip(rows, visible, strict=True):
+        factors = lamp_factors(position, normal, seen, row[:3], row[3], view[None], reflectance)
+        light += row[4] * factors.diffuse
+        gloss += row[4] * factors.highlight
+    return Shading(light, reflectance.specular_strength * scale * gloss)
+
+
+@dataclass(frozen=True)
+class LampFactors:
+    """What multiplies a lamp's intensity: (N,) in the light on the albedo, (N,) in a highlight of k_s = 1."""
+
+    diffuse: FloatArray
+    highlight: FloatArray
+
+
+def lamp_factors(
+    position: FloatArray,
+    normal: FloatArray,
+    visible: NDArray,
+    direction: FloatArray,
+    nearness: float,
+    view: FloatArray,
+    reflectance: Reflectance,
+) -> LampFactors:
+    """Return how N points answer to one lamp: what the estimate and relighting share."""
+    factors = LampFactors(np.empty(len(position)), np.empty(len(position)))
+    kernels.lamp_factors(
+        position,
+        normal,
+        np.ascontiguousarray(visible),
+        np.ascontiguousarray(direction),
+        float(nearness),
+        view,
         reflectance.kernel_brdf,
         float(reflectance.roughness),
-        float(reflectance.specular_strength),
-        float(reflectance.exponent),
-        np.ascontiguousarray(scale),
-        shading.light,
-        shading.specular,
+        float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0,
+        factors.diffuse,
+        factors.highlight,
     )
-    return shading
+    return factors
 
 
 def _check_points(

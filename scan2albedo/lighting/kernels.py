@@ -1,4 +1,4 @@
-"""Compiled shading of many surface points under a few lights; `brdf` is the readable reference."""
+"""Compiled shading of many surface points under a few lights, with and without derivatives."""
 
 from __future__ import annotations
 
@@ -7,118 +7,78 @@ from numba import njit
 
 OREN_NAYAR, MINNAERT = 0, 1
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shade_distant(  # type: ignore[no-untyped-def]
-    normal, visible, lights, view, roughness, specular, exponent, scale, light_out, specular_out
-):
-    """Do as `shade` for Oren-Nayar under distant lights: one direction for all, a loop that vectorises."""
-    variance = roughness * roughness
-    a = 1.0 - 0.5 * variance / (variance + 0.33)
-    b = 0.45 * variance / (variance + 0.09)
-    light_out[:] = 1.0
-    specular_out[:] = 0.0
-    for k in range(lights.shape[0]):
-        square = lights[k, 0] ** 2 + lights[k, 1] ** 2 + lights[k, 2] ** 2
-        length = np.sqrt(max(square, 1e-12))
-        l0, l1, l2 = lights[k, 0] / length, lights[k, 1] / length, lights[k, 2] / length
-        energy = lights[k, 4] / max(square, 1e-12)
-        l_v = l0 * view[0] + l1 * view[1] + l2 * view[2]
-        for i in range(normal.shape[0]):
-            n_l = max(normal[i, 0] * l0 + normal[i, 1] * l1 + normal[i, 2] * l2, 0.0)
-            n_v = normal[i, 0] * view[0] + normal[i, 1] * view[1] + normal[i, 2] * view[2]
-            cos_r = max(n_v, 0.0)
-            s = max(l_v - n_l * cos_r, 0.0)
-            light_out[i] += visible[k, i] * energy * n_l * (a + b * s / max(max(n_l, cos_r), 1e-4))
-        if specular > 0.0:
-            for i in range(normal.shape[0]):
-                n_l = normal[i, 0] * l0 + normal[i, 1] * l1 + normal[i, 2] * l2
-                if n_l > 0.0 and visible[k, i] > 0:
-                    n_v = normal[i, 0] * view[0] + normal[i, 1] * view[1] + normal[i, 2] * view[2]
-                    r_v = min(2.0 * n_l * n_v - l_v, 1.0)
-                    if r_v > 0.0:
-                        specular_out[i] += energy * visible[k, i] * np.exp(exponent * np.log(r_v))
-    if specular > 0.0:
-        for i in range(normal.shape[0]):
-            specular_out[i] *= specular * scale[i]
+COSINE_FLOOR = 1e-4
+"""Cosines below this count as this where a model divides by them."""
 
 
 @njit(cache=True, nogil=True)
-def shade(  # type: ignore[no-untyped-def]
-    position,
-    normal,
-    visible,
-    lights,
-    view,
-    brdf,
-    roughness,
-    specular,
-    exponent,
-    scale,
-    light_out,
-    specular_out,
+def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
+    """Return A and B of Oren and Nayar, "Generalization of Lambert's reflectance model", 1994, eq. 30."""
+    variance = sigma * sigma
+    return 1.0 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
+
+
+@njit(cache=True, nogil=True)
+def lamp_factors(  # type: ignore[no-untyped-def]
+    position, normal, visible, direction, nearness, view, brdf, roughness, exponent, diffuse, lobe
 ):
-    """Fill `light_out` (I_a + I_d, with I_a = 1) and `specular_out` (I_s) of N points.
+    """Fill f / r^2 and (r.v)^m / r^2 of N points under one lamp of intensity 1, r in its own distances.
+
+    f is Oren-Nayar's cos_i (A + B s / max(cos_i, cos_r)), s = max(0, l.v - cos_i cos_r), which has neither an
+    azimuth nor a tangent; or Minnaert's cos_i^k cos_r^(k - 1). The highlight is Phong's, 0 where the mirrored
+    light points away from the viewer, whatever the exponent.
 
     Parameters
     ----------
     position, normal : (N, 3) float64
         Millimetres; unit.
-    visible : (L, N) uint8
-        Whether each light reaches each point.
-    lights : (L, 5) float64
-        Unit direction, 1/distance (0 for a distant light), intensity.
-    view : (3,) float64
-        Unit direction to the viewer.
+    visible : (N,)
+        How much of the lamp reaches each point.
+    direction : (3,) float64
+        Unit.
+    nearness : float
+        1/distance, 0 for a distant lamp.
+    view : (N, 3) or (1, 3) float64
+        Unit directions to the viewer, of each point or of all.
     brdf : int
         `OREN_NAYAR` (Lambert is roughness 0) or `MINNAERT`.
     roughness : float
         Sigma in radians, or Minnaert's exponent.
-    specular, exponent : float
-        Strength of Phong's highlight for a light of intensity 1, and its exponent.
-    scale : (N,) float64
-        Multiplies the highlight.
-    light_out, specular_out : (N,) float64
+    exponent : float
+        Of the highlight; below 0 leaves it out.
+    diffuse, lobe : (N,) float64
         Filled.
     """
-    if brdf == OREN_NAYAR and np.all(lights[:, 3] == 0.0):
-        _shade_distant(
-            normal, visible, lights, view, roughness, specular, exponent, scale, light_out, specular_out
-        )
-        return
-    variance = roughness * roughness
-    a = 1.0 - 0.5 * variance / (variance + 0.33)
-    b = 0.45 * variance / (variance + 0.09)
+    a, b = oren_nayar_coefficients(roughness)
     for i in range(position.shape[0]):
-        n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
-        n_v = n0 * view[0] + n1 * view[1] + n2 * view[2]
-        cos_r = max(n_v, 0.0)
-        light, gloss = 1.0, 0.0
-        for k in range(lights.shape[0]):
-            if visible[k, i] == 0:
-                continue
-            inverse = lights[k, 3]
-            l0 = lights[k, 0] - inverse * position[i, 0]
-            l1 = lights[k, 1] - inverse * position[i, 1]
-            l2 = lights[k, 2] - inverse * position[i, 2]
-            square = max(l0 * l0 + l1 * l1 + l2 * l2, 1e-12)
-            length = np.sqrt(square)
-            n_l = (n0 * l0 + n1 * l1 + n2 * l2) / length
-            if n_l <= 0.0:
-                continue
-            l_v = (l0 * view[0] + l1 * view[1] + l2 * view[2]) / length
-            energy = lights[k, 4] / square
-            if brdf == MINNAERT:
-                light += energy * n_l**roughness * max(n_v, 1e-4) ** (roughness - 1.0)
-            else:
-                s = max(l_v - n_l * cos_r, 0.0)
-                light += energy * n_l * (a + b * s / max(max(n_l, cos_r), 1e-4))
-            if specular > 0.0:
-                r_v = min(2.0 * n_l * n_v - l_v, 1.0)
-                if r_v > 0.0:
-                    gloss += energy * r_v**exponent
-        light_out[i] = light
-        specular_out[i] = specular * scale[i] * gloss
+        diffuse[i] = 0.0
+        lobe[i] = 0.0
+        if visible[i] == 0:
+            continue
+        v = i if view.shape[0] > 1 else 0
+        n_l, n_v, l_v, square = 0.0, 0.0, 0.0, 0.0
+        for c in range(3):
+            toward = direction[c] - nearness * position[i, c]
+            n_l += normal[i, c] * toward
+            n_v += normal[i, c] * view[v, c]
+            l_v += toward * view[v, c]
+            square += toward * toward
+        if n_l <= 0.0:
+            continue
+        square = max(square, 1e-12)
+        length = np.sqrt(square)
+        n_l /= length
+        l_v /= length
+        energy = visible[i] / square
+        if brdf == MINNAERT:
+            diffuse[i] = energy * n_l**roughness * max(n_v, COSINE_FLOOR) ** (roughness - 1.0)
+        else:
+            cos_r = max(n_v, 0.0)
+            s = max(l_v - n_l * cos_r, 0.0)
+            diffuse[i] = energy * n_l * (a + b * s / max(max(n_l, cos_r), COSINE_FLOOR))
+        r_v = min(2.0 * n_l * n_v - l_v, 1.0)
+        if exponent >= 0.0 and r_v > 0.0:
+            lobe[i] = energy * r_v**exponent
 
 
 @njit(cache=True, nogil=True)
@@ -144,7 +104,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     light_slope,
     specular_slope,
 ):
-    """Do as `shade`, and fill the derivatives of I and I_s by the parameters of the light.
+    """Fill I = I_a + I_d (I_a = 1), I_s, and their derivatives by the parameters of the light.
 
     The P parameters are, for each light, two coordinates of its direction and the logarithm of its intensity;
     then, where free, `radius` / distance, sigma^2 (or Minnaert's exponent), strength of the highlight and
@@ -152,8 +112,16 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    position, normal, lights, view, brdf, roughness, specular, exponent, scale
-        As in `shade`.
+    position, normal, brdf, roughness, exponent
+        As in `lamp_factors`.
+    lights : (L, 5) float64
+        Unit direction, 1/distance (0 for a distant light), intensity.
+    view : (3,) float64
+        Unit direction to the viewer.
+    specular : float
+        Strength of the highlight for a light of intensity 1.
+    scale : (N,) float64
+        Multiplies the highlight.
     visible : (L, N) float32
         In [0, 1].
     visible_slope : (L, 2, N) float32
@@ -169,9 +137,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     light_slope, specular_slope : (>= P, N) float64
         Filled.
     """
+    a, b = oren_nayar_coefficients(roughness)
     variance = roughness * roughness
-    a = 1.0 - 0.5 * variance / (variance + 0.33)
-    b = 0.45 * variance / (variance + 0.09)
     a_slope = -0.5 * 0.33 / (variance + 0.33) ** 2
     b_slope = 0.45 * 0.09 / (variance + 0.09) ** 2
     count = 3 * lights.shape[0]
@@ -184,7 +151,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
         n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
         n_v = n0 * view[0] + n1 * view[1] + n2 * view[2]
         cos_r = max(n_v, 0.0)
-        floored = max(n_v, 1e-4)
+        floored = max(n_v, COSINE_FLOOR)
         strength = specular * scale[i]
         light, gloss = 1.0, 0.0
         for k in range(lights.shape[0]):
@@ -202,7 +169,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             l_v = (l0 * view[0] + l1 * view[1] + l2 * view[2]) / length
             energy = lights[k, 4] / (length * length)
             s = max(l_v - n_l * cos_r, 0.0)
-            larger = max(max(n_l, cos_r), 1e-4)
+            larger = max(max(n_l, cos_r), COSINE_FLOOR)
             if brdf == MINNAERT:
                 diffuse = n_l**roughness * floored ** (roughness - 1.0)
             else:
@@ -232,7 +199,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                     turned = roughness * diffuse / n_l * n_l_slope
                 else:
                     s_slope = l_v_slope - cos_r * n_l_slope if s > 0.0 else 0.0
-                    if n_l >= cos_r and n_l > 1e-4:
+                    if n_l >= cos_r and n_l > COSINE_FLOOR:
                         turned = a * n_l_slope + b * s_slope
                     else:
                         turned = n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger

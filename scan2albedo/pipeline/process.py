@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, estimate_albedo
+from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.face_model import chosen_model
 from scan2albedo.fitting import FittedFace, fit
@@ -200,16 +200,12 @@ def _registration_options(options: ProcessOptions) -> RegistrationOptions:
 
 def _estimate_options(options: ProcessOptions) -> EstimateOptions:
     """Return the preset's options with the steps that the caller skips or forces."""
-    preset = options.stages.albedo
-    return replace(
-        preset,
-        shadows=options.asked("albedo.shadows", preset.shadows),
-        near_light=options.asked("albedo.near_light", preset.near_light),
-        roughness=options.asked("albedo.roughness", preset.roughness),
-        specular=options.asked("albedo.specular", preset.specular),
-        rectification=options.asked("albedo.rectification", preset.rectification),
-        inpainting=options.asked("albedo.inpainting", preset.inpainting),
+    preset, asked = options.stages.albedo, {*options.skip, *options.force}
+    skip, force = (
+        (*(step for step in preset_steps if step not in asked), *(s for s in steps if s in OPTIONAL_STEPS))
+        for preset_steps, steps in ((preset.skip, options.skip), (preset.force, options.force))
     )
+    return replace(preset, skip=skip, force=force)
 
 
 def _plan(

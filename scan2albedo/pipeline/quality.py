@@ -57,7 +57,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
             ),
             fit=FitOptions(levels=(0, 0, 1), finest_level=0),
             albedo=EstimateOptions(
-                sizes=(32, 64), start_directions=30, descent_iterations=8, maximal_lights=2
+                sizes=(32, 32, 64), start_directions=30, descent_iterations=8, maximal_lights=2
             ),
         ),
         "standard": Quality("standard"),

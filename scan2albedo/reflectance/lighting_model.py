@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.lighting.environment_harmonics import map_directions, row_projection
+from scan2albedo.lighting.harmonics import map_directions, row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.albedo.clipped_channels import restore_channels
+from scan2albedo.albedo.saturation import restore_channels
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, smooth_noise
 
 SIZE = 96

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.color_guide import ColorGuide, _noise_variance, color_guide
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.core.geometry_image import GeometryImage
@@ -17,7 +16,7 @@ def _level(texture):
     position = np.dstack([*np.meshgrid(np.arange(SIZE), -np.arange(SIZE)), np.zeros((SIZE, SIZE))])
     normal = np.broadcast_to([0.0, 0.0, 1.0], position.shape)
     image = GeometryImage(position, normal, np.ones((SIZE, SIZE), bool), texture_linear=texture)
-    return build_level(image, image.mask, SIZE, EstimateOptions())
+    return build_level(image, image.mask, SIZE)
 
 
 def _concentration(seed=0):

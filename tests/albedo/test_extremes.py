@@ -29,7 +29,7 @@ def test_exposure_only_scales_the_albedo(plain):
 
 
 def test_specular_scale_of_the_annotation_multiplies_the_highlight(plain):
-    options = EstimateOptions(specular=True)
+    options = EstimateOptions(force=("albedo.specular",))
     scale = np.where(np.arange(64)[:, None] < 32, 0, 1) * np.ones((64, 64))
     estimate = estimate_albedo(_with(plain.image, specular_scale=scale), 1, options=options)
     assert np.all(estimate.specular[:32] == 0)
@@ -55,7 +55,7 @@ def test_finer_quantisation_is_no_worse_than_8_bits(scenes, depth):
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_the_unit_of_length_matters_to_shadow_offsets_and_lamp_distances_alone(plain, scale):
     scaled = _with(plain.image, position=plain.image.position * scale)
-    options = EstimateOptions(near_light=False, shadows=False)
+    options = EstimateOptions(skip=("albedo.near_light", "albedo.shadows"))
     here, there = (estimate_albedo(image, 1, options=options) for image in (plain.image, scaled))
     assert there.albedo_linear == pytest.approx(here.albedo_linear, rel=1e-6, abs=1e-9)
 

@@ -30,7 +30,7 @@ def make_image(scenes):
 def test_means_equal_a_loop_over_cells(make_image):
     image = make_image()
     usable = usable_texels(image, OPTIONS)
-    level = build_level(image, usable, 16, OPTIONS)
+    level = build_level(image, usable, 16)
     value, means, weights = brightest_around(image.texture_linear, usable), [], []
     for row in range(0, 64, 4):
         for column in range(0, 64, 4):
@@ -45,17 +45,19 @@ def test_means_equal_a_loop_over_cells(make_image):
 
 def test_anchors_are_texels_of_the_surface(make_image):
     image = make_image()
-    level = build_level(image, usable_texels(image, OPTIONS), 16, OPTIONS)
+    level = build_level(image, usable_texels(image, OPTIONS), 16)
     assert np.linalg.norm(level.anchor, axis=1) == pytest.approx(80)
     assert np.linalg.norm(level.anchor - level.position, axis=1).max() < 10
 
 
 def test_blocks_have_the_area_asked_for(make_image):
     image = make_image(128)
-    level = build_level(image, usable_texels(image, OPTIONS), 128, OPTIONS)
-    largest = [np.bincount(partition).max() for partition in level.blocks]
+    level = build_level(image, usable_texels(image, OPTIONS), 128)
+    blocks, count = level.blocks(1 / 8)
+    largest = [np.bincount(partition).max() for partition in blocks]
     assert largest == pytest.approx([image.mask.sum() / 8] * 2, rel=0.1)
-    assert not set(level.blocks[0]) & set(level.blocks[1])
+    assert not set(blocks[0]) & set(blocks[1])
+    assert count == blocks.max() + 1
 
 
 def test_hidden_black_and_saturated_texels_do_not_vote(make_image):
@@ -90,7 +92,7 @@ def test_cell_image_gives_every_texel_the_value_of_its_cell(make_image):
     whole = make_image()
     image = GeometryImage(*(field[:62] for field in (whole.position, whole.normal, whole.mask)),
                           texture_linear=texture)  # fmt: skip
-    level = build_level(image, usable_texels(image, OPTIONS), 16, OPTIONS)
+    level = build_level(image, usable_texels(image, OPTIONS), 16)
     values = np.random.default_rng(0).uniform(1, 2, len(level.value))
     full = cell_image(level, values, image.mask)
     assert full.shape == (62, 64)
@@ -105,7 +107,7 @@ def test_cell_image_fills_texels_that_did_not_vote_from_the_nearest_cell(make_im
     texture[24:40, 28:36] = 0
     image = make_image(texture_linear=texture)
     usable = usable_texels(image, OPTIONS)
-    level = build_level(image, usable, 16, OPTIONS)
+    level = build_level(image, usable, 16)
     full = cell_image(level, level.position[:, 0], image.mask)
     assert np.all(full[image.mask] != 0)
     # The hole is two cells wide: each side takes its neighbour's, which lies on its own side.
@@ -115,7 +117,7 @@ def test_cell_image_fills_texels_that_did_not_vote_from_the_nearest_cell(make_im
 def test_cell_image_at_full_size_is_the_values_themselves(make_image):
     image = make_image()
     usable = usable_texels(image, OPTIONS)
-    level = build_level(image, usable, 64, OPTIONS)
+    level = build_level(image, usable, 64)
     assert np.array_equal(cell_image(level, level.value, image.mask)[usable], level.value)
 
 

@@ -7,12 +7,16 @@ import pytest
 from scipy.optimize import minimize
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
-from scan2albedo.albedo.levels import build_level, usable_texels
-from scan2albedo.albedo.levenberg_marquardt import descend, promise
+from scan2albedo.albedo.levels import brightest_around, build_level, usable_texels, value_channel
 from scan2albedo.albedo.light_model import LightModel
-from scan2albedo.albedo.residual_problem import Linearization, ResidualProblem
+from scan2albedo.albedo.light_search import LightSearch
+from scan2albedo.albedo.lit_image import CONE_RAD, LitImage
+from scan2albedo.albedo.residual import Residual, ResidualProblem, descend, one_step
+from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.core import Budget, Meter
+from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import cone_directions
+from scan2albedo.optimization import NormalEquations
 from scan2albedo.synthetic import face, hemisphere, light_at
 
 FAR = math.inf
@@ -23,8 +27,8 @@ PARTS = ("near_light", "roughness", "specular")
 
 
 def _problem(image, size=32, budget=Budget()):
-    level = build_level(image, usable_texels(image, OPTIONS), size, OPTIONS)
-    return ResidualProblem(level, None, np.array(VIEW), 0.2, 0.5, Meter("albedo", "", budget))
+    level = build_level(image, usable_texels(image, OPTIONS), size)
+    return ResidualProblem(level, ShadowLattice(level, None, 0.2), Meter("albedo", "", budget))
 
 
 def _angles_deg(estimate, directions):
@@ -55,9 +59,10 @@ def test_descent_ends_where_scipy_does(glossy, parts):
     ours = descend(problem, model, _start(0, model=model), 60)
 
     def cost(x):
-        # The second evaluation lets the reweighting, which starts from the last one's weights, settle.
-        problem.linearize(model, x)
-        return problem.linearize(model, x).cost
+        point = problem.at(model, x)
+        for _ in range(3):
+            point.normal_equations()
+        return point.cost
 
     bounds = list(zip(*model.bounds, strict=True))
     options = {"maxfev": 800, "xatol": 1e-5, "fatol": 1e-9, "adaptive": True}
@@ -73,26 +78,24 @@ def test_descent_ends_where_scipy_does(glossy, parts):
         assert np.linalg.norm(ours.x - peers[0].x) < 0.03
 
 
-def test_descent_stays_in_bounds_and_rests_on_them(scenes):
+def test_descent_stays_in_bounds_and_rests_on_them(scenes, monkeypatch):
     scene = scenes.scene("hemisphere", "plain", [(30, 0, 2.0, FAR)], size=64)
     model = LightModel(1, "oren-nayar", VIEW, 80.0, near=True, rough=True, specular=True)
     lower, upper = model.bounds
-    problem, tried, costs = _problem(scene.image), [], []
-    linearize = problem.linearize
+    problem, tried = _problem(scene.image), []
+    at = Residual.__init__
 
-    def watched(model, x):
-        here = linearize(model, x)
-        tried.append(x)
-        costs.append(here.cost)
-        return here
+    def watched(self, *arguments, **settings):
+        at(self, *arguments, **settings)
+        tried.append(self)
 
-    problem.linearize = watched
+    monkeypatch.setattr(Residual, "__init__", watched)
     start = _start(100, 200.0, model)
     solution = descend(problem, model, start, 40)
-    for x in (solution.x, *tried):
+    for x in (solution.x, *(point.x for point in tried)):
         assert np.all((x >= lower) & (x <= upper))
+    assert solution.cost < tried[0].cost
     assert start[2] > upper[2]
-    assert solution.cost == min(costs) < costs[0]
     # A distant lamp on a matte surface: nearness and highlight end at none.
     assert solution.x[3] == pytest.approx(0, abs=0.01)
     assert solution.hypothesis.reflectance.specular_strength == pytest.approx(0, abs=0.01)
@@ -108,9 +111,25 @@ class _Bowl:
     def cost(self, x):
         return 1 + 0.5 * (x - self.bottom) @ self.matrix @ (x - self.bottom)
 
-    def linearize(self, _, x):
+    def at(self, _, x):
         self.meter.count()
-        return Linearization(self.cost(x), self.matrix, -self.matrix @ (x - self.bottom))
+        return _BowlPoint(self, x)
+
+
+class _BowlPoint:
+    def __init__(self, bowl, x):
+        self.bowl, self.x, self.cost = bowl, x, bowl.cost(x)
+
+    def quadratic_model(self):
+        lower, upper = MODEL.bounds
+        return NormalEquations(
+            self.bowl.matrix, self.bowl.matrix @ (self.x - self.bowl.bottom), lower - self.x, upper - self.x
+        )
+
+    normal_equations = quadratic_model
+
+    def moved(self, step):
+        return self.bowl.at(None, self.x + step)
 
 
 def test_descent_along_a_bound_ends_at_the_least_cost_on_it():
@@ -124,13 +143,50 @@ def test_descent_along_a_bound_ends_at_the_least_cost_on_it():
     assert solution.x == pytest.approx(peer.x, abs=0.01)
 
 
-def test_promise_is_the_cost_at_the_step_where_that_is_quadratic():
+def test_one_step_predicts_its_cost_where_that_is_quadratic():
     bowl = _Bowl([0.3, -0.2, 0.4])
     start = np.array([0.1, 0.1, 0.1])
-    promised, ahead = promise(bowl, MODEL, start)
-    assert promised == pytest.approx(bowl.cost(ahead), rel=1e-12)
-    assert promised - 1 < 0.2 * (bowl.cost(start) - 1)
+    ahead = one_step(bowl, MODEL, start)
+    assert ahead.cost == pytest.approx(bowl.cost(ahead.x), rel=1e-12)
+    assert ahead.cost - 1 < 0.2 * (bowl.cost(start) - 1)
     assert bowl.meter.evaluations == 1
+
+
+def test_a_step_and_where_it_starts_have_costs_under_the_same_weights(glossy):
+    """A step that leads nowhere must not seem to gain by a further round of reweighting."""
+    point = _problem(glossy.image).at(MODEL, _start(50))
+    for _ in range(2):
+        point.normal_equations()
+        assert point.moved(np.zeros(3)).cost == point.cost
+
+
+def test_shadows_are_those_of_the_parameters_that_shade(scenes):
+    """Parameters beyond their bounds count as the bounds, in the shading and in the shadows."""
+    image = scenes.scene("bumps", "skin", [(20, 0, 2.0, FAR)], size=64).image
+    level = build_level(image, usable_texels(image, OPTIONS), 32)
+    lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()), 0.2)
+    problem = ResidualProblem(level, lattice, Meter("albedo", ""))
+    model = LightModel(1, "oren-nayar", VIEW, 100.0)
+    lower, upper = model.bounds
+    for x in (np.array([2.3, 0.4, 5.0]), np.array([0.3, -2.6, 1.0])):
+        outside, inside = (problem.at(model, y) for y in (x, np.clip(x, lower, upper)))
+        assert outside.cost == inside.cost
+        assert outside.light.max() > 1
+
+
+def test_the_highlights_strength_is_in_the_unit_of_the_search(scenes):
+    """Noise lifts V's median above that of the brightest channel, in which the search measures."""
+    image = scenes.scene(
+        "hemisphere", "plain", [(20, 10, 2.0, FAR)], size=96, specular=0.3, noise=0.04, quantize=False
+    ).image
+    options = EstimateOptions(force=("albedo.specular",))
+    usable = usable_texels(image, options)
+    scene = LitImage(image, usable, "oren-nayar", VIEW, options, Meter("albedo", ""))
+    found = LightSearch(scene).run(1).solution.hypothesis.reflectance.specular_strength
+    median = np.median(brightest_around(image.texture_linear, usable)[usable])
+    assert np.median(value_channel(image.texture_linear)[usable]) > 1.01 * median
+    estimate = estimate_albedo(image, 1, options=options)
+    assert estimate.reflectance.specular_strength == pytest.approx(found * median, rel=1e-9)
 
 
 def test_descent_costs_no_more_evaluations_than_allowed(skin):
@@ -154,20 +210,20 @@ def test_descent_stops_when_the_budget_ends_on_the_way(skin):
     problem = _problem(skin.image, budget=Budget(evaluations=4))
     solution = descend(problem, MODEL, _start(60), 30)
     assert problem.meter.evaluations == 4
-    assert solution.cost < _problem(skin.image).linearize(MODEL, _start(60)).cost
+    assert solution.cost < _problem(skin.image).at(MODEL, _start(60)).cost
 
 
 @pytest.mark.parametrize("true", [0, 7, 19, 33])
-def test_promise_ranks_the_true_direction_first(scenes, true):
-    directions = cone_directions(60, VIEW, OPTIONS.cone_rad)
+def test_one_step_ranks_the_true_direction_first(scenes, true):
+    directions = cone_directions(60, VIEW, CONE_RAD)
     x, y, z = directions[true]
     azimuth, elevation = math.degrees(math.atan2(x, z)), math.degrees(math.asin(y))
     scene = scenes.scene("hemisphere", "plain", [(azimuth, elevation, 2.0, FAR)], size=64)
     problem = _problem(scene.image)
-    promised = [promise(problem, MODEL, MODEL.from_lights(d[None], np.array([2.0]))) for d in directions]
-    assert int(np.argmin([cost for cost, _ in promised])) == true
+    steps = [one_step(problem, MODEL, MODEL.from_lights(d[None], np.array([2.0]))) for d in directions]
+    assert int(np.argmin([step.cost for step in steps])) == true
     assert problem.meter.evaluations == 60
-    ahead = MODEL.direction(*promised[true][1][:2])
+    ahead = MODEL.direction(*steps[true].x[:2])
     assert math.degrees(math.acos(min(1.0, float(ahead @ directions[true])))) < 1
 
 
@@ -272,7 +328,7 @@ def test_wherever_the_budget_ends_the_plan_has_a_row_for_every_part(skin, brdf):
 
 
 def test_a_part_the_caller_leaves_out_is_said_to_be(skin):
-    options = EstimateOptions(specular=False)
+    options = EstimateOptions(skip=("albedo.specular",))
     for budget in (None, Budget(evaluations=100)):
         estimate = estimate_albedo(skin.image, 1, options=options, budget=budget)
         row = next(step for step in estimate.plan if step.stage == "albedo.specular")

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from brdf_reference import lambert, minnaert, oren_nayar, phong
 from hypothesis import given
 from hypothesis import strategies as st
-
-from scan2albedo.lighting.brdf import lambert, minnaert, oren_nayar, phong
 
 COSINES = np.linspace(-1, 1, 41)
 

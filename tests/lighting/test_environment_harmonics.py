@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.lighting.environment_harmonics import (
+from scan2albedo.lighting.harmonics import (
+    harmonics,
     map_directions,
     project_distant_lights,
     project_environment,
 )
-from scan2albedo.lighting.harmonics import harmonics
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (16, 32), (130, 40)])

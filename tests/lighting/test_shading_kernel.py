@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from brdf_reference import minnaert, oren_nayar, phong
 
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
-from scan2albedo.lighting.brdf import minnaert, oren_nayar, phong
-from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis, spherical_harmonics_shading
 
 LIGHTS = (PointLight(0.5, 0.2, 400.0, 2.0), PointLight(-1.1, 0.4, math.inf, 0.7))
 VIEW = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
@@ -97,23 +96,6 @@ def test_inputs_are_not_changed_and_bad_names_are_refused():
         Reflectance("cook-torrance")
     with pytest.raises(ValueError, match="roughness 0"):
         Reflectance("lambert", 0.3)
-
-
-def test_harmonics_are_orthonormal_on_the_sphere():
-    count = 40_000
-    z = 1 - 2 * (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * math.pi * (3 - math.sqrt(5))
-    ring = np.sqrt(1 - z**2)
-    basis = spherical_harmonics_basis(np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1))
-    assert 4 * math.pi * basis.T @ basis / count == pytest.approx(np.eye(9), abs=1e-3)
-
-
-def test_harmonic_shading_takes_27_parameters():
-    coefficients = np.arange(27.0).reshape(9, 3)
-    normal = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
-    shading = spherical_harmonics_shading(normal, coefficients)
-    assert shading.shape == (2, 3)
-    assert shading[:, 1] == pytest.approx(spherical_harmonics_shading(normal, coefficients[:, 1]))
 
 
 def test_a_light_behind_the_surface_leaves_the_ambient_term():

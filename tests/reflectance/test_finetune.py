@@ -10,8 +10,7 @@ from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.lighting.environment import distant_directions
-from scan2albedo.lighting.environment_harmonics import project_environment
-from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     FineTuneOptions,
     ImageObservation,

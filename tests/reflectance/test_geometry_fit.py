@@ -15,7 +15,7 @@ from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
-from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
     GeometryFitOptions,
     MorphableShapeModel,

@@ -6,8 +6,7 @@ from scipy.spatial import ConvexHull
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
-from scan2albedo.lighting.environment_harmonics import project_environment
-from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import EXPONENTS, generated_environment, light_transfer
 from scan2albedo.reflectance.environment_shading import light_response
 

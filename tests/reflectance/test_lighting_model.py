@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import LightingModel, generated_environment
 
 

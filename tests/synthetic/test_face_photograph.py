@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.geometry.pinhole import project
-from scan2albedo.lighting.environment_harmonics import project_environment
+from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
     PhotographOptions,
     VertexReflectance,

@@ -42,35 +42,31 @@ def _settings(quick: bool) -> list[Setting]:
     options = EstimateOptions()
     default = Setting("default", "", options)
     if quick:
-        small = EstimateOptions(sizes=(16, 32), grid_size=16)
+        small = EstimateOptions(sizes=(16, 16, 32))
         return [
             Setting("default", "", small),
             Setting("start_directions", "8", replace(small, start_directions=8)),
         ]
-    sizes = ((16, 32), (32, 64), (48, 96), (32, 128), (64, 64), (128, 256))
-    former = [
-        Setting("refiner", "nelder-mead", EstimateOptions(refiner="nelder-mead")),
-        *(
-            Setting(
-                "annealing", f"{n} evaluations", EstimateOptions(refiner="annealing", annealing_evaluations=n)
-            )
-            for n in (500, 1500)
-        ),
-        Setting("objective", "the paper's", EstimateOptions(objective="albedo-deviation")),
-    ]
+    sizes = (
+        (16, 32, 128),
+        (48, 64, 128),
+        (32, 32, 64),
+        (32, 48, 96),
+        (32, 32, 128),
+        (32, 64, 64),
+        (32, 128, 256),
+    )
+    paper = Setting("objective", "the paper's", EstimateOptions(objective="albedo-deviation"))
     return [
         default,
         *preset_settings("albedo"),
-        *varied("sizes", options, sizes, "{0[0]} and {0[1]}".format),
-        *varied("grid_size", options, (16, 48)),
+        *varied("sizes", options, sizes, "{0[0]}, {0[1]} and {0[2]}".format),
         *varied("start_directions", options, (10, 20, 30, 120)),
         *varied("starts", options, (1, 6)),
         *varied("descent_iterations", options, (3, 6, 24)),
-        *varied("final_iterations", options, (1, 20)),
         *varied("maximal_lights", options, (1, 2)),
-        *varied("fit_block_area", options, (0.03, 0.12), "{:g}".format),
         *within(options, (1, 25, 50, 100, 200, 400)),
-        *former,
+        paper,
     ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.light_normalization import DARKEST, blurred_inside
-from scan2albedo.lighting.spherical_harmonics import spherical_harmonics_basis
+from scan2albedo.lighting.harmonics import harmonics
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -36,7 +36,7 @@ def robust_harmonics(
     ----------
     .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
     """
-    basis, lit = spherical_harmonics_basis(normal[mask]), value[mask]
+    basis, lit = harmonics(normal[mask], 2), value[mask]
     weight = np.ones(len(lit))
     coefficients: FloatArray = np.zeros(basis.shape[1])
     for _ in range(iterations):

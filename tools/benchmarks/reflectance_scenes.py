@@ -11,8 +11,7 @@ import numpy as np
 import scan2albedo as s2a
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
-from scan2albedo.lighting.environment_harmonics import project_environment
-from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
     MorphableReflectanceModel,

@@ -409,7 +409,9 @@ def _coincident() -> str:
     scene = _ball()
     vertices, faces = scene.image.triangulated()
     twice = np.vstack([vertices, vertices]), np.vstack([faces, faces[:, ::-1] + len(vertices)])
-    return _figure(_with(scene, occluder=twice), scene, 0.05, options=EstimateOptions(shadows=True))
+    return _figure(
+        _with(scene, occluder=twice), scene, 0.05, options=EstimateOptions(force=("albedo.shadows",))
+    )
 
 
 @CASES.extreme(STAGE, "occluder that hides everything", slow=True)
@@ -419,7 +421,7 @@ def _in_a_box() -> str:
     scene = _ball(())
     box = trimesh.creation.box([500, 500, 500])
     image = _with(scene, occluder=(np.asarray(box.vertices), np.asarray(box.faces)))
-    return _figure(image, scene, 0.05, options=EstimateOptions(shadows=True))
+    return _figure(image, scene, 0.05, options=EstimateOptions(force=("albedo.shadows",)))
 
 
 @CASES.extreme(STAGE, "occluder of one flat triangle")
@@ -454,7 +456,9 @@ def _view_behind() -> str:
 
 @CASES.extreme(STAGE, "roughness asked of Lambert", "named error")
 def _rough_lambert() -> str:
-    return _figure(_ball().image, _ball(), 1, brdf="lambert", options=EstimateOptions(roughness=True))
+    return _figure(
+        _ball().image, _ball(), 1, brdf="lambert", options=EstimateOptions(force=("albedo.roughness",))
+    )
 
 
 for _brdf in ("oren-nayar", "lambert", "minnaert", "spherical-harmonics"):
@@ -469,11 +473,13 @@ for _brdf in ("oren-nayar", "lambert", "minnaert", "spherical-harmonics"):
 
 
 for _wrong in (
-    {"grid_size": 0},
-    {"sizes": (0, 64)},
+    {"sizes": (0, 64, 128)},
+    {"sizes": (32, 64)},
+    {"start_directions": 0},
     {"starts": 0},
     {"maximal_lights": 6},
-    {"block_area": 0.0},
+    {"descent_iterations": 0},
+    {"force": ("albedo.shadow",)},
 ):
 
     @CASES.extreme(STAGE, "option " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
@@ -486,9 +492,7 @@ for _wrong in (
     {"saturation_linear": math.nan},
     {"saturation_linear": 0.0},
     {"shadow_offset_mm": math.nan},
-    {"cone_rad": -1.0},
-    {"light_gain": math.nan},
-    {"grid_strengths": ()},
+    {"skip": ("albedo.shadows",), "force": ("albedo.shadows",)},
 ):
 
     @CASES.extreme(STAGE, "option " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")

@@ -18,8 +18,7 @@ from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.lighting.environment import DistantLights, distant_directions
-from scan2albedo.lighting.environment_harmonics import project_distant_lights, project_environment
-from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.harmonics import harmonics, project_distant_lights, project_environment
 from scan2albedo.reflectance import (
     FineTuneOptions,
     GeometryFit,

@@ -41,7 +41,7 @@ class Surface:
     roughness_rad : float
         Oren and Nayar's sigma; 0 is Lambert.
     specular, shininess : float
-        Strength and exponent of Phong's highlight, as in `lighting.brdf`.
+        Strength and exponent of Phong's highlight, as in `lighting.kernels`.
 
     Raises
     ------

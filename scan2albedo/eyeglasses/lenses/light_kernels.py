@@ -1,4 +1,4 @@
-"""Compiled loops over points and distant lights; `lighting.brdf` is the readable reference of the shading."""
+"""Compiled loops over points and distant lights; shading as in `lighting.kernels`."""
 
 from __future__ import annotations
 

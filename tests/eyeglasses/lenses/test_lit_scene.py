@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from brdf_reference import oren_nayar, phong
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
@@ -11,7 +12,6 @@ from scan2albedo.eyeglasses.lenses.light_kernels import AWAY, shade
 from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneRays
 from scan2albedo.geometry.rasterization import bilinear
-from scan2albedo.lighting.brdf import oren_nayar, phong
 from scan2albedo.lighting.environment import DistantLights
 
 

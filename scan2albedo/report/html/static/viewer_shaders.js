@@ -1,4 +1,4 @@
-// The shaders: the reflectance of lighting/brdf.py and lighting/asrm.py, point by point.
+// The shaders: the reflectance of lighting/kernels.py and lighting/asrm.py, point by point.
 const MOST_LIGHTS = 6;
 
 const FACE_VERTEX_SHADER = `#version 300 es

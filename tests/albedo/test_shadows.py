@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scan2albedo.albedo import EstimateOptions
+from scan2albedo.albedo import EstimateOptions, shadows
 from scan2albedo.albedo.levels import build_level
-from scan2albedo.albedo.shadow_caster import shadow_caster
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.lit_image import CONE_RAD
+from scan2albedo.albedo.shadows import LEAST_SHADOW, ShadowLattice, shadow_caster
+from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import cone_directions
 
-OPTIONS = EstimateOptions()
-DIRECTIONS = cone_directions(60, (0, 0, 1), OPTIONS.cone_rad)
+DIRECTIONS = cone_directions(60, (0, 0, 1), CONE_RAD)
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +30,8 @@ def make_image(scenes):
 
 def _decide(image, directions=DIRECTIONS, **options):
     chosen = EstimateOptions(**options)
-    level = build_level(image, image.mask, 32, chosen)
-    caster, step = shadow_caster(image, level, directions, chosen)
+    level = build_level(image, image.mask, 32)
+    caster, step = shadow_caster(image, level, directions, chosen, Meter("albedo", ""))
     assert (caster is not None) == step.ran
     assert step.stage == "albedo.shadows"
     return caster, step
@@ -41,7 +44,7 @@ def _percent(step):
 def test_a_hemisphere_casts_no_shadow_on_itself(make_image):
     _, step = _decide(make_image("hemisphere"))
     assert not step.ran
-    assert _percent(step) < 100 * OPTIONS.shadow_fraction
+    assert _percent(step) < 100 * LEAST_SHADOW
 
 
 def test_hills_shade_one_another(make_image):
@@ -57,20 +60,21 @@ def test_the_figure_is_that_of_the_worst_direction(make_image):
     assert _percent(_decide(image, DIRECTIONS[:30])[1]) == max(each) > 1
 
 
-def test_the_fraction_that_has_to_lie_in_shadow_decides(make_image):
+def test_the_fraction_that_has_to_lie_in_shadow_decides(make_image, monkeypatch):
     image = make_image("bumps")
-    worst = _percent(_decide(image)[1]) / 100
-    assert _decide(image, shadow_fraction=0.9 * worst)[1].ran
-    assert not _decide(image, shadow_fraction=1.1 * worst)[1].ran
+    largest = _percent(_decide(image)[1]) / 100
+    for part in (0.9, 1.1):
+        monkeypatch.setattr(shadows, "LEAST_SHADOW", part * largest)
+        assert _decide(image)[1].ran == (part < 1)
 
 
 @pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
 def test_the_caller_forces_shadows_and_leaves_them_out(make_image, shape):
     image = make_image(shape)
-    _, forced = _decide(image, shadows=True)
+    _, forced = _decide(image, force=("albedo.shadows",))
     assert (forced.ran, forced.reason) == (True, "asked for")
     assert forced.evidence == _decide(image)[1].evidence
-    _, without = _decide(image, shadows=False)
+    _, without = _decide(image, skip=("albedo.shadows",))
     assert (without.ran, without.reason) == (False, "left out by the caller")
 
 
@@ -109,8 +113,8 @@ def test_a_surface_without_triangles_casts_none(make_image):
     image = make_image("hemisphere")
     lone = np.zeros_like(image.mask)
     lone[::2, ::2] = image.mask[::2, ::2]
-    for shadows in (None, True):
-        caster, step = _decide(replace(image, mask=lone), shadows=shadows)
+    for force in ((), ("albedo.shadows",)):
+        caster, step = _decide(replace(image, mask=lone), force=force)
         assert caster is None
         assert step.evidence == "0 faces"
 
@@ -123,3 +127,41 @@ def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own(make_image):
         strips[row : row + 2] = True
     _, step = _decide(replace(image, mask=strips))
     assert step.evidence != "0 faces"
+
+
+@pytest.fixture(scope="module")
+def lattice(make_image):
+    image = make_image("bumps")
+    return ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()), 0.2)
+
+
+MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, near=True)
+
+
+def test_visibility_is_continuous_in_direction_and_nearness(lattice):
+    seen = [
+        lattice.visibility(MODEL, np.array([0.7, 0.1, 0.0, near]))[0] for near in np.linspace(0, 0.4, 401)
+    ]
+    jumps = np.abs(np.diff(seen, axis=0)).max((1, 2))
+    # From one node to the next, 0.125 apart, a cell goes from lit to hidden at most.
+    assert jumps.max() < 1.1 * 0.001 / 0.125
+    assert np.abs(seen[-1] - seen[0]).max() > 0.9
+    across = [lattice.visibility(MODEL, np.array([p, 0.1, 0.0, 0.1]))[0] for p in np.linspace(0.5, 0.9, 401)]
+    assert np.abs(np.diff(across, axis=0)).max() < 1.1 * 0.001 / 0.0625
+
+
+def test_visibility_has_the_derivatives_by_direction(lattice):
+    x, step = np.array([0.71, 0.13, 0.0, 0.07]), 1e-3
+    slopes = lattice.visibility(MODEL, x)[1][0]
+    for k in (0, 1):
+        moved = [lattice.visibility(MODEL, x + sign * step * np.eye(4)[k])[0][0] for sign in (1, -1)]
+        assert slopes[k] == pytest.approx((moved[0] - moved[1]) / (2 * step), abs=0.05)
+    assert np.abs(slopes).max() > 1
+
+
+def test_nothing_is_hidden_where_nothing_casts_shadows(make_image):
+    image = make_image("hemisphere")
+    open_sky = ShadowLattice(build_level(image, image.mask, 32), None, 0.2)
+    seen, slopes = open_sky.visibility(MODEL, np.array([0.5, 0.1, 0.0, 0.2]))
+    assert np.all(seen == 1)
+    assert np.all(slopes == 0)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
-from scan2albedo.albedo.first_light import nearest_first, shading_direction
 from scan2albedo.albedo.levels import build_level, usable_texels
+from scan2albedo.albedo.lit_image import nearest_first, shading_direction
 from scan2albedo.core import Meter
 from scan2albedo.synthetic import face, hemisphere, light_at
 
 
 def level_of(scene):
     options = EstimateOptions()
-    return build_level(scene.image, usable_texels(scene.image, options), 32, options)
+    return build_level(scene.image, usable_texels(scene.image, options), 32)
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (45, 10), (-60, -20)])
@@ -71,6 +71,6 @@ def test_lines_along_shadows_go_after_the_budget_where_that_is_not_too_late(late
 
 
 def test_what_was_asked_for_is_done_without_time():
-    options = EstimateOptions(rectification=True)
+    options = EstimateOptions(force=("albedo.rectification",))
     estimate = estimate_albedo(face(3, size=64).image, budget=1e-6, options=options)
     assert estimate.plan.ran("albedo.rectification")

@@ -1,4 +1,4 @@
-"""Reflectance of a lit surface: Lambert, Oren-Nayar, Minnaert and Phong, from cosines.
+"""Lambert, Oren-Nayar, Minnaert and Phong from cosines: the readable reference of the compiled kernels.
 
 Every function takes the cosines between the unit normal n, the unit direction to the light l and the
 unit direction to the viewer v, and returns the factor that multiplies albedo (Phong: specular strength)

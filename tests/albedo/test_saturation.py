@@ -7,9 +7,10 @@ import pytest
 from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
 from skimage.restoration import inpaint_biharmonic
 
-from scan2albedo.albedo.finishing import inpainted
+from scan2albedo.albedo.estimate import estimate_albedo
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 SIZE = 192
@@ -36,7 +37,7 @@ def _finish(scene, *, known_highlight=1.0, options=OPTIONS, image=None):
     texture = image.texture_linear / np.float32(scene.gain)
     left = (np.maximum(texture - specular[..., None], 0) / light).astype(np.float32)
     usable = usable_texels(image, options)
-    return left, *inpainted(left, image, scene.gain * specular, usable, options, 0)
+    return left, *inpainted(left, image, usable, options, 0)
 
 
 def _clipped(scene):
@@ -118,7 +119,7 @@ def test_white_over_exposure_is_left_unless_asked():
     left, finished, step = _finish(scene, image=image)
     assert "left" in step.evidence
     assert np.array_equal(finished[lost], left[lost])
-    asked = _finish(scene, image=image, options=EstimateOptions(inpainting=True))[1]
+    asked = _finish(scene, image=image, options=EstimateOptions(force=("albedo.inpainting",)))[1]
     assert not np.array_equal(asked[lost], left[lost])
 
 
@@ -139,6 +140,6 @@ def test_nothing_saturated_and_left_out_by_the_caller():
     left, finished, step = _finish(scene)
     assert finished is left
     assert step.reason == "nothing is saturated"
-    left, finished, step = _finish(_scene(hemisphere), options=EstimateOptions(inpainting=False))
-    assert finished is left
-    assert step.reason == "left out by the caller"
+    options = EstimateOptions(skip=("albedo.inpainting",))
+    bare = estimate_albedo(_scene(hemisphere).image, 1, options=options, budget=1e-6)
+    assert bare.plan.of_stage("albedo.inpainting")[0].reason == "left out by the caller"

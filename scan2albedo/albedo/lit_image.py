@@ -1,0 +1,132 @@
+"""The image whose light is sought, at the sizes of the search, and what a search finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.levels import Level, brightest_around, build_level
+from scan2albedo.albedo.light_model import LightModel, Solution
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.shadows import ShadowLattice, shadow_caster
+from scan2albedo.albedo.uncertainty import LightUncertainty
+from scan2albedo.core import Meter
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.plan import PlanStep
+from scan2albedo.geometry.mesh import lengths
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.shadow_map import cone_directions
+
+FloatArray = NDArray[np.float64]
+
+CONE_RAD = 1.92
+"""Half angle around the view direction in which lights are sought: a little behind the face."""
+_ROUNDS = 5
+_LEAST_RESIDUAL = 1e-3
+
+
+@dataclass(frozen=True)
+class LightFound:
+    """The best solution, the unit of its highlight's strength, the plan's rows, and what casts shadows.
+
+    Where that was estimated, how sure the light is, and (H, W) the relative deviation of the albedo that
+    follows.
+    """
+
+    solution: Solution
+    unit: float
+    steps: list[PlanStep]
+    caster: RayCaster | None
+    uncertainty: LightUncertainty | None = None
+    albedo_deviation: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class LitImage:
+    """What a search for the light is given.
+
+    Parameters
+    ----------
+    image : GeometryImage
+    usable : (H, W) bool
+    brdf : str
+    view : (float, float, float)
+        Unit.
+    options : EstimateOptions
+    meter : Meter
+    """
+
+    image: GeometryImage
+    usable: NDArray[np.bool_]
+    brdf: str
+    view: tuple[float, float, float]
+    options: EstimateOptions
+    meter: Meter
+
+    def model(self, lights: int) -> LightModel:
+        """Return the plain model of so many lights."""
+        radius = float(lengths(self.image.position)[self.image.mask].max()) or 1.0
+        return LightModel(lights, self.brdf, self.view, radius)
+
+    def level(self, size: int) -> Level:
+        """Return the image with `size` cells along its longer side."""
+        return self._smallest if size == self.options.sizes[0] else self._built(size)
+
+    def lattice(self, level: Level) -> ShadowLattice:
+        """Return the cast shadows of a level."""
+        return ShadowLattice(level, self.shadows[0], self.options.shadow_offset_mm)
+
+    @cached_property
+    def directions(self) -> FloatArray:
+        """The directions that are tried, those nearest to where the shading grows first."""
+        every = cone_directions(self.options.start_directions, self.view, CONE_RAD)
+        return nearest_first(every, shading_direction(self._smallest))
+
+    @cached_property
+    def shadows(self) -> tuple[RayCaster | None, PlanStep]:
+        """What casts shadows, and the plan's row."""
+        return shadow_caster(self.image, self._smallest, self.directions, self.options, self.meter)
+
+    @cached_property
+    def _smallest(self) -> Level:
+        return self._built(self.options.sizes[0])
+
+    @cached_property
+    def _value(self) -> FloatArray:
+        assert self.image.texture_linear is not None
+        return brightest_around(self.image.texture_linear, self.usable)
+
+    def _built(self, size: int) -> Level:
+        return build_level(self.image, self.usable, size, self._value)
+
+
+def shading_direction(level: Level) -> FloatArray:
+    """Return the unit direction in which the cells grow bright: V ~ a + b . n in L1, reweighted a few times.
+
+    +z where nothing grows.
+
+    References
+    ----------
+    .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
+    """
+    basis = np.column_stack([np.ones(len(level.normal)), level.normal])
+    weight: FloatArray = level.weight
+    found: FloatArray = np.zeros(4)
+    for _ in range(_ROUNDS):
+        scaled = basis * weight[:, None]
+        found = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ level.value, rcond=None)[0], float)
+        weight = level.weight / np.maximum(np.abs(basis @ found - level.value), _LEAST_RESIDUAL)
+    length = float(np.linalg.norm(found[1:]))
+    return found[1:] / length if length > _LEAST_RESIDUAL else np.array([0.0, 0.0, 1.0])
+
+
+def nearest_first(directions: FloatArray, toward: FloatArray) -> FloatArray:
+    """Return the directions (D, 3), those nearest to `toward` first.
+
+    >>> nearest_first(np.eye(3), np.array([0.0, 1.0, 0.0]))[0]
+    array([0., 1., 0.])
+    """
+    return directions[np.argsort(-(directions @ toward), kind="stable")]

@@ -1,0 +1,320 @@
+"""Model selection: how many lights and which optional parts of the model the image gives evidence of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.light_model import LightModel, Solution, cost_removed
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.residual import ResidualProblem, descend
+from scan2albedo.core.plan import PlanStep
+
+FloatArray = NDArray[np.float64]
+
+LIGHT_GAIN = 0.025
+"""Part of the cost that one more light has to remove."""
+_LIGHT_EFFECT = 0.02
+"""Root mean square change of the albedo that it has to make."""
+_LIGHT_SHARE = 0.1
+"""Intensity that every light has to have, as a part of the strongest one's."""
+_LIGHT_ANGLE_RAD = 0.26
+"""Angle between two lights below which they may be one broad light: the picture does not tell."""
+_LIGHT_DIRECTION_RAD = 0.12
+"""Standard deviation that the direction of one more light may have: what is no lamp has none."""
+
+_SPECULAR_EFFECT = 0.004
+"""Root mean square share of the image that a highlight has to have."""
+_SPECULAR_BEYOND = 0.02
+"""Part of the cells on which it may exceed the darkest channel: white leaves something of each."""
+_SPECULAR_GAIN, _SPECULAR_DEVIATIONS = 0.05, 4.0
+"""Part of the cost that it removes, or standard deviations of its strength from 0: one serves."""
+_LIKELY_GAIN, _LIKELY_DEVIATIONS = 0.02, 2.4
+"""The same, where both serve together."""
+_CERTAIN_LOSS, _CERTAIN_DEVIATIONS = 0.03, 12.0
+"""So sure, it may even add to the cost: it takes colour away from the texture's guide."""
+
+_BRIGHTEST, _GLARING = 99.8, 4.0
+"""Percentile of the albedo, and how many times the median it has to be, to be reported."""
+_NEAR = 1e-3
+"""Part of a parameter's range that counts as its end."""
+_BLACK = 1e-3
+"""Parts of the median below which a cell's share of a highlight means nothing."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """An optional part of the light's model: stage and name for the plan, and what it has to bring.
+
+    These are the root mean square change of the albedo, and beside it either the standard deviations of its
+    parameter from nothing or the part of the cost that it removes.
+    """
+
+    stage: str
+    name: str
+    effect: float = 0.0
+    deviations: float = 0.0
+    gain: float = 0.0
+
+
+PARTS = {
+    "rough": Part("albedo.roughness", "surface roughness", 0.008, 3.0, 0.04),
+    "near": Part("albedo.near_light", "a finite distance of the light", 0.014, 8.0, 0.04),
+    "specular": Part("albedo.specular", "a highlight"),
+}
+"""By the name of their field of `LightModel`, in the order in which they are freed."""
+
+
+@dataclass(frozen=True)
+class LightEvidence:
+    """What one more light brings: the part of the cost that it removes, and whether that is worth it.
+
+    It may be `one_or_two`, worth it but so close to another light that both may be one broad light.
+    """
+
+    gain: float
+    accepted: bool
+    one_or_two: bool
+    evidence: str
+
+
+@dataclass(frozen=True)
+class PartsDecided:
+    """The solution with the parts it needs, whether it has a highlight, and the plan's rows."""
+
+    solution: Solution
+    highlight: bool
+    steps: list[PlanStep]
+
+
+def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) -> LightEvidence:
+    """Compare a solution with one more light to one with fewer, both optima of `problem`.
+
+    It is accepted when it removes enough of the cost, changes the albedo, is not far weaker than the
+    strongest, and its direction is known.
+    """
+    gain = cost_removed(more.cost, fewer.cost)
+    intensities = more.hypothesis.rows[:, 4]
+    share = float(intensities.min() / intensities.max())
+    effect = albedo_change(problem, more, fewer)
+    closest, spread = _smallest_angle(more), _direction_deviation(problem, more)
+    worth_it = (
+        gain >= LIGHT_GAIN
+        and share >= _LIGHT_SHARE
+        and effect >= _LIGHT_EFFECT
+        and spread <= _LIGHT_DIRECTION_RAD
+    )
+    one_or_two = worth_it and closest < _LIGHT_ANGLE_RAD
+    evidence = (
+        f"light {more.model.lights} removes {100 * gain:.1f} % of the cost ({100 * LIGHT_GAIN:g} % "
+        f"asked), changes the albedo by {100 * effect:.2f} % ({100 * _LIGHT_EFFECT:g} % asked), "
+        f"{100 * share:.0f} % as strong as the strongest ({100 * _LIGHT_SHARE:g} % asked), "
+        f"{math.degrees(closest):.0f} deg from the next, its direction known to "
+        f"{math.degrees(spread):.1f} deg ({math.degrees(_LIGHT_DIRECTION_RAD):.1f} asked)"
+    )
+    return LightEvidence(gain, worth_it and not one_or_two, one_or_two, evidence)
+
+
+def _smallest_angle(solution: Solution) -> float:
+    """Return the smallest angle [rad] between two lights."""
+    rows = solution.hypothesis.rows[:, :3]
+    cosine = (rows @ rows.T)[np.triu_indices(len(rows), 1)]
+    return float(np.arccos(np.clip(cosine.max(), -1, 1)))
+
+
+def _direction_deviation(problem: ResidualProblem, solution: Solution) -> float:
+    """Return the standard deviation [rad] of the weakest light's direction."""
+    k = 3 * int(np.argmin(solution.hypothesis.rows[:, 4]))
+    variance = np.diag(covariance(problem, solution))[k : k + 2]
+    return math.sqrt(max(float(variance.mean()), 0.0))
+
+
+def covariance(problem: ResidualProblem, solution: Solution) -> FloatArray:
+    """Return (P, P) the covariance of an optimum's parameters; see `Residual.covariance`."""
+    return problem.at(solution.model, solution.x, outlines=False).covariance()
+
+
+def albedo_change(problem: ResidualProblem, first: Solution, second: Solution) -> float:
+    """Return by which part, root mean square, the albedos of two solutions differ, best scale removed."""
+    one, other = (problem.at(s.model, s.x).light for s in (first, second))
+    ratio = one / other
+    return float(np.std(ratio) / np.mean(ratio))
+
+
+def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
+    """Return the parts that neither caller nor reflectance leaves out, in the order to free them."""
+    return [
+        name
+        for name, part in PARTS.items()
+        if options.choice(part.stage) is not False and not (name == "rough" and brdf == "lambert")
+    ]
+
+
+def decide_parts(problem: ResidualProblem, full: Solution, options: EstimateOptions) -> PartsDecided:
+    """Divide out what colour tells, then leave out the parts that the scene does not need.
+
+    Parameters
+    ----------
+    problem : ResidualProblem
+        Without guide.
+    full : Solution
+        An optimum of it with every allowed part free.
+    options : EstimateOptions
+    """
+    rows = list[PlanStep]()
+    current, chosen, highlight = _decide_highlight(problem, full, options, rows)
+    for name in ("near", "rough"):
+        part = PARTS[name]
+        if not getattr(current.model, name) or chosen.meter.exhausted:
+            continue
+        if options.choice(part.stage):
+            rows.append(PlanStep(part.stage, True, "asked for"))
+            continue
+        without = _without(chosen, current, name, options)
+        if not np.isfinite(without.cost):
+            break
+        effect, deviations = albedo_change(chosen, current, without), _deviations(chosen, current, name)
+        gain = cost_removed(current.cost, without.cost)
+        enters = effect >= part.effect and (deviations >= part.deviations or gain >= part.gain)
+        evidence = (
+            f"changes the albedo by {100 * effect:.2f} % ({100 * part.effect:g} % asked), "
+            f"{deviations:.0f} standard deviations from none ({part.deviations:g} asked), "
+            f"removes {100 * gain:.1f} % of the cost ({100 * part.gain:g} %)"
+        )
+        rows.append(_row(part, enters, evidence))
+        if not enters:
+            current = without
+    decided = {row.stage for row in rows}
+    rows += [row for row in undecided(current.model, options) if row.stage not in decided]
+    return PartsDecided(current, highlight, rows)
+
+
+def _row(part: Part, enters: bool, evidence: str) -> PlanStep:
+    return PlanStep(
+        part.stage, enters, f"{part.name} matters" if enters else f"{part.name} does not matter", evidence
+    )
+
+
+def undecided(model: LightModel, options: EstimateOptions) -> list[PlanStep]:
+    """Return the plan's rows of parts without evidence: the caller, or the end of a budget, decides."""
+    rows = []
+    for name, part in PARTS.items():
+        choice = options.choice(part.stage)
+        if choice is False:
+            rows.append(PlanStep(part.stage, False, "left out by the caller"))
+        elif not (name == "rough" and model.brdf == "lambert"):
+            reason = "asked for" if choice else "the budget ended before it was judged"
+            rows.append(PlanStep(part.stage, getattr(model, name), reason, "not judged"))
+    return rows
+
+
+def _decide_highlight(
+    problem: ResidualProblem, full: Solution, options: EstimateOptions, rows: list[PlanStep]
+) -> tuple[Solution, ResidualProblem, bool]:
+    """Return the optimum with or without highlight, the guided problem it belongs to, and which it is.
+
+    A highlight whitens what it covers, and so does a lighter pigment: each of the two models gets the guide
+    that follows from it.
+    """
+    plain_problem, part = problem.guided(None), PARTS["specular"]
+    if problem.meter.exhausted:
+        return full, problem, False
+    if not full.model.specular:
+        plain = descend(plain_problem, full.model, full.x, options.descent_iterations)
+        return plain, plain_problem, False
+    deviations = _deviations(problem, full, "specular")
+    glossy_problem = problem.guided(problem.at(full.model, full.x).highlight())
+    glossy = descend(glossy_problem, full.model, full.x, options.descent_iterations)
+    if options.choice(part.stage):
+        rows.append(PlanStep(part.stage, True, "asked for"))
+        return glossy, glossy_problem, True
+    plain = _without(plain_problem, full, "specular", options)
+    if not (np.isfinite(glossy.cost) and np.isfinite(plain.cost)):
+        return full, problem, False
+    gain = cost_removed(glossy.cost, plain.cost)
+    found = glossy_problem.at(glossy.model, glossy.x).highlight()
+    share = np.minimum(found / np.maximum(problem.level.value, _BLACK), 1.0)
+    effect = float(np.sqrt(np.mean(share**2)))
+    beyond = float(np.mean(found > problem.level.color.min(1)))
+    enters = (
+        effect >= _SPECULAR_EFFECT
+        and beyond <= _SPECULAR_BEYOND
+        and (
+            gain >= _SPECULAR_GAIN
+            or (deviations >= _SPECULAR_DEVIATIONS and gain > 0)
+            or (deviations >= _LIKELY_DEVIATIONS and gain >= _LIKELY_GAIN)
+            or (deviations >= _CERTAIN_DEVIATIONS and gain >= -_CERTAIN_LOSS)
+        )
+    )
+    evidence = (
+        f"{100 * effect:.2f} % of the image ({100 * _SPECULAR_EFFECT:g} % asked), {deviations:.0f} "
+        f"standard deviations ({_SPECULAR_DEVIATIONS:g} asked, {_LIKELY_DEVIATIONS:g} beside "
+        f"{100 * _LIKELY_GAIN:g} % of the cost), removes {100 * gain:.1f} % of the "
+        f"cost, brighter than a channel on {100 * beyond:.1f} % of the cells"
+    )
+    rows.append(_row(part, enters, evidence))
+    return (glossy, glossy_problem, True) if enters else (plain, plain_problem, False)
+
+
+def _without(problem: ResidualProblem, full: Solution, part: str, options: EstimateOptions) -> Solution:
+    model = full.model.with_part(part, False)
+    return descend(problem, model, full.model.extend(full.x, model), options.descent_iterations)
+
+
+def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> float:
+    """Return how many standard deviations the part's parameter is away from its plain value."""
+    k = solution.model.position_of(part)
+    plain = 1.0 if part == "rough" and solution.model.brdf == "minnaert" else 0.0
+    variance = float(covariance(problem, solution)[k, k])
+    away = abs(float(solution.x[k]) - plain)
+    return away / max(np.sqrt(max(variance, 0.0)), 1e-9)
+
+
+def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
+    """Return the plan's row that tells which parameters of the light are at an end of their range.
+
+    There a better light may lie beyond: an ambient light too weak to be seen, a lamp that touches the skin,
+    no light at all. Light that is no part of the model stays in the albedo: where the brightest 0.2 % of
+    it is many times its median, that is told as well.
+
+    Parameters
+    ----------
+    solution : Solution
+    albedo : (N,) float64
+        V of the albedo where it was measured.
+    """
+    found = _at_end(solution)
+    median, brightest = np.percentile(albedo, (50, _BRIGHTEST))
+    if brightest > _GLARING * median > 0:
+        found.append(
+            f"the brightest {100 - _BRIGHTEST:.1f} % of the albedo is {brightest / median:.0f} times its "
+            "median: is a lamp too near to be modelled, or white on black?"
+        )
+    if not found:
+        return PlanStep("albedo.limits", False, "the light lies within what is searched", "no limit reached")
+    return PlanStep("albedo.limits", True, "the light lies at an end of what is searched", "; ".join(found))
+
+
+def _at_end(solution: Solution) -> list[str]:
+    model, x = solution.model, solution.x
+    lower, upper = model.bounds
+    margin = _NEAR * (upper - lower)
+    found = []
+    for k in range(model.lights):
+        i = 3 * k + 2
+        for end, reached, bound in (
+            ("least", x[i] <= lower[i] + margin[i], lower[i]),
+            ("greatest", x[i] >= upper[i] - margin[i], upper[i]),
+        ):
+            if reached:
+                found.append(
+                    f"light {k + 1} has the {end} intensity, {math.exp(bound):.3g} times the ambient light"
+                )
+    if model.near:
+        i = model.position_of("near")
+        if x[i] >= upper[i] * (1 - _NEAR):
+            found.append(f"the lights have the least distance, {model.radius_mm / upper[i]:.3g} mm")
+    return found

@@ -1,0 +1,163 @@
+"""Cast shadows in the search for the light: whether there are any, and where, continuous in the light."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo.levels import Level
+from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.core import Meter
+from scan2albedo.core.geometry_image import GeometryImage, Occluder
+from scan2albedo.core.plan import PlanStep
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.shadow_map import ShadowMap
+
+FloatArray = NDArray[np.float64]
+Visibility = NDArray[np.float32]
+
+LEAST_SHADOW = 0.01
+"""Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
+_FEWEST = 0.05
+"""Part of the cells that has to face a direction for its figure to mean something."""
+_COARSE = 160
+"""Longer side, in texels, of a chart that tells whether there are shadows."""
+_SPACING = 2.0
+"""Distance of the lattice's nodes in cells of the image (as a part of its longer side)."""
+_NEARNESS = 2.0
+"""The same for nearness, beside that of directions: shadows change little with it."""
+
+
+def shadow_caster(
+    image: GeometryImage, level: Level, directions: FloatArray, options: EstimateOptions, meter: Meter
+) -> tuple[RayCaster | None, PlanStep]:
+    """Return the shadow caster, or None where the surface hardly shades itself, and the plan's row.
+
+    When the meter's budget has ended, a coarse mesh casts shadows without a look whether there are any.
+
+    Parameters
+    ----------
+    image : GeometryImage
+    level : Level
+        Its cells are looked at.
+    directions : (D, 3) float64
+        Of distant lights that are tried.
+    options : EstimateOptions
+    meter : Meter
+    """
+    stage = "albedo.shadows"
+    choice = options.choice(stage)
+    if choice is False:
+        return None, PlanStep(stage, False, "left out by the caller")
+    coarse = _coarse_occluder(image) if choice is None else None
+    vertices, faces = image.occluder_mesh() if coarse is None else coarse
+    if not len(faces):
+        return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
+    caster = RayCaster(vertices, faces)
+    if choice is None and meter.exhausted:
+        return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
+    largest = _largest_shadow(
+        ShadowMap(caster, level.anchor, level.normal, options.shadow_offset_mm), directions
+    )
+    evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
+    if choice is None and largest < LEAST_SHADOW:
+        return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
+    if coarse is not None:
+        caster = RayCaster(*image.occluder_mesh())
+    return caster, PlanStep(stage, True, "asked for" if choice else "the surface shades itself", evidence)
+
+
+def _coarse_occluder(image: GeometryImage) -> Occluder | None:
+    """Return a mesh good enough to see whether there are shadows: a dense chart takes long to make ready.
+
+    None where the occluder itself is at hand.
+    """
+    step = -(-max(image.shape) // _COARSE)
+    if image.occluder is not None or step == 1:
+        return None
+    part = slice(None, None, step)
+    mesh = GeometryImage(
+        image.position[part, part], image.normal[part, part], image.mask[part, part]
+    ).triangulated()
+    return mesh if len(mesh[1]) else None
+
+
+def _largest_shadow(shadows: ShadowMap, directions: FloatArray) -> float:
+    """Return the largest part of the points facing one of `directions` (D, 3) that lies in cast shadow."""
+    largest = 0.0
+    for direction in directions:
+        # At the terminator facets shade texels whose smooth normal still faces the light.
+        facing = shadows.normal @ direction > 0.2
+        if facing.mean() >= _FEWEST:
+            largest = max(largest, float(np.mean(shadows.visible(direction)[facing] == 0)))
+    return largest
+
+
+class ShadowLattice:
+    """Visibility of N cells, by rays at the nodes of a lattice of lights and blended linearly between them.
+
+    The lattice's axes are the two coordinates of a light's direction and its nearness (see `LightModel`), so
+    the visibility is continuous in the parameters of a light and has derivatives. Nodes are kept: a local
+    search rarely shoots rays.
+
+    Parameters
+    ----------
+    level : Level
+    caster : RayCaster, optional
+        None where nothing casts shadows: everything is visible.
+    offset_mm : float
+        Of shadow rays.
+    """
+
+    def __init__(self, level: Level, caster: RayCaster | None, offset_mm: float) -> None:
+        self._position, self._normal = level.position, level.normal
+        self._rays = None if caster is None else ShadowMap(caster, level.anchor, level.normal, offset_mm)
+        step = _SPACING / float(level.cell.max() + 1)
+        self._steps = step, step, _NEARNESS * step
+        self._known: dict[tuple[int, int, int], Visibility] = {}
+
+    def visibility(self, model: LightModel, x: FloatArray) -> tuple[Visibility, Visibility]:
+        """Return (L, N) visibility and (L, 2, N) its derivatives by the directions' coordinates.
+
+        That by nearness is left out: so small a move of an outline is mostly the mesh's edges.
+        """
+        lights, cells = model.lights, len(self._position)
+        if self._rays is None:
+            return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
+        nearness = float(x[model.position_of("near")]) if model.near else 0.0
+        blended = np.stack([self._blended(model, (*x[3 * k : 3 * k + 2], nearness)) for k in range(lights)])
+        return blended[:, 0], blended[:, 1:]
+
+    def _blended(self, model: LightModel, light: tuple[float, float, float]) -> Visibility:
+        """Return (3, N) the visibility of a light and its derivatives by two of its three coordinates."""
+        ends, shares = list[tuple[int, ...]](), list[tuple[float, float]]()
+        for value, step in zip(light, self._steps, strict=True):
+            low = math.floor(value / step)
+            part = value / step - low
+            # On a node, such as that of distant lights, the next one has no share.
+            ends.append((low, low + 1) if part > 0 or len(ends) < 2 else (low,))
+            shares.append((1 - part, part))
+        across, along, near = shares
+        slope = -1 / self._steps[0], 1 / self._steps[0]
+        table = (across, along, near), (slope, along, near), (across, slope, near)
+        weights = [[a * b * c for a, b, c in product(p, q, r[: len(ends[2])])] for p, q, r in table]
+        nodes = [self._node(model, *node) for node in product(*ends)]
+        return np.asarray(np.array(weights, np.float32) @ np.stack(nodes))
+
+    def _node(self, model: LightModel, column: int, row: int, nearness: int) -> Visibility:
+        """Return (N,) the visibility at a node of the lattice."""
+        assert self._rays is not None
+        key = column, row, nearness
+        if key not in self._known:
+            direction = model.direction(column * self._steps[0], row * self._steps[1])
+            distance = model.radius_mm / (nearness * self._steps[2]) if nearness > 0 else math.inf
+            visible = self._rays.visible(direction, distance).astype(np.float32)
+            # Turned away at the node, a cell may face the light itself: no outline of a cast shadow there.
+            rays = direction if math.isinf(distance) else distance * direction - self._position
+            visible[np.sum(self._normal * rays, 1) <= 0] = 1
+            self._known[key] = visible
+        return self._known[key]
