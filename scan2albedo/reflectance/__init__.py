@@ -1,4 +1,8 @@
-"""Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model."""
+"""Reflectance of faces, vertex by vertex: from flash photographs, and as a morphable model.
+
+After Y. Han, Z. Wang, F. Xu, "Learning a 3D Morphable Face Reflectance Model from Low-cost Data", CVPR 2023,
+and its supplement, which the modules cite as Han, Wang, Xu.
+"""
 
 from scan2albedo.reflectance.capture_files import CaptureFiles, read_capture, write_capture
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -133,13 +134,9 @@ class CaptureFiles:
         Raises `ScanError`, naming the picture, when one is missing or damaged, `ReflectanceError` as
         `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
-        folder = self.path.parent
-        rooms: dict[str, NDArray[np.generic]] = {}
-        for pair in self.content.pictures:
-            if pair.room_image not in rooms:
-                rooms[pair.room_image] = read_image_values(folder / pair.room_image)
-        flashes = [read_image_values(folder / pair.flash_image) for pair in self.content.pictures]
-        lit_by_room = [rooms[pair.room_image] for pair in self.content.pictures]
+        read = cache(lambda name: read_image_values(self.path.parent / name))
+        flashes = [read_image_values(self.path.parent / pair.flash_image) for pair in self.content.pictures]
+        lit_by_room = [read(pair.room_image) for pair in self.content.pictures]
         self._refuse_sizes(flashes, lit_by_room)
         content = self.content
         options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
@@ -152,18 +149,12 @@ class CaptureFiles:
         return olat
 
     def _masked(self, olat: OlatImages) -> OlatImages:
-        poses = {pose.name: pose for pose in self.content.poses}
-        masks: dict[str, NDArray[np.bool_]] = {}
-        valid = olat.valid
+        mask_of = {pose.name: pose.mask for pose in self.content.poses}
+        valid, whose = olat.valid, f"capture {self.path}"
+        read = cache(lambda name: read_skin_mask(self.path.parent / name, valid.shape[1:3], whose))
         for j, pair in enumerate(self.content.pictures):
-            name = poses[pair.camera].mask
-            if name is None:
-                continue
-            if name not in masks:
-                masks[name] = read_skin_mask(
-                    self.path.parent / name, valid.shape[1:3], f"capture {self.path}"
-                )
-            valid[j] &= masks[name][..., None]
+            if (name := mask_of[pair.camera]) is not None:
+                valid[j] &= read(name)[..., None]
         return replace(olat, valid=valid, linear=np.where(valid, olat.linear, np.float32(0)))
 
     def _refuse_sizes(self, flashes: list[NDArray], rooms: list[NDArray]) -> None:

@@ -84,7 +84,7 @@ def rig_of_head_poses(
 
     References
     ----------
-    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement, Eq. 1.
+    .. [1] Han, Wang, Xu, CVPR 2023, supplement, Eq. 1.
 
     Examples
     --------

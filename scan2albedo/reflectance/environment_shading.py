@@ -95,8 +95,8 @@ def shade_environment(
     light : (81, 3) array_like of float
         Coefficients L_lm of the radiance, as from `project_environment`.
     lobe : {"tilted", "full"}
-        `full` is the paper's formula, the one above; `tilted` replaces r by the lobe's mean direction, which
-        is nearest to the truth at oblique views.
+        `full` is the formula of Han, Wang and Xu, the one above; `tilted` replaces r by the lobe's mean
+        direction, which is nearest to the truth at oblique views.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def shade_environment(
 
     References
     ----------
-    "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+    Han, Wang, Xu, CVPR 2023, supplement.
 
     Examples
     --------
@@ -161,12 +161,13 @@ def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
     unit = np.asarray(vectors, np.float64)
     if unit.ndim != 2 or unit.shape[1] != 3:
         raise ValueError(f"{name} must have shape (V, 3), got {unit.shape}")
-    wrong = ~(np.abs(np.linalg.norm(unit, axis=1) - 1) < 1e-4)
+    length = np.linalg.norm(unit, axis=1)
+    wrong = ~(np.abs(length - 1) < 1e-4)
     if wrong.any():
         first = int(np.flatnonzero(wrong)[0])
         raise ReflectanceError(
-            f"{name} of vertex {first} is {unit[first]}, no unit vector ({wrong.sum()} in all); leave out "
-            "vertices without a surface around them"
+            f"{name} of vertex {first} is {unit[first]} of length {length[first]:.6g}, no unit vector "
+            f"({wrong.sum()} in all); normalise, and leave out vertices without a surface around them"
         )
     return unit
 

@@ -135,14 +135,14 @@ def finetune(
     -----
     Images determine the albedo only up to the light, and held-out images do not resolve that either: the
     anchor keeps the albedo. It is Gaussian, for then each vertex has a closed form and a smooth error is
-    corrected everywhere a little; the absolute differences of the paper favour few vertices. What differs
-    from face to face but is not in the directions, marks for instance, tuning does not add.
+    corrected everywhere a little; the absolute differences of Han, Wang and Xu favour few vertices. What
+    differs from face to face but is not in the directions, marks for instance, tuning does not add.
 
     tools/bench_reflectance_finetune.py prints what tuning does to pictures that neither step used.
 
     References
     ----------
-    "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement. There networks
+    Han, Wang, Xu, CVPR 2023, supplement. There networks
     are tuned by gradients, under a penalty on changes; here each change has a closed form.
     """
     smooth = _smoother(model, faces, vertices, options)

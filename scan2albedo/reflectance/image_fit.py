@@ -78,9 +78,8 @@ def fit_image(
         E = W / n sum (sqrt(r^2 + eps^2) - eps) + w (|b|^2 + |g|^2) + w_p P
 
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
-    re-weighted squares. P is a function of the caller's. The paper's penalty on coloured light is left out:
-    at the published weight the albedo's error rose from 0.067 to 0.135, and to 0.070 where all light was
-    grey.
+    re-weighted squares. P is a function of the caller's. The penalty of Han, Wang and Xu on coloured light is
+    left out: at their weight the albedo's error rose from 0.067 to 0.135, under grey light to 0.070.
 
     Parameters
     ----------
@@ -129,7 +128,7 @@ def fit_image(
 
     References
     ----------
-    "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+    Han, Wang, Xu, CVPR 2023, supplement.
     """
     if len(np.asarray(observation.seen)) != len(model.known):
         raise ReflectanceError(

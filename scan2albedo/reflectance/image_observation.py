@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.environment_shading import HARMONICS, LightResponse, light_response
+from scan2albedo.reflectance.environment_shading import HARMONICS, LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.lobe_coefficients import Lobe
 
 FloatArray = NDArray[np.float64]
@@ -51,14 +51,7 @@ class ImageObservation:
                 )
             object.__setattr__(self, name, array)
         for name in ("normals", "toward_camera"):
-            length = np.linalg.norm(np.asarray(getattr(self, name)), axis=1)
-            bad = seen & ~(np.abs(length - 1) < 1e-4)
-            if bad.any():
-                first = int(np.flatnonzero(bad)[0])
-                raise ReflectanceError(
-                    f"{name} of vertex {first} has length {length[first]:.6g}, expected 1 ({bad.sum()} "
-                    "vertices); normalise, and take vertices without a surface around them out of `seen`"
-                )
+            unit_vectors(np.where(seen[:, None], np.asarray(getattr(self, name)), (0.0, 0.0, 1.0)), name)
         object.__setattr__(self, "seen", seen)
         if not seen.any():
             raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")

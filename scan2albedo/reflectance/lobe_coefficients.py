@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.float64]
 Lobe = Literal["tilted", "full"]
-"""`tilted`: the true lobe of each view, averaged around its mean direction. `full`, as published: the lobe of
-v = n over the whole sphere, turned to the mirrored view."""
+"""`tilted`: the true lobe of each view, averaged around its mean direction. `full`, as Han, Wang and Xu
+have it: the lobe of v = n over the whole sphere, turned to the mirrored view."""
 
 ORDER = 8
 _VIEWS = 33

@@ -26,18 +26,18 @@ BoolArray = NDArray[np.bool_]
 
 _CLIP_TOLERANCE = 1e-9
 """Negatives smaller than this are rounding and not counted."""
-_ARRAYS = {
-    "known": "b",
-    "support": "iu",
-    "diffuse_mean": "f",
-    "diffuse_basis": "f",
-    "sum_mean": "f",
-    "sum_basis": "f",
-    "share_mean": "f",
-    "share_basis": "f",
-    "deviation": "f",
+_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "known": ("b", ("V",)),
+    "support": ("iu", ("V",)),
+    "diffuse_mean": ("f", ("V", 3)),
+    "diffuse_basis": ("f", ("N", "V", 3)),
+    "sum_mean": ("f", ("V",)),
+    "sum_basis": ("f", ("N", "V")),
+    "share_mean": ("f", ("V", 3)),
+    "share_basis": ("f", ("N", "V", 3)),
+    "deviation": ("f", ("N",)),
 }
-"""Names of the arrays in a file and their kinds."""
+"""Names of the arrays, in the model and in its file, with their kinds and shapes."""
 
 
 class ReflectanceModelHeader(BaseModel):
@@ -99,7 +99,7 @@ class MorphableReflectanceModel:
 
     References
     ----------
-    "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+    Han, Wang, Xu, CVPR 2023, supplement.
 
     Examples
     --------
@@ -134,19 +134,9 @@ class MorphableReflectanceModel:
     """K."""
 
     def __post_init__(self) -> None:
-        count, components = len(self.known), len(self.deviation)
-        expected = {
-            "known": (count,),
-            "support": (count,),
-            "diffuse_mean": (count, 3),
-            "diffuse_basis": (components, count, 3),
-            "sum_mean": (count,),
-            "sum_basis": (components, count),
-            "share_mean": (count, 3),
-            "share_basis": (components, count, 3),
-            "deviation": (components,),
-        }
-        for name, shape in expected.items():
+        sizes: dict[str | int, int] = {"V": len(self.known), "N": len(self.deviation)}
+        for name, (_, axes) in _ARRAYS.items():
+            shape = tuple(sizes.get(axis, axis) for axis in axes)
             array = getattr(self, name)
             if array.shape != shape:
                 raise ReflectanceError(f"reflectance model: {name} is {array.shape}, expected {shape}")
@@ -224,7 +214,7 @@ class MorphableReflectanceModel:
         header, arrays = read_npz_record(
             path,
             ReflectanceModelHeader,
-            _ARRAYS,
+            {name: kind for name, (kind, _) in _ARRAYS.items()},
             what="reflectance model",
             advice="give a file that its `save` wrote (data_schemas/reflectance_model.schema.json)",
             error=ReflectanceError,

@@ -119,7 +119,7 @@ def extract_olat(
 
     References
     ----------
-    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement, Eq. 2.
+    .. [1] Han, Wang, Xu, CVPR 2023, supplement, Eq. 2.
 
     Examples
     --------

@@ -49,7 +49,7 @@ def point_light_lobes(
 
     References
     ----------
-    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023.
+    .. [1] Han, Wang, Xu, CVPR 2023.
 
     Examples
     --------

@@ -137,7 +137,7 @@ def fit_reflectance(
 
     References
     ----------
-    .. [1] "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+    .. [1] Han, Wang, Xu, CVPR 2023, supplement.
 
     Examples
     --------

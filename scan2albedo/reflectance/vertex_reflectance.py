@@ -29,7 +29,7 @@ class VertexReflectance:
 
     References
     ----------
-    "Learning a 3D morphable face reflectance model from low-cost data", CVPR 2023, supplement.
+    Han, Wang, Xu, CVPR 2023, supplement.
     """
 
     diffuse_linear: FloatArray

@@ -128,7 +128,20 @@ def fit_capture(
     `fit_reflectance`.
     """
     with _naming(capture):
-        return _fitted(capture, options, held_out_every, budget, on_progress)
+        olat = capture.extract_olat()
+        sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
+        samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
+        samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
+        fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
+    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
+    held_out = _held_out(np.asarray(samples.valid.any((1, 2))), held_out_every)
+    error = None
+    if held_out.any():
+        try:
+            error = relighting_error(samples, held_out, options=options)
+        except ReflectanceError as cause:
+            notes += (f"the fit was not tested on pictures left out: {cause}",)
+    return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
 
 
 @contextmanager
@@ -140,29 +153,6 @@ def _naming(capture: CaptureFiles) -> Iterator[None]:
         if str(capture.path) in str(error):
             raise
         raise ReflectanceError(f"capture {capture.path}: {error}") from error
-
-
-def _fitted(
-    capture: CaptureFiles,
-    options: ReflectanceFitOptions,
-    held_out_every: int,
-    budget: Budget | float | None,
-    on_progress: ProgressCallback | None,
-) -> FittedCapture:
-    olat = capture.extract_olat()
-    sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
-    samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
-    samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
-    fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
-    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
-    held_out = _held_out(np.asarray(samples.valid.any((1, 2))), held_out_every)
-    error = None
-    if held_out.any():
-        try:
-            error = relighting_error(samples, held_out, options=options)
-        except ReflectanceError as cause:
-            notes += (f"the fit was not tested on pictures left out: {cause}",)
-    return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
 
 
 def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
