@@ -62,7 +62,7 @@ class CanonicalFiles:
 def read_frames(
     meshes: Sequence[Path], keypoints: Sequence[Path] | None = None, unit: str = "auto"
 ) -> tuple[list[GlassesFrame], list[FailedFrame]]:
-    """Read meshes and their key points, as `read_frame` does, and tell what cannot be read."""
+    """Read meshes and their key points, as `read_frame` does, and return what cannot be read and why."""
     frames, failures = [], []
     for i, mesh in enumerate(meshes):
         try:

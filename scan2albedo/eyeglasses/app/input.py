@@ -93,7 +93,7 @@ def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") ->
 def _unit_of(
     mesh: ParsedMesh, marks: KeyPoints, unit: str, mesh_name: str, marks_name: str
 ) -> tuple[float, str]:
-    """Return the factor to millimetres of a mesh, and the note that tells its unit."""
+    """Return the factor to millimetres of a mesh, and the note that states its unit."""
     if marks.unit == "unknown":
         return glasses_millimetres_per_unit(marks.points, unit, mesh_name)
     _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_name)
@@ -103,7 +103,7 @@ def _unit_of(
 
 
 def _unit_on_which_key_points_lie(mesh: ParsedMesh, marks: KeyPoints, name: str) -> tuple[float, str]:
-    """Return the unit in which key points of a known unit lie on the mesh: decades tell it beyond doubt."""
+    """Return the unit in which key points of a known unit lie on the mesh: units are factors of ten apart."""
     known = marks.points[np.isfinite(marks.points).all(1)] * MM_PER_UNIT[marks.unit]
     surface, size = ClosestPointQuery(mesh.vertices, mesh.faces), float(np.ptp(known, axis=0).max())
     off = {

@@ -163,7 +163,7 @@ def run_lenses(
         for note in notes:
             say(f"{what}: {note}")
 
-    def tell(view: LensView) -> None:
+    def say_view(view: LensView) -> None:
         seen = int((view.picture.lens >= 0).sum())
         say(f"{name}: {view.camera.name} done in {view.seconds:.1f} s; {seen} pixels see a lens")
 
@@ -179,7 +179,7 @@ def run_lenses(
             pictures_linear=source.pictures,
             environment_linear=source.environment,
             options=options,
-            on_view=tell,
+            on_view=say_view,
         )
     except EyeglassesError as error:
         files = f"{source.frame.mesh_file} with {source.frame.keypoints_file}"

@@ -1,4 +1,4 @@
-"""What the command `glasses lenses` is given: files and options, checked, each fault told with its file."""
+"""What the command `glasses lenses` is given: files and options, checked, errors name the file."""
 
 from __future__ import annotations
 

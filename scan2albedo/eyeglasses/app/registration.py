@@ -131,11 +131,11 @@ def register_frame(
             "budget_evaluations": spend.evaluations,
         },
         seconds=time.perf_counter() - begun,
-        notes=(*given.notes, *_doubts(given, result)),
+        notes=(*given.notes, *_warnings(given, result)),
     )
 
 
-def _doubts(given: RegistrationInput, result: RegisteredEyeglasses) -> list[str]:
+def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[str]:
     """Return what says that the inputs may not belong together."""
     notes = []
     if given.head is not None:

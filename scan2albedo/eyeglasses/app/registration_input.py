@@ -172,7 +172,7 @@ def _read_frame(files: RegistrationFiles, notes: list[str], hashes: dict[str, tu
             canonical.vertices, canonical.faces, canonical.keypoints, canonical.weights, mm_per_unit=1.0
         )
     read = read_frame(mesh, files.keypoints, files.unit)
-    notes += _told(mesh, read.scan)
+    notes += _notes_of(mesh, read.scan)
     hashes["mesh"] = (mesh, read.mesh_sha256)
     hashes["keypoints"] = (read.keypoints_file, read.keypoints_sha256)
     return RestFrame(read.scan.vertices, read.scan.faces, read.keypoints, None, read.mm_per_unit)
@@ -180,13 +180,13 @@ def _read_frame(files: RegistrationFiles, notes: list[str], hashes: dict[str, tu
 
 def _read_head(path: Path, notes: list[str], hashes: dict[str, tuple[Path, str]]) -> RawScan:
     head = load_scan(path)
-    notes += [f"head {note}" for note in _told(path, head)]
+    notes += [f"head {note}" for note in _notes_of(path, head)]
     hashes["head"] = (path, input_sha256(path))
     return head
 
 
-def _told(path: Path, scan: RawScan) -> list[str]:
-    """Return the notes of reading a mesh; that it has no colours is nothing to tell here."""
+def _notes_of(path: Path, scan: RawScan) -> list[str]:
+    """Return the notes of reading a mesh; that it has no colours does not matter here."""
     return [f"{path.name}: {note}" for note in scan.notes if "geometry only" not in note]
 
 

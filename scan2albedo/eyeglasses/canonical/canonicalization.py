@@ -42,7 +42,7 @@ class CanonicalizationOptions:
     weights: WeightOptions = WeightOptions()
     """How weights are solved, where none are given."""
     skip_failed: bool = False
-    """Whether a frame that cannot be done is left out and told in the result, instead of ending the call."""
+    """Whether a frame that cannot be done is left out and named in the result, instead of ending the call."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class CanonicalEyeglasses:
     converged: bool
     """Whether its weights converged, or were given."""
     plan: Plan
-    """How its weights were come by."""
+    """How its weights were found."""
 
     def apply(self, vertices: ArrayLike) -> FloatArray:
         """Return the frame's vertices (V, 3), as given or edited, in canonical space."""

@@ -39,7 +39,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class WeightedFrame:
-    """A frame with its weights, zero columns for missing key points, and how they were come by."""
+    """A frame with its weights, zero columns for missing key points, and how they were found."""
 
     frame: Frame
     weights: FloatArray

@@ -21,7 +21,7 @@ _OTHER_UNIT = 5.0
 _SAME_SIZE = 1.4
 """Ratio of sizes, after a power of ten, up to which two frames differ in shape rather than in unit."""
 _TYPICAL_BONE_MM = 30.0
-"""Median length of the skeleton's bones of spectacles: tells which frame is in mm."""
+"""Median length of the skeleton's bones of spectacles: decides which frame is in mm."""
 _FLAT = 1e-3
 """Spread across a line, as a part of that along it, below which points fix no pose."""
 _TOLERANCE = 1e-13

@@ -77,7 +77,7 @@ def checked_name(name: str) -> str:
     return name
 
 
-def refuse_equal_names(names: Iterable[str]) -> None:
+def require_distinct_names(names: Iterable[str]) -> None:
     """Raise ValueError when two cameras' names are equal but for case: their files would be one."""
     seen: set[str] = set()
     for name in names:
@@ -125,7 +125,7 @@ class CamerasFile(BaseModel):
 
     @model_validator(mode="after")
     def _names_differ(self) -> CamerasFile:
-        refuse_equal_names(camera.name for camera in self.cameras)
+        require_distinct_names(camera.name for camera in self.cameras)
         return self
 
 

@@ -211,7 +211,7 @@ def write_start(
     world_from_glasses : (4, 4) array_like of float
         Rigid.
     unit : {"mm", "cm", "m"}
-        Of the translation; only told in the file.
+        Of the translation; only noted in the file.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_keypoints
-from scan2albedo.eyeglasses.files.camera_files import CameraName, refuse_equal_names
+from scan2albedo.eyeglasses.files.camera_files import CameraName, require_distinct_names
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.records import read_record, write_record
 
@@ -41,11 +41,11 @@ class KeyPointsFile(BaseModel):
 
     @model_validator(mode="after")
     def _names_are_known(self) -> KeyPointsFile:
-        refuse_strange_names(self.key_points)
+        require_known_names(self.key_points)
         return self
 
 
-def refuse_strange_names(names: Iterable[str]) -> None:
+def require_known_names(names: Iterable[str]) -> None:
     """Raise ValueError unless all are names of key points."""
     strange = sorted(set(names) - set(KEY_POINT_NAMES))
     if strange:
@@ -62,7 +62,7 @@ def write_keypoints(
     path : str or Path
     keypoints : (20, 3) array_like of float
     unit : {"mm", "cm", "m", "unknown"}
-        Of the key points; only told in the file.
+        Of the key points; only noted in the file.
 
     Raises
     ------
@@ -167,9 +167,9 @@ class LabelsFile(BaseModel):
 
     @model_validator(mode="after")
     def _names_are_known(self) -> LabelsFile:
-        refuse_equal_names(self.views)
+        require_distinct_names(self.views)
         for labels in self.views.values():
-            refuse_strange_names(labels)
+            require_known_names(labels)
         return self
 
 
@@ -196,7 +196,7 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
             f"labels must have shape ({len(camera_names)}, {KEY_POINT_COUNT}, 2) for {len(camera_names)} "
             f"cameras, got {pixels.shape}"
         )
-    refuse_equal_names(camera_names)
+    require_distinct_names(camera_names)
     views = {
         name: {
             key_point: (float(p[0]), float(p[1])) if np.isfinite(p).all() else None

@@ -213,7 +213,7 @@ class BareFrame:
 def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray) -> BareFrame:
     """Take the parts out of a frame that lie across a lens, as `find_lens_rim` looks through them.
 
-    Glass of one piece with the rim stays, and a note tells it.
+    Glass of one piece with the rim stays, and a note says so.
     """
     vertices, faces = np.asarray(frame.vertices), np.asarray(frame.faces)
     kept, notes = np.ones(len(faces), bool), []

@@ -166,7 +166,7 @@ def insert_lenses(
     ----------
     frame : Surface
         In its pose on the face. Glass of its own is left out where a lens goes, unless it is of one piece
-        with the rim; `notes` tell of either. All lengths are mm: dioptres mean nothing in other units.
+        with the rim; `notes` say so. All lengths are mm: dioptres mean nothing in other units.
     keypoints : (20, 3) array_like of float
         Of the frame in the same pose, in the order of `KEY_POINT_NAMES`. Those of each rim that gets a lens
         are needed; others may be NaN.

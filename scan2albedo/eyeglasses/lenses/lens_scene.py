@@ -20,7 +20,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _SMOOTH = 0.3
-"""Cosine to its face below which a smoothed normal is not believed: neighbours are wound in two ways."""
+"""Cosine to its face below which a smoothed normal is replaced by the face's: its neighbours are wound in two
+ways."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def _places(directions):  # type: ignore[no-untyped-def]
     result = np.empty((directions.shape[0], 2))
     for i in range(directions.shape[0]):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        # The angle from +y by its tangent: a cosine near 1 does not tell it.
+        # The angle from +y by its tangent: a cosine near 1 hardly changes with it.
         result[i, 0] = np.arctan2(x, z) / (2 * np.pi) + 0.5
         result[i, 1] = np.arctan2(np.sqrt(x * x + z * z), y) / np.pi
     return result

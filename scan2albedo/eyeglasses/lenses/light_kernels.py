@@ -125,19 +125,19 @@ def set_paths(paths, place, occluded, hit, free):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shade(  # type: ignore[no-untyped-def]
-    normal, viewer, albedo, surface, finish, paths, passed, toward, irradiance, bare, shaded
+    normal, viewer, albedo, surface, gloss, paths, passed, toward, irradiance, bare, shaded
 ):
     """Sum E (albedo f_d / pi + specular f_s) over lights into `bare` and `shaded` (N, 3).
 
     Of points with unit normal, direction to the viewer and albedo (N, 3), each with a `surface` (N,), its row
-    in `finish` (S, 3): sigma of Oren and Nayar in radians, strength and exponent of Phong's highlight.
+    in `gloss` (S, 3): sigma of Oren and Nayar in radians, strength and exponent of Phong's highlight.
     `paths` (N, K) are those of `light_paths`; `passed` (P, 3) is the share of light for each way through
     lenses, 1 for the first, without any, and counts in `shaded`. Lights: unit directions `toward` and
     irradiance E (K, 3).
     """
     matte, lost, glossy, lost_glossy = np.empty((4, 3))
     for i in range(normal.shape[0]):
-        sigma, specular, exponent = finish[surface[i]]
+        sigma, specular, exponent = gloss[surface[i]]
         a = 1.0 - 0.5 * sigma * sigma / (sigma * sigma + 0.33)
         b = 0.45 * sigma * sigma / (sigma * sigma + 0.09)
         n_v = normal[i, 0] * viewer[i, 0] + normal[i, 1] * viewer[i, 1] + normal[i, 2] * viewer[i, 2]

@@ -31,7 +31,7 @@ Paths = NDArray[np.uint8]
 
 _STEEPEST = 4.0
 """Distance between two points of one smooth piece in widths of what lies between their rays, at most: the
-surface is seen at 14 degrees then. Neighbours farther apart tell nothing about each other."""
+surface is seen at 14 degrees then. Neighbours farther apart may lie on different pieces."""
 
 
 @dataclass(frozen=True)

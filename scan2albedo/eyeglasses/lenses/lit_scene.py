@@ -38,7 +38,7 @@ class LitSamples:
     albedo: FloatArray
     """(M, 3)"""
     surface: IntArray
-    """(M,) row in the scene's table of finishes."""
+    """(M,) row in the scene's table of glosses."""
     paths: NDArray[np.uint8]
     """(M, K) as from `light_paths`."""
     surroundings: Surroundings
@@ -59,7 +59,7 @@ class LitSamples:
                 self.toward_viewer[part],
                 self.albedo[part],
                 self.surface[part],
-                self.scene.finish,
+                self.scene.gloss,
                 self.paths[part],
                 self.scene.passed,
                 self.scene.toward,
@@ -102,9 +102,7 @@ class LitScene:
         self._offset_mm, self._every_pixel = offset_mm, every_pixel
         self._dimming = [lens for lens in lenses if not lens.material.clear]
         self.toward = np.ascontiguousarray(toward)
-        self.finish = np.array(
-            [[s.roughness_rad, s.specular, s.shininess] for s in scene.surfaces] + [_MATTE]
-        )
+        self.gloss = np.array([[s.roughness_rad, s.specular, s.shininess] for s in scene.surfaces] + [_MATTE])
         self.passed = _passed(self._dimming)
 
     def straight(self, pixels: FloatArray, rays: SceneRays) -> LitSamples:
@@ -123,10 +121,10 @@ class LitScene:
         """Look at a matte plate."""
         count = len(position)
         paths = self._paths(position, normal, (), all_at_once(count))
-        finish = np.full(count, len(self.finish) - 1)
+        gloss = np.full(count, len(self.gloss) - 1)
         colors = np.tile(np.asarray(albedo, np.float64), (count, 1))
         return LitSamples(
-            count, np.arange(count), normal, normal, colors, finish, paths, Surroundings.none(), self
+            count, np.arange(count), normal, normal, colors, gloss, paths, Surroundings.none(), self
         )
 
     def _samples(self, rays: SceneRays, around: bool, pixels: FloatArray | None = None) -> LitSamples:

@@ -109,7 +109,7 @@ class RegisteredEyeglasses:
 
     @property
     def unobserved(self) -> tuple[str, ...]:
-        """What the pictures do not tell: "depth", and names of key points."""
+        """What the pictures do not determine: "depth", and names of key points."""
         lost = np.isfinite(self.keypoint_deviation) & ~self.keypoints_observed
         names = tuple(name for name, gone in zip(KEY_POINT_NAMES, lost, strict=True) if gone)
         return (() if self.depth_observed else ("depth",)) + names

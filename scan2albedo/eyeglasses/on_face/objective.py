@@ -41,7 +41,7 @@ class ObservedView:
     distance: MaskDistance | None
     """None without a usable mask."""
     shape: tuple[int, int] | None
-    """(H, W) of the picture; None where neither a mask nor the caller tells."""
+    """(H, W) of the picture; None where neither a mask nor the caller says."""
 
 
 @dataclass(frozen=True)

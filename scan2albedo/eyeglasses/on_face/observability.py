@@ -32,7 +32,7 @@ class Noise:
 
 
 def measured_noise(at: Linearization, least_px: float, otherwise: Noise) -> Noise:
-    """Return robust deviations of labels and outlines, `otherwise` where fewer than five tell."""
+    """Return robust deviations of labels and outlines, `otherwise` where there are fewer than five."""
     labels = at.labels_px[np.isfinite(at.labels_px)]
     outline = np.abs(at.outline_px[np.isfinite(at.outline_px)])
     label_px, outline_px = otherwise.label_px, otherwise.outline_px

@@ -74,7 +74,7 @@ class OutlineSampler:
     def sample(self, motion: FrameMotion, deviation_mm: FloatArray) -> OutlineSamples:
         """Return outline points that the head does not hide and whose observed outline is within reach.
 
-        `deviation_mm` (K,) says how well the key points are known so far: what is vague reaches far.
+        `deviation_mm` (K,) says how well the key points are known so far: an uncertain one reaches far.
         """
         vertices = motion.positions(self.mesh.points)
         parts = [self._of_view(n, vertices, deviation_mm) for n in range(len(self.views))]
@@ -134,7 +134,7 @@ class OutlineSampler:
     ) -> tuple[FloatArray, BoolArray]:
         """Return edges (N, 2) found by a search across the outline, and which pixels have a match (N,).
 
-        Where the nearest border of the mask has its outside on the same side, its distance tells; elsewhere,
+        Where the nearest border of the mask has its outside on the same side, its distance counts; elsewhere,
         such as at the end of a temple that is too short, the search does.
         """
         assert view.distance is not None

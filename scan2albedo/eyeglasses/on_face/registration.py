@@ -98,7 +98,7 @@ def register_on_face(
     start : (4, 4) array_like, optional
         `world_from_glasses`, about; needed only where the labels fix no pose.
     shapes : sequence of C (H, W), optional
-        Of the pictures: where a view has no mask, they tell which of the frame's points lie outside.
+        Of the pictures: where a view has no mask, they determine which of the frame's points lie outside.
     options : FaceRegistrationOptions
     on_progress : callable, optional
         Called with each row of the trace.
@@ -115,12 +115,11 @@ def register_on_face(
     ValueError
         When shapes do not fit together.
 
-    Notes
-    -----
-    What the pictures do not tell is reported: `observed`, `deviation`, `unobserved`. Deviations hold for the
-    frame as given: register its own mesh, or one with its own measures; a canonical frame has those of the
-    mean. Where more than a third of the labels do not fit, nothing counts as observed; where exchanging left
-    and right explains them, that is an error. Masks that contradict good labels are left aside.
+    Notes ----- What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`.
+    Deviations hold for the frame as given: register its own mesh, or one with its own measures; a canonical
+    frame has those of the mean. Where more than a third of the labels do not fit, nothing counts as observed;
+    where exchanging left and right explains them, that is an error. Masks that contradict good labels are
+    left aside.
 
     The paper [1]_ minimises a rendered segmentation with Adam, some thousand renderings; this takes about a
     hundred evaluations.
@@ -241,7 +240,7 @@ class _Registration:
         return found
 
     def _rest_on_nose(self, before: FrameEstimate) -> FrameEstimate:
-        """The frame on the nose, where the labels do not tell how far away it is."""
+        """The frame on the nose, where the labels do not determine its depth."""
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"

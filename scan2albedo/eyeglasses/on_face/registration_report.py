@@ -48,7 +48,7 @@ _APART = 0.02
 _MISFIT = 1 / 3
 """Share of labels that may be outliers: with more, which are the right ones is a guess."""
 _ANYWHERE_MM = 1e6
-"""Deviation of what nothing tells: finite, so that products with weights of 0 stay 0."""
+"""Deviation of what nothing determines: finite, so that products with weights of 0 stay 0."""
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model are what limits, not labels."""
 
@@ -75,12 +75,12 @@ def report(
     visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
     marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
     covariances = deviations.covariances(marks)
-    caution = _caution(given, keypoints, objective)
+    inflation = _inflation(given, keypoints, objective)
     deviation, mark_deviation = (
-        np.hypot(caution * worst_deviation(c), _MODEL_MM)
+        np.hypot(inflation * worst_deviation(c), _MODEL_MM)
         for c in (deviations.covariances(points), covariances)
     )
-    depth = caution * _depth_deviation(given.views, keypoints, covariances, marks_visible)
+    depth = inflation * _depth_deviation(given.views, keypoints, covariances, marks_visible)
     misfit = _misfit(at, options.label_noise_px)
     trusted = bend_found and misfit <= _MISFIT
     agreements = [
@@ -106,7 +106,7 @@ def report(
         keypoint_deviation=unit * mark_deviation * lost,
         keypoints_observed=trusted & marks_visible.any(0) & (mark_deviation <= OBSERVED_MM) & ~wrong,
         depth_deviation=unit * depth,
-        depth_observed=bool(trusted and depth <= OBSERVED_MM and caution < _ONE_VIEW),
+        depth_observed=bool(trusted and depth <= OBSERVED_MM and inflation < _ONE_VIEW),
         label_errors_px=at.labels_px,
         inliers=at.labels_px <= 3 * options.label_noise_px,
         outline_rms_px=_outline_rms(at, samples, len(given.views)),
@@ -140,8 +140,8 @@ def _misfit(at: Linearization, noise_px: float) -> float:
     return float((errors > 3 * noise_px).mean()) if len(errors) else 0.0
 
 
-def _caution(given: RegistrationInputs, keypoints: FloatArray, objective: RegistrationObjective) -> float:
-    """Return the factor on deviations: pictures from one place leave more open than the matrix tells."""
+def _inflation(given: RegistrationInputs, keypoints: FloatArray, objective: RegistrationObjective) -> float:
+    """Return the factor on deviations: pictures from one place leave more open than the matrix says."""
     used = [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]
     if not used:
         return 1.0
@@ -163,8 +163,8 @@ def _matrix(
     options: FaceRegistrationOptions = replace(
         objective.options, label_noise_px=noise.label_px, outline_noise_px=noise.outline_px
     )
-    honest = RegistrationObjective(objective.keypoints, objective.views, options, objective.contact)
-    return honest.linearize(state, samples, rigid=not options.bend).matrix
+    weighted = RegistrationObjective(objective.keypoints, objective.views, options, objective.contact)
+    return weighted.linearize(state, samples, rigid=not options.bend).matrix
 
 
 def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) -> BoolArray:
@@ -223,7 +223,7 @@ def _reported(
     bend_found: bool,
     given: RegistrationInputs,
 ) -> Plan:
-    """Return rows on what the pictures do not tell."""
+    """Return rows on what the pictures do not determine."""
     steps = []
     if depth > OBSERVED_MM:
         steps.append(

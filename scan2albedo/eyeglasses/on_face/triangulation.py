@@ -70,7 +70,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
     Notes
     -----
     Two views that contradict each other have no majority: the point still minimises the loss, its errors
-    tell. A third view outvotes one outlier. Views from one centre see no depth: their points are NaN.
+    show it. A third view outvotes one outlier. Views from one centre see no depth: their points are NaN.
 
     Cost: C (C - 1) / 2 linear systems a point.
 

@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _SUFFICIENT = 1e-4
-"""Part of the decrease promised by the gradient that a step has to bring (Armijo)."""
+"""Part of the decrease predicted by the gradient that a step has to bring (Armijo)."""
 _SHORTEST = 1e-10
 """Step length below which rounding, not the direction, is what stops a column."""
 _ROUNDING = 1e-13
@@ -116,8 +116,8 @@ def _step(
         change = trial - x
         after = system.matrix @ trial
         # Differences of the energy itself would drown in rounding near the minimum.
-        promised = float(gradient @ change)
-        if promised + 0.5 * float(change @ (after - product)) <= _SUFFICIENT * promised < 0:
+        predicted = float(gradient @ change)
+        if predicted + 0.5 * float(change @ (after - product)) <= _SUFFICIENT * predicted < 0:
             return trial, after
         length /= 2
     return None

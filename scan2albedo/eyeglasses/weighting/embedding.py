@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,25 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+_REACH = 0.05
+"""Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
+_COINCIDENT = 1e-6
+"""Part of the size below which two key points are one."""
+_THIN_PART, _SAMPLES = 0.1, 2000
+"""Part of the surface that may be thinner than the automatic spacing, and places where that is measured."""
+_SKIN = 1e-5
+"""Rays start this part of the size off the surface, so that float32 does not find the face itself."""
+_OFFSET = 0.3819660112501051
+"""Cells between the mesh's lowest corner and a lattice plane (2 - golden ratio): flat sides and regular grids
+do not lie on the planes, where rounding would decide which cell they touch."""
+_COARSER = 0.92
+"""Factor on the number of parts when a lattice is too large."""
+_FARTHEST = 2.0**20
+"""Cells along an axis: three such numbers still fit in one integer."""
+_GIVEN = 10
+"""A spacing given by the caller may use this many times `max_nodes`."""
+
+
 @dataclass(frozen=True)
 class WeightOptions:
     """Settings of `solve_weights`."""
@@ -36,110 +56,8 @@ class WeightOptions:
     single one): a finer lattice changes deformations less than a scan's noise."""
     coarsest: float = 1 / 40
     """Greatest automatic spacing as a part of the size."""
-    thin_part: float = 0.1
-    """Part of the surface that may be thinner than the automatic spacing."""
-    reach: float = 0.05
-    """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
     tolerance: float = 1e-7
     """Scaled residual of the optimality conditions at which a handle's weights are done."""
-    max_steps: int = 60
-    """Newton steps a handle on one lattice."""
-    coarse_nodes: int = 1500
-    """Lattices of more nodes start from the weights of a lattice of twice the spacing."""
-
-
-_COINCIDENT = 1e-6
-"""Part of the size below which two key points are one."""
-
-
-def closest_spacing(handles: FloatArray, size: float, names: Sequence[str]) -> float:
-    """Return the spacing at which no two of the (K, 3) key points, called `names`, share a node.
-
-    Raises EyeglassesError when two coincide.
-    """
-    if len(handles) < 2:
-        return np.inf
-    apart = squareform(pdist(handles, "chebyshev"))
-    np.fill_diagonal(apart, np.inf)
-    a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
-    if not apart[a, b] > _COINCIDENT * size:
-        raise EyeglassesError(
-            f"key points {_pair(names, a, b)} coincide at {np.round(handles[a], 6).tolist()}; each "
-            "needs a place of its own: leave one of them out"
-        )
-    # Places two spacings apart along one axis lie in cells with another cell between them.
-    return float(apart[a, b]) / 2
-
-
-def cells_of_handles(local: FloatArray, spacing: float, names: Sequence[str]) -> IntArray:
-    """Return (K, 3) the cells of key points `local` (K, 3), given in units of the spacing.
-
-    Raises EyeglassesError when two share a node.
-    """
-    cells = np.floor(local).astype(np.int64)
-    steps = squareform(pdist(cells.astype(float), "chebyshev")) if len(cells) > 1 else np.full((1, 1), np.inf)
-    np.fill_diagonal(steps, np.inf)
-    a, b = np.unravel_index(int(np.argmin(steps)), steps.shape)
-    if steps[a, b] < 2:
-        apart = spacing * float(np.abs(local[a] - local[b]).max())
-        raise EyeglassesError(
-            f"key points {_pair(names, a, b)} are {apart:.4g} apart along the axes, too close for a lattice "
-            f"of spacing {spacing:.4g}; give a spacing of {apart / 2:.4g} or less, or raise max_nodes"
-        )
-    return cells
-
-
-def _pair(names: Sequence[str], a: np.intp, b: np.intp) -> str:
-    return f"{names[int(min(a, b))]} and {names[int(max(a, b))]}"
-
-
-_SAMPLES = 2000
-_SKIN = 1e-5
-"""Rays start this part of the size off the surface, so that float32 does not find the face itself."""
-
-
-def thickness(vertices: FloatArray, faces: IntArray, part: float) -> float:
-    """Return the thickness, in the mesh's unit, that `part` of the surface's area stays below.
-
-    Measured across the faces at 2,000 places spread evenly over the area, on the side where the mesh is met
-    first: winding does not matter, and a narrow gap counts like a thin part. Infinite where nothing is met.
-    """
-    area = np.cumsum(face_areas(vertices, faces))
-    if not area[-1] > 0:
-        return math.inf
-    chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
-    caster = RayCaster(vertices, faces)
-    center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
-    skin = _SKIN * caster.size
-    sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
-    return float(np.quantile(np.minimum(*sides), part, method="lower"))
-
-
-def spacing_wanted(
-    vertices: FloatArray, faces: IntArray, size: float, closest: float, options: WeightOptions
-) -> tuple[int, str]:
-    """Return into how many parts the size of the mesh is to be divided, and why.
-
-    `closest` is the greatest spacing at which no two key points share a node, in the mesh's unit. Parts are
-    a whole number, so that rounding in another unit does not change the lattice.
-    """
-    thin = thickness(vertices, faces, options.thin_part)
-    spacing = float(np.clip(thin, options.finest * size, options.coarsest * size))
-    reason = f"the mesh's thin parts measure {thin:.4g}"
-    if closest < spacing:
-        spacing, reason = closest, "two key points are close together"
-    return math.ceil(size / spacing * (1 - 1e-9)), reason
-
-
-_OFFSET = 0.3819660112501051
-"""Cells between the mesh's lowest corner and a lattice plane (2 - golden ratio): flat sides and regular grids
-do not lie on the planes, where rounding would decide which cell they touch."""
-_COARSER = 0.92
-"""Factor on the number of parts when a lattice is too large."""
-_FARTHEST = 2.0**20
-"""Cells along an axis: three such numbers still fit in one integer."""
-_GIVEN = 10
-"""A spacing given by the caller may use this many times `max_nodes`."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +78,38 @@ class Embedding:
     plan: Plan
 
 
+@dataclass(frozen=True)
+class _MarkedMesh:
+    """A mesh (V, 3), (F, 3) with named key points (K, 3)."""
+
+    vertices: FloatArray
+    faces: IntArray
+    handles: FloatArray
+    names: Sequence[str]
+
+    @cached_property
+    def size(self) -> float:
+        """The diagonal of the key points' box, or of the mesh's where there is one key point alone.
+
+        The key points say how large the glasses are; a stray fragment far away does not change it.
+        """
+        corners = self.vertices[self.faces.ravel()]
+        for points in (self.handles, corners):
+            size = float(np.linalg.norm(np.ptp(points, axis=0)))
+            if size > 0:
+                return size
+        raise EyeglassesError(f"all {len(corners)} corners of the mesh lie in one point: there is no surface")
+
+    def origin(self, spacing: float) -> FloatArray:
+        """Return (3,) where the lattice begins."""
+        low = np.minimum(self.vertices[self.faces.ravel()].min(0), self.handles.min(0))
+        return np.asarray(low - _OFFSET * spacing)
+
+    def pair(self, a: int, b: int) -> str:
+        """Return the names of two key points."""
+        return f"{self.names[min(a, b)]} and {self.names[max(a, b)]}"
+
+
 def embed(
     vertices: FloatArray,
     faces: IntArray,
@@ -173,66 +123,93 @@ def embed(
     Messages call the key points by their `names` (K,), or by number. Raises what `solve_weights` does.
     """
     called = names if names is not None else [str(k) for k in range(len(handles))]
-    size = _size(vertices[faces.ravel()], handles)
-    closest = closest_spacing(handles, size, called)
-    _require_near(vertices, faces, handles, options.reach * size, called)
+    mesh = _MarkedMesh(vertices, faces, handles, called)
+    closest = _closest_spacing(mesh)
+    _require_near(mesh)
     if isinstance(spacing, str):
         if spacing != "auto":
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
-        cells, used, step = _automatic(vertices, faces, handles, size, closest, options)
+        cells, used, step = _automatic(mesh, closest, options)
     else:
-        cells, used, step = _given(vertices, faces, handles, float(spacing), options)
-    origin = _origin(vertices, faces, handles, used)
-    owners = cells_of_handles((handles - origin) / used, used, called)
-    cells = unique_cells(np.concatenate([cells, owners]))
-    lattice = Lattice.of_cells(_with_handles(join_parts(cells, options.reach * size / used + 2), owners))
-    local = (vertices - origin) / used
+        cells, used, step = _given(mesh, float(spacing), options)
+    owners = _cells_of_handles(mesh, used)
+    cells = join_parts(unique_cells(np.concatenate([cells, owners])), _REACH * mesh.size / used + 2)
+    lattice = Lattice.of_cells(_with_handles(cells, owners))
+    local = (vertices - mesh.origin(used)) / used
     follower, leader, left_out = _parts_out_of_reach(lattice, local, faces)
     return Embedding(
         lattice, owners, lattice.interpolation(local), used, follower, leader, Plan((step, left_out))
     )
 
 
-def _size(points: FloatArray, handles: FloatArray) -> float:
-    """Return the diagonal of the key points' box, or of the mesh's where there is one key point alone.
-
-    The key points say how large the glasses are; a stray fragment far away does not change it.
-    """
-    for candidate in (handles, points):
-        size = float(np.linalg.norm(np.ptp(candidate, axis=0)))
-        if size > 0:
-            return size
-    raise EyeglassesError(f"all {len(points)} corners of the mesh lie in one point: there is no surface")
+def _nearest_pair(places: FloatArray) -> tuple[int, int, float]:
+    """Return the two places of (K, 3) that are nearest to each other along the axes, and how far."""
+    apart = squareform(pdist(places, "chebyshev")) if len(places) > 1 else np.zeros((1, 1))
+    np.fill_diagonal(apart, np.inf)
+    a, b = (int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+    return a, b, float(apart[a, b])
 
 
-def _require_near(
-    vertices: FloatArray, faces: IntArray, handles: FloatArray, reach: float, names: Sequence[str]
-) -> None:
-    distance = ClosestPointQuery(vertices, faces).query(handles).distance
-    far = int(np.argmax(distance))
+def _closest_spacing(mesh: _MarkedMesh) -> float:
+    """Return the greatest spacing at which no two key points share a node; raises when two coincide."""
+    a, b, apart = _nearest_pair(mesh.handles)
+    if not apart > _COINCIDENT * mesh.size:
+        raise EyeglassesError(
+            f"key points {mesh.pair(a, b)} coincide at {np.round(mesh.handles[a], 6).tolist()}; each "
+            "needs a place of its own: leave one of them out"
+        )
+    # Places two spacings apart along one axis lie in cells with another cell between them.
+    return apart / 2
+
+
+def _cells_of_handles(mesh: _MarkedMesh, spacing: float) -> IntArray:
+    """Return (K, 3) the cells of the key points; raises when two share a node."""
+    local = (mesh.handles - mesh.origin(spacing)) / spacing
+    cells = np.floor(local).astype(np.int64)
+    a, b, steps = _nearest_pair(cells.astype(float))
+    if steps < 2:
+        apart = spacing * float(np.abs(local[a] - local[b]).max())
+        raise EyeglassesError(
+            f"key points {mesh.pair(a, b)} are {apart:.4g} apart along the axes, too close for a lattice "
+            f"of spacing {spacing:.4g}; give a spacing of {apart / 2:.4g} or less, or raise max_nodes"
+        )
+    return cells
+
+
+def _require_near(mesh: _MarkedMesh) -> None:
+    distance = ClosestPointQuery(mesh.vertices, mesh.faces).query(mesh.handles).distance
+    far, reach = int(np.argmax(distance)), _REACH * mesh.size
     if not distance[far] <= reach:
         raise EyeglassesError(
-            f"key point {names[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off the "
-            f"mesh; at most {reach:.4g} can be bridged: check its place and its unit, or raise options.reach"
+            f"key point {mesh.names[far]} at {np.round(mesh.handles[far], 4).tolist()} is "
+            f"{distance[far]:.4g} off the mesh; at most {reach:.4g} can be bridged: check its place and unit"
         )
 
 
-def _origin(vertices: FloatArray, faces: IntArray, handles: FloatArray, spacing: float) -> FloatArray:
-    low = np.minimum(vertices[faces.ravel()].min(0), handles.min(0))
-    origin: FloatArray = low - _OFFSET * spacing
-    return origin
+def _thickness(vertices: FloatArray, faces: IntArray) -> float:
+    """Return the thickness, in the mesh's unit, that a tenth of the surface's area stays below.
+
+    Measured across the faces at places spread evenly over the area, on the side where the mesh is met
+    first: winding does not matter, and a narrow gap counts like a thin part. Infinite where nothing is met.
+    """
+    area = np.cumsum(face_areas(vertices, faces))
+    if not area[-1] > 0:
+        return math.inf
+    chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
+    caster = RayCaster(vertices, faces)
+    center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
+    skin = _SKIN * caster.size
+    sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
+    return float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
 
 
-def _cells(
-    vertices: FloatArray, faces: IntArray, handles: FloatArray, spacing: float, limit: int
-) -> IntArray | None:
+def _cells(mesh: _MarkedMesh, spacing: float, limit: int) -> IntArray | None:
     """Return the cells the mesh touches or encloses, None where they have more than about `limit` nodes."""
-    local = (vertices - _origin(vertices, faces, handles, spacing)) / spacing
-    if local[faces.ravel()].max() > _FARTHEST:
-        raise EyeglassesError(
-            f"the mesh is {local[faces.ravel()].max():.3g} lattice spacings long: remove what lies far away"
-        )
-    cells = surface_cells(local[faces], limit)
+    local = (mesh.vertices - mesh.origin(spacing)) / spacing
+    longest = local[mesh.faces.ravel()].max()
+    if longest > _FARTHEST:
+        raise EyeglassesError(f"the mesh is {longest:.3g} lattice spacings long: remove what lies far away")
+    cells = surface_cells(local[mesh.faces], limit)
     if cells is None:
         return None
     parts = Lattice.of_cells(cells).cell_components
@@ -243,13 +220,11 @@ def _cells(
     return cells if len(Lattice.of_cells(cells).nodes) <= limit else None
 
 
-def _given(
-    vertices: FloatArray, faces: IntArray, handles: FloatArray, spacing: float, options: WeightOptions
-) -> tuple[IntArray, float, PlanStep]:
+def _given(mesh: _MarkedMesh, spacing: float, options: WeightOptions) -> tuple[IntArray, float, PlanStep]:
     if not (spacing > 0 and np.isfinite(spacing)):
         raise ValueError(f"spacing must be > 0, got {spacing}")
     limit = _GIVEN * options.max_nodes
-    cells = _cells(vertices, faces, handles, spacing, limit)
+    cells = _cells(mesh, spacing, limit)
     if cells is None:
         raise EyeglassesError(
             f"a spacing of {spacing:.4g} makes more than {limit} lattice nodes; give a larger one, or raise "
@@ -258,26 +233,25 @@ def _given(
     return cells, spacing, PlanStep("eyeglasses.weights.spacing", False, "given", f"{spacing:.6g}")
 
 
-def _automatic(
-    vertices: FloatArray,
-    faces: IntArray,
-    handles: FloatArray,
-    size: float,
-    closest: float,
-    options: WeightOptions,
-) -> tuple[IntArray, float, PlanStep]:
-    parts, reason = spacing_wanted(vertices, faces, size, closest, options)
-    while True:
-        cells = _cells(vertices, faces, handles, size / parts, options.max_nodes)
-        if cells is not None:
-            break
+def _automatic(mesh: _MarkedMesh, closest: float, options: WeightOptions) -> tuple[IntArray, float, PlanStep]:
+    """Return cells as fine as thin parts and key points ask for, as coarse as the nodes allow.
+
+    The size is divided into a whole number of parts: rounding in another unit does not change the lattice.
+    """
+    thin = _thickness(mesh.vertices, mesh.faces)
+    spacing = float(np.clip(thin, options.finest * mesh.size, options.coarsest * mesh.size))
+    reason = f"the mesh's thin parts measure {thin:.4g}"
+    if closest < spacing:
+        spacing, reason = closest, "two key points are close together"
+    parts = math.ceil(mesh.size / spacing * (1 - 1e-9))
+    while (cells := _cells(mesh, mesh.size / parts, options.max_nodes)) is None:
         if parts <= 2:
             raise EyeglassesError(
                 f"no lattice of {options.max_nodes} nodes holds the mesh: it is far larger than the box of "
-                f"its key points ({size:.4g}); remove what lies far away, or raise options.max_nodes"
+                f"its key points ({mesh.size:.4g}); remove what lies far away, or raise options.max_nodes"
             )
         parts, reason = max(int(_COARSER * parts), 2), f"finer ones have more than {options.max_nodes} nodes"
-    spacing = size / parts
+    spacing = mesh.size / parts
     return cells, spacing, PlanStep("eyeglasses.weights.spacing", True, reason, f"{spacing:.6g}")
 
 
@@ -291,7 +265,7 @@ def _with_handles(cells: IntArray, owners: IntArray) -> IntArray:
 def _parts_out_of_reach(
     lattice: Lattice, local: FloatArray, faces: IntArray
 ) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return the followers, their leaders and the plan's word on them.
+    """Return the followers, their leaders and the step of the plan.
 
     The parts of what is left out are those of the faces: each follows its vertex nearest to the lattice.
     """

@@ -22,6 +22,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+_COARSE_NODES = 1500
+"""Lattices of more nodes start from the weights of a lattice of twice the spacing."""
+_MAX_STEPS = 60
+"""Newton steps a handle on one lattice."""
 _ROUGH = 1e-4
 """Scaled residual at which a coarser lattice's weights are good enough to start from."""
 
@@ -44,7 +48,7 @@ def solve_lattice(
     The start comes from the lattice of twice the spacing: it carries the set of nodes at 0 or 1, which
     Newton steps from the unbounded solution move by a few nodes at a time only.
     """
-    if len(lattice.nodes) > options.coarse_nodes:
+    if len(lattice.nodes) > _COARSE_NODES:
         coarse = Lattice.of_cells(unique_cells(lattice.cells // 2))
         if len(coarse.nodes) < len(lattice.nodes):
             rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
@@ -79,7 +83,7 @@ def _solve(
         right,
         np.clip(first, 0.0, 1.0),
         tolerance=options.tolerance,
-        max_steps=options.max_steps,
+        max_steps=_MAX_STEPS,
         meter=meter,
     )
     weights[unknown] = found.x
@@ -117,7 +121,7 @@ _VANISHED = 1e-6
 
 @dataclass(frozen=True)
 class BoundedBiharmonicWeights:
-    """Weights and how they were come by; see `solve_weights`."""
+    """Weights and how they were found; see `solve_weights`."""
 
     weights: FloatArray
     """(V, K); rows sum to 1, entries in [0, 1]."""
@@ -153,7 +157,7 @@ def bounded_biharmonic_weights(
     Parameters
     ----------
     vertices, faces, handles, spacing, budget, options
-        As in `solve_weights`, which tells what they raise, too.
+        As in `solve_weights`, with its errors.
 
     Examples
     --------
@@ -222,7 +226,7 @@ def solve_weights(
     corners, so with weights of at most 1 it is 1 at the key point only if all (of positive share) are 1: the
     handle is the cell, its eight nodes hold 1 for its own key point and 0 for the others'.
 
-    A part farther than `options.reach` from all parts with a key point moves as one piece, with the
+    A part farther than 5 % of the size from all parts with a key point moves as one piece, with the
     weights of the lattice's point nearest to it.
 
     Cost: a factorisation of the lattice's matrix a step, 5 to 10 steps a handle.
