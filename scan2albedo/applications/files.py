@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.applications.pictures import auto_exposure
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
@@ -20,9 +19,9 @@ from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
+from scan2albedo.io.geometry_image_files import read_image_and_albedo, write_geometry_image
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record, write_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord, ResultRecord
 from scan2albedo.lighting.asrm import Reflectance
@@ -125,7 +124,7 @@ def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
             "skipped; process a coloured scan with the stage albedo"
         )
     model = str(record.options.get("model", NO_MODEL))
-    image, albedo = _images(folder)
+    image, albedo = read_image_and_albedo(folder)
     return ProcessedFace(
         record.name,
         image,
@@ -139,7 +138,7 @@ def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
 
 
 def _of_application(folder: Path, record: ApplicationRecord) -> ProcessedFace:
-    image, albedo = _images(folder)
+    image, albedo = read_image_and_albedo(folder)
     return ProcessedFace(
         record.name,
         image,
@@ -188,17 +187,6 @@ def _present(folder: Path, name: str) -> Path:
             "run was cut short: process the scan again"
         )
     return file
-
-
-def _images(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
-    image = read_geometry_image(_present(folder, "geometry_image.npz"))
-    albedo = read_image_linear(_present(folder, "albedo.exr"))
-    if albedo.shape[:2] != image.shape:
-        raise ApplicationError(
-            f"{folder / 'albedo.exr'}: has {albedo.shape[:2]} texels and geometry_image.npz {image.shape}; "
-            "they come from different runs: process the scan again"
-        )
-    return image, albedo
 
 
 def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import GeometryImageError, ScanError
 from scan2albedo.io.atomic import atomic_path
-from scan2albedo.io.images import read_exr_channels, write_exr_channels
+from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels
 from scan2albedo.io.npz import read_npz
 
 FORMAT_VERSION = 1
@@ -128,6 +128,30 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
         return GeometryImage(**fields, occluder=occluder)  # type: ignore[arg-type]
     except GeometryImageError as error:
         raise GeometryImageError(f"{file.name}: {error}") from error
+
+
+def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
+    """Return the geometry image and the albedo (H, W, 3) of a result folder.
+
+    Raises
+    ------
+    GeometryImageError, ScanError
+        When a file is missing or damaged, or the files come from different runs; the message names the file.
+    """
+    files = folder / "geometry_image.npz", folder / "albedo.exr"
+    for file in files:
+        if not file.is_file():
+            raise GeometryImageError(
+                f"{file}: is missing; {folder} is not the folder of one processed scan (OUT/<scan name>), or "
+                "its run was cut short: process the scan again, coloured and with the stage albedo"
+            )
+    image, albedo = read_geometry_image(files[0]), read_image_linear(files[1])
+    if albedo.shape[:2] != image.shape:
+        raise GeometryImageError(
+            f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}; they come from "
+            "different runs: process the scan again"
+        )
+    return image, albedo
 
 
 def _read_npz(file: Path) -> dict[str, NDArray[Any]]:

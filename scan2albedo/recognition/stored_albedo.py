@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import RecognitionError, Scan2AlbedoError
-from scan2albedo.io.geometry_image_files import read_geometry_image
+from scan2albedo.io.geometry_image_files import read_image_and_albedo
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
@@ -18,7 +18,7 @@ from scan2albedo.recognition.manifest import Manifest
 from scan2albedo.recognition.options import TemplateOptions
 from scan2albedo.recognition.templates import Chart, Templates, common_chart, image_coefficients
 
-RESULT_FILE, IMAGE_FILE, ALBEDO_FILE = "result.json", "geometry_image.npz", "albedo.exr"
+RESULT_FILE, IMAGE_FILE = "result.json", "geometry_image.npz"
 _NO_MODEL = "none"
 
 
@@ -73,18 +73,7 @@ def _of_folder(folder: Path) -> StoredAlbedo:
             f"{folder}: was processed without a model, so its chart is its own and texels do not correspond "
             "to those of others; process the scan with a model"
         )
-    for name in (IMAGE_FILE, ALBEDO_FILE):
-        if not (folder / name).is_file():
-            raise RecognitionError(
-                f"{folder / name}: is missing; process the scan again, coloured and with the stage albedo"
-            )
-    image = read_geometry_image(folder / IMAGE_FILE)
-    albedo = read_image_linear(folder / ALBEDO_FILE)
-    if albedo.shape[:2] != image.shape:
-        raise RecognitionError(
-            f"{folder / ALBEDO_FILE}: has {albedo.shape[:2]} texels and {IMAGE_FILE} {image.shape}; they "
-            "come from different runs: process the scan again"
-        )
+    image, albedo = read_image_and_albedo(folder)
     return StoredAlbedo(albedo, image.seen, Chart(model, image.shape))
 
 

@@ -44,7 +44,7 @@ def test_relighting_is_what_the_estimate_does(result):
 
 def test_a_glossy_face_under_its_own_light_is_its_texture(scene):
     image = scene(0).image
-    estimate = s2a.estimate_albedo(image, lights=1, options=EstimateOptions(specular=True))
+    estimate = s2a.estimate_albedo(image, lights=1, options=EstimateOptions(force=("albedo.specular",)))
     assert estimate.reflectance.specular_strength > 0
     given = ProcessedFace.of(
         "glossy", image, estimate.albedo_linear, reflectance=estimate.reflectance, lights=estimate.lights
