@@ -13,15 +13,6 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
     Negative values are mirrored, so the curve is odd and defined everywhere.
 
-    Parameters
-    ----------
-    srgb : array_like of float
-        1 = white.
-
-    Returns
-    -------
-    float64 array of the same shape
-
     Examples
     --------
     >>> srgb_to_linear([0.0, 0.5, 1.0]).round(4).tolist()
@@ -36,15 +27,6 @@ def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above.
 
     The inverse of `srgb_to_linear`.
-
-    Parameters
-    ----------
-    linear : array_like of float
-        1 = white.
-
-    Returns
-    -------
-    float64 array of the same shape
 
     Examples
     --------

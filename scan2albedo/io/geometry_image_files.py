@@ -38,11 +38,6 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``occluder_vertices_mm`` and
     ``occluder_faces``; ``format_version`` is 1.
 
-    Parameters
-    ----------
-    path : str or Path
-    image : GeometryImage
-
     Raises
     ------
     OutputError
@@ -68,11 +63,6 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
     ``.B``, and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The
     occluder does not fit into an image and is left out.
 
-    Parameters
-    ----------
-    path : str or Path
-    image : GeometryImage
-
     Raises
     ------
     OutputError
@@ -91,15 +81,6 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 def read_geometry_image(path: str | Path) -> GeometryImage:
     """Read a geometry image written by `write_geometry_image` or `write_geometry_image_exr`.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ends in .npz or .exr.
-
-    Returns
-    -------
-    GeometryImage
-
     Raises
     ------
     GeometryImageError
@@ -107,13 +88,12 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
         message names it.
     """
     file = Path(path)
-    readers = {".npz": _read_npz, ".exr": _read_exr}
-    reader = readers.get(file.suffix.lower())
-    if reader is None:
+    extension = file.suffix.lower()
+    if extension not in (".npz", ".exr"):
         raise GeometryImageError(
             f"{file.name}: geometry images are .npz or .exr, not {file.suffix or 'without extension'}"
         )
-    arrays = reader(file)
+    arrays = _read_npz(file) if extension == ".npz" else _read_exr(file)
     missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
     if missing:
         raise GeometryImageError(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.io.parsed_mesh import ParsedMesh
 
+# Modules of readers are imported when a file of their kind is read.
 _READERS = {
     ".obj": ("obj", "read_obj"),
     ".ply": ("ply", "read_ply"),
@@ -69,12 +70,8 @@ def load_scan_with(
 ) -> RawScan:
     """Load a scan as `load_scan` does, of something whose size is not a head's.
 
-    Parameters
-    ----------
-    path : str or Path
-    decide_unit : callable
-        Maps the repaired mesh, in file units, and its (V,) component labels to (factor to millimetres, note).
-    name : str, optional
+    `decide_unit` maps the repaired mesh, in file units, and its (V,) component labels to (factor to
+    millimetres, note).
     """
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.geometry.mesh import vertex_components
@@ -130,13 +127,8 @@ def read_mesh_file(file: Path) -> ParsedMesh:
             pass
         if size == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
-        return _reader(extension)(file)
+        module, function = _READERS[extension]
+        mesh: ParsedMesh = getattr(import_module(f"scan2albedo.io.{module}"), function)(file)
     except OSError as error:
         raise ScanError(f"{file}: cannot be read: {error.strerror or error}; check the path") from error
-
-
-def _reader(extension: str) -> Callable[[Path], ParsedMesh]:
-    """Return the reader of a kind of file; its module is imported only now."""
-    module, function = _READERS[extension]
-    reader: Callable[[Path], ParsedMesh] = getattr(import_module(f"scan2albedo.io.{module}"), function)
-    return reader
+    return mesh

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
+from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.mtl import (
@@ -28,16 +29,14 @@ class _Lines:
     """The lines of an OBJ file by kind, with the byte ranges of their bodies."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        from scan2albedo.io.text_tables import line_ranges, split_keywords
-
         if b"\\\n" in data or b"\\\r\n" in data:
             data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
         if b"\n" not in data:
             data = data.replace(b"\r", b"\n")
         self.name = name
         self.text = np.frombuffer(data, np.uint8)
-        begins, self.ends = line_ranges(self.text)
-        self.kinds, self.starts = split_keywords(self.text, begins, self.ends)
+        begins, self.ends = tables.line_ranges(self.text)
+        self.kinds, self.starts = tables.split_keywords(self.text, begins, self.ends)
 
     def of(self, kind: int) -> IntArray:
         """Return indices of the lines of a kind."""
@@ -50,10 +49,8 @@ class _Lines:
 
     def numbers(self, kind: int, width: int, least: int) -> tuple[FloatArray, IntArray]:
         """Return (values (N, width), number of tokens (N,)) of the lines of a kind."""
-        from scan2albedo.io.text_tables import parse_float_lines
-
         lines = self.of(kind)
-        values, counts = parse_float_lines(self.text, self.starts[lines], self.ends[lines], width)
+        values, counts = tables.parse_float_lines(self.text, self.starts[lines], self.ends[lines], width)
         self.raise_for(lines[counts < least], f"expected at least {least} numbers")
         return values, counts
 
@@ -79,8 +76,6 @@ def read_obj(path: Path) -> ParsedMesh:
     ScanError
         When a line is damaged or an index points outside the file; the message names file and line.
     """
-    from scan2albedo.io import text_tables as tables
-
     lines = _Lines(path.read_bytes(), path.name)
     positions, tokens = lines.numbers(tables.VERTEX, 6, least=3)
     coordinates, _ = lines.numbers(tables.TEXTURE_COORDINATE, 2, least=1)
@@ -110,8 +105,6 @@ def write_obj(path: str | Path, vertices: FloatArray, faces: IntArray) -> None:
 
 def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntArray, IntArray]:
     """Return (zero-based (vertex, uv) per corner (N, 2), uv -1 = none; corners per polygon (P,))."""
-    from scan2albedo.io import text_tables as tables
-
     rows = lines.of(tables.FACE)
     starts, ends = lines.starts[rows], lines.ends[rows]
     counts = tables.count_tokens(lines.text, starts, ends)
@@ -152,8 +145,6 @@ def _vertex_colors(positions: FloatArray, tokens: IntArray) -> NDArray[np.float3
 
 def _materials(lines: _Lines, folder: Path) -> tuple[IntArray | None, tuple[Material, ...], tuple[str, ...]]:
     """Return (material index of each polygon or None, materials used, notes)."""
-    from scan2albedo.io import text_tables as tables
-
     notes: list[str] = []
     known: dict[str, MaterialText] = {}
     for line in lines.of(tables.MATERIAL_LIBRARY):

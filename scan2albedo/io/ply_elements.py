@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
+from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines, walk_rows
 
 IntArray = NDArray[np.int64]
 
@@ -116,8 +117,6 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str | None, list[Elemen
 
 
 def _ascii_columns(path: Path, body: bytes, elements: list[Element]) -> dict[str, Columns]:
-    from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines
-
     text = np.frombuffer(body, np.uint8)
     starts, ends = line_ranges(text)
     counts = count_tokens(text, starts, ends)
@@ -241,8 +240,6 @@ def _columns_of_rows(rows: NDArray[Any], element: Element) -> Columns:
 
 def _ragged_rows(body: NDArray[np.uint8], element: Element, order: str) -> tuple[Columns, int] | None:
     """Read rows whose lists differ in length: walk once for the offsets, then gather by length."""
-    from scan2albedo.io.text_tables import walk_rows
-
     items = np.array([prop.item_type.itemsize for prop in element.properties])
     counters = np.array([p.count_type.itemsize if p.count_type else 0 for p in element.properties])
     offsets, counts, size = walk_rows(body, element.count, items, counters, order == ">")

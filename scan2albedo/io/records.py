@@ -67,13 +67,6 @@ def installed_versions() -> dict[str, str]:
 def write_record(path: str | Path, record: BaseModel, *, indent: int = 2) -> None:
     """Write a record as indented JSON, atomically.
 
-    Parameters
-    ----------
-    path : str or Path
-    record : BaseModel
-        A `Record`, or the content of a file that people edit.
-    indent : int
-
     Raises
     ------
     OutputError

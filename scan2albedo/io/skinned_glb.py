@@ -58,10 +58,8 @@ def write_skinned_glb(
 
     Parameters
     ----------
-    path : str or Path
-    vertices : (V, 3) array_like of float
-        Millimetres; stored as metres, glTF's unit.
-    faces : (F, 3) array_like of int
+    path, vertices, faces
+        As `write_glb` takes them.
     keypoints : (K, 3) array_like of float
         Places of the joints in millimetres; NaN for one that is missing and gets no node.
     weights : (V, K) array_like of float
@@ -71,9 +69,8 @@ def write_skinned_glb(
     parents : sequence of K int
         Joint that carries each joint along, -1 for none. What hangs on a missing one hangs on that one's own.
     influences : int or None
-        Joints a vertex keeps, the rest cut off and the weights divided by what is left; None keeps all that
-        are not 0 in 32 bits.
-        Files hold sets of four, and most viewers read the first set only, so it holds the largest four.
+        Joints a vertex keeps; the other weights are cut off and those left divided by their sum. None keeps
+        all that are not 0 in 32 bits. Most viewers read only a file's first four, which are the largest.
 
     Returns
     -------

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.parsed_mesh import ParsedMesh, cut_note, fan_triangles
+from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines
 
 _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
 
@@ -58,8 +59,6 @@ def read_off(path: Path) -> ParsedMesh:
     ScanError
         When the file is damaged, binary, or shorter than its header declares; the message names it.
     """
-    from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines
-
     data = path.read_bytes()
     header = _HEADER.match(data)
     if header is None or header[0].endswith(b"BINARY"):
