@@ -76,7 +76,7 @@ def save_model(model: AnnotatedSurface, path: str | Path) -> None:
         notes=list(model.notes),
         regions={name: _entry_of(region) for name, region in model.regions.items()},
     )
-    write_npz(target.with_suffix(".npz"), arrays, what="face model", compressed=True)
+    write_npz(target.with_suffix(".npz"), arrays, what="face model", compression=6)
     write_text(target, json.dumps(entry.model_dump(), indent=2) + "\n")
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import GeometryImageError, ScanError
-from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels
-from scan2albedo.io.npz import read_npz
+from scan2albedo.io.npz import read_npz, write_npz
 
 FORMAT_VERSION = 1
 
@@ -50,10 +48,7 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     if image.occluder is not None:
         arrays["occluder_vertices_mm"], arrays["occluder_faces"] = image.occluder
     # Floats hardly shrink: the fastest level saves a quarter of the time and costs 1 % of the size.
-    with atomic_path(path) as temporary, ZipFile(temporary, "w", ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
+    write_npz(path, arrays, what="geometry image", compression=1)
 
 
 def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:

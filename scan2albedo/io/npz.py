@@ -37,7 +37,9 @@ _DAMAGE = (
 """What zip, NumPy's header and its parser raise of bytes that are not what was written."""
 
 
-def write_npz(path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str, compressed: bool) -> None:
+def write_npz(
+    path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str, compression: int = 0
+) -> None:
     """Write arrays as an .npz file, whole or not at all; same content, same bytes.
 
     Parameters
@@ -47,8 +49,9 @@ def write_npz(path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str
         By the names they get in the file.
     what : str
         The thing that is written, for messages, such as "reflectance model".
-    compressed : bool
-        Worth its time where values repeat: masks and indices do, bits of measured floats do not.
+    compression : int
+        Level of zlib, 0 for none. 6 is worth its time where values repeat, as in masks and indices; measured
+        floats hardly shrink.
 
     Raises
     ------
@@ -59,10 +62,14 @@ def write_npz(path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str
     """
     if Path(path).suffix != ".npz":
         raise ValueError(f"{what}s are written as .npz, got {Path(path).name}")
-    content: dict[str, Any] = dict(arrays)
-    save = np.savez_compressed if compressed else np.savez
-    with atomic_path(path) as temporary:
-        save(temporary, allow_pickle=False, **content)
+    method = zipfile.ZIP_DEFLATED if compression else zipfile.ZIP_STORED
+    with (
+        atomic_path(path) as temporary,
+        zipfile.ZipFile(temporary, "w", method, compresslevel=compression) as archive,
+    ):
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
 
 
 def read_npz(
@@ -111,7 +118,7 @@ def write_npz_record(
     path: str | Path, header: BaseModel, arrays: Mapping[str, NDArray[Any]], *, what: str
 ) -> None:
     """Write arrays with a record beside them, uncompressed; see `write_npz`."""
-    write_npz(path, {"header": np.array(header.model_dump_json()), **arrays}, what=what, compressed=False)
+    write_npz(path, {"header": np.array(header.model_dump_json()), **arrays}, what=what)
 
 
 def read_npz_record(

@@ -116,7 +116,7 @@ def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):
     def fail(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez", fail)
+    monkeypatch.setattr(np.lib.format, "write_array", fail)
     with pytest.raises(OutputError, match="No space left"):
         write_identification(found, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

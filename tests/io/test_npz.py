@@ -18,7 +18,7 @@ class Header(BaseModel):
 
 def test_arrays_come_back_by_name(tmp_path):
     arrays = {"a": np.arange(3), "b": np.eye(2)}
-    write_npz(tmp_path / "x.npz", arrays, what="thing", compressed=True)
+    write_npz(tmp_path / "x.npz", arrays, what="thing", compression=6)
     np.testing.assert_equal(read_npz(tmp_path / "x.npz", **MESSAGES), arrays)
     chosen = read_npz(tmp_path / "x.npz", ["b"], optional=["a", "c"], **MESSAGES)
     np.testing.assert_equal(chosen, arrays)
@@ -29,14 +29,14 @@ def test_arrays_come_back_by_name(tmp_path):
 
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     for name in ("x.npz", "y.npz"):
-        write_npz(tmp_path / name, {"a": np.arange(9)}, what="thing", compressed=False)
+        write_npz(tmp_path / name, {"a": np.arange(9)}, what="thing")
     assert (tmp_path / "x.npz").read_bytes() == (tmp_path / "y.npz").read_bytes()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 0.97])
 def test_damaged_files_are_named(tmp_path, share):
     file = tmp_path / "x.npz"
-    write_npz(file, {"a": np.random.default_rng(0).random(999)}, what="thing", compressed=True)
+    write_npz(file, {"a": np.random.default_rng(0).random(999)}, what="thing", compression=6)
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
     with pytest.raises(ScanError, match=r"x\.npz cannot be read"):
         read_npz(file, **MESSAGES)
@@ -50,9 +50,9 @@ def test_what_is_no_archive_is_named(tmp_path):
     with pytest.raises(ScanError, match="No such file"):
         read_npz(tmp_path / "none.npz", **MESSAGES)
     with pytest.raises(ValueError, match=r"things are written as \.npz"):
-        write_npz(tmp_path / "x.zip", {}, what="thing", compressed=False)
+        write_npz(tmp_path / "x.zip", {}, what="thing")
     with pytest.raises(OutputError, match="nowhere"):
-        write_npz(tmp_path / "nowhere" / "x.npz", {}, what="thing", compressed=False)
+        write_npz(tmp_path / "nowhere" / "x.npz", {}, what="thing")
 
 
 def test_a_record_stands_beside_the_arrays(tmp_path):
@@ -63,6 +63,6 @@ def test_a_record_stands_beside_the_arrays(tmp_path):
     assert arrays["a"].tolist() == [0, 1, 2]
     with pytest.raises(ScanError, match=r"x\.npz: a holds int64"):
         read_npz_record(file, Header, {"a": "f"}, **MESSAGES)
-    write_npz(file, {"header": np.array("{}"), "a": np.arange(3)}, what="thing", compressed=False)
+    write_npz(file, {"header": np.array("{}"), "a": np.arange(3)}, what="thing")
     with pytest.raises(ScanError, match=r"x\.npz: unit: Field required .*; write it again"):
         read_npz_record(file, Header, {"a": "iu"}, **MESSAGES)

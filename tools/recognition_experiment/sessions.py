@@ -102,7 +102,7 @@ def keep_session(
     arrays: dict[str, Any] = {"seen": made.seen, "failure": np.array(made.failure), **made.images}
     if made.failure:
         arrays["brdfs"] = np.array(made.brdfs)
-    write_npz(path, arrays, what="session", compressed=True)
+    write_npz(path, arrays, what="session", compression=6)
 
 
 def session_of(cache: Path, options: RecognitionExperimentOptions, person: int, session: int) -> Session:

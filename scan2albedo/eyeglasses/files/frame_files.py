@@ -29,7 +29,7 @@ Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) -> None:
     """Write the attributes of `source` that `layout` names as an NPZ file, whole or not at all."""
     arrays = {name: np.asarray(getattr(source, name)) for name in layout}
-    write_npz(path, arrays, what=what, compressed=True)
+    write_npz(path, arrays, what=what, compression=6)
 
 
 def read_arrays(path: str | Path, layout: Layout, *, what: str, example: str) -> dict[str, Any]:

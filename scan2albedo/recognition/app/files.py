@@ -119,7 +119,7 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
             "probes": np.array(found.probes.labels),
             "probe_persons": np.array([person or "" for person in found.probes.persons]),
         }
-        write_npz(staging / "similarities.npz", similarities, what="similarities", compressed=False)
+        write_npz(staging / "similarities.npz", similarities, what="similarities")
         _write_figures(cmc, roc, staging)
         written = sorted(path.name for path in staging.iterdir())
         record = _record(found, _rates(cmc, roc), (*written, IDENTIFICATION_FILE))
