@@ -70,7 +70,12 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
     if n.shape != v.shape:
         raise ValueError(f"normals are {n.shape} and toward_camera {v.shape}, expected (V, 3) both")
     specular = np.stack([_specular(lobe, s, n, v) for s in EXPONENTS], axis=1)
-    return LightResponse(harmonics(n, ORDER) * lambert_coefficients(ORDER)[_DEGREES], specular)
+    return LightResponse(diffuse_response(n), specular)
+
+
+def diffuse_response(normals: FloatArray) -> FloatArray:
+    """Return (V, 81) A_l / pi Y_lm(n), what a white diffuse surface without shadows sends to the camera."""
+    return harmonics(normals, ORDER) * lambert_coefficients(ORDER)[_DEGREES]
 
 
 def shade_environment(

@@ -9,10 +9,10 @@ from scan2albedo.geometry.blocks import blocks, each_block
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
-from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics
+from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.reflectance.environment_shading import LightResponse, unit_vectors
-from scan2albedo.reflectance.lobe_coefficients import ORDER, lambert_coefficients
+from scan2albedo.reflectance.environment_shading import LightResponse, diffuse_response, unit_vectors
+from scan2albedo.reflectance.lobe_coefficients import ORDER
 from scan2albedo.reflectance.picture_samples import checked_mesh, checked_normals
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
 from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
@@ -104,7 +104,7 @@ def light_transfer(
     toward = distant_directions(directions)
     weighted = harmonics(toward, ORDER) * (4 * np.pi / directions)
     visible = ShadowMap(RayCaster(xyz, index), xyz, n, offset_mm).table(toward).visibility
-    diffuse = harmonics(n, ORDER) * lambert_coefficients(ORDER)[harmonic_degrees(ORDER)]
+    diffuse = diffuse_response(n)
     specular = np.zeros((len(xyz), len(EXPONENTS), weighted.shape[1]))
 
     def sum_up(block: slice) -> None:
