@@ -204,7 +204,7 @@ def print_smoothing(seeds: list[int]) -> None:
             model = scenario.learn(seed, 0)
             pictures = [one.observation for one in shots(seed, 100, TUNING, scenario, 0)]
             fits = [fit_image(picture, model) for picture in pictures]
-            change = best_change(model, pictures, fits, mean_change=0.1, basis_change=0.1, lobe="tilted")
+            change = best_change(model, pictures, fits, mean_change=0.1, basis_change=0.1)
             runs.append((name, seed, model, change))
     print(f"{'smoothing':>12}{'photometric':>14}{'worst':>8}{'albedo':>10}{'worst':>8}")
     for deviation in (0.0, 3.0, 6.0, 9.0, 13.0, 20.0, 30.0):

@@ -14,7 +14,6 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
-from scan2albedo.reflectance.image_terms import ImageFitOptions
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.model_update import ModelChange, best_change, neighbour_smoothing, no_change
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
@@ -44,8 +43,6 @@ class FineTuneOptions:
     significance_level: float = 0.025
     """Probability that a change which does nothing to images like the held-out ones passes for one that
     helps; 0.5 asks for their mean alone. One image cannot be tested."""
-    fit: ImageFitOptions = ImageFitOptions()
-    """Of the images."""
 
     def __post_init__(self) -> None:
         if not self.mean_change > 0:
@@ -167,7 +164,6 @@ def finetune(
                     fits,
                     mean_change=options.mean_change,
                     basis_change=basis_change,
-                    lobe=options.fit.lobe,
                 ).smoothed(smooth)
                 for basis_change in options.basis_changes
             ]
@@ -249,7 +245,7 @@ class _Tuning:
         with warnings.catch_warnings():
             # One of many fits; the held-out objective tells whether they were good enough.
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
-            fit = fit_image(observation, model, self.lighting, options=self.options.fit, budget=left)
+            fit = fit_image(observation, model, self.lighting, budget=left)
         if self.meter.out_of_time and not even_late:
             raise _OutOfTime
         return fit

@@ -13,7 +13,6 @@ from scipy import sparse
 from scan2albedo.geometry.mesh import adjacency
 from scan2albedo.reflectance.image_fit import ImageFit
 from scan2albedo.reflectance.image_observation import ImageObservation
-from scan2albedo.reflectance.lobe_coefficients import Lobe
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 
 FloatArray = NDArray[np.float64]
@@ -104,7 +103,6 @@ def best_change(
     *,
     mean_change: float,
     basis_change: float,
-    lobe: Lobe,
 ) -> ModelChange:
     """Return the change of the model that explains the images best, each vertex for itself.
 
@@ -126,8 +124,6 @@ def best_change(
         The fits may be those of another model with the same directions.
     mean_change, basis_change : float
         m and n.
-    lobe : Lobe
-        As in the fits.
 
     Notes
     -----
@@ -135,7 +131,7 @@ def best_change(
     """
     scores = np.stack([fit.face.coefficients for fit in fits])
     features = np.concatenate([np.ones((len(fits), 1)), basis_change * scores], axis=1)
-    rows = [_image_rows(model, o, fit, lobe) for o, fit in zip(observations, fits, strict=True)]
+    rows = [_image_rows(model, o, fit) for o, fit in zip(observations, fits, strict=True)]
     diffuse, specular, off, noise = (np.stack([row[k] for row in rows], axis=1) for k in range(4))
     of_diffuse = mean_change * float(model.diffuse_mean[model.known].mean())
     of_sum = mean_change * float(model.sum_mean[model.known].mean())
@@ -147,14 +143,14 @@ def best_change(
 
 
 def _image_rows(
-    model: MorphableReflectanceModel, observation: ImageObservation, fit: ImageFit, lobe: Lobe
+    model: MorphableReflectanceModel, observation: ImageObservation, fit: ImageFit
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return (V, 3) light on the diffuse part, on lobes of sum 1, differences, and variances of noise.
 
     Rows that are not used are zero with variance 1, so that they say nothing.
     """
     used = np.flatnonzero(np.asarray(observation.seen) & model.known)
-    response = observation.response(used, lobe)
+    response = observation.response(used)
     b = fit.face.coefficients
     share = model.share_mean[used] + np.tensordot(b, model.share_basis[:, used], 1)
     diffuse = response.diffuse @ fit.light

@@ -17,8 +17,11 @@ IntArray = NDArray[np.int64]
 
 _BLOCK = 128
 """Vertices whose normal equations fit the first cache."""
-_KINDS = {"squares": kernels.NONE, "charbonnier": kernels.CHARBONNIER, "cauchy": kernels.CAUCHY}
-LOSSES = ("cauchy", "charbonnier", "squares")
+_WIDTH = 2.4
+"""Residual over sigma from which the loss departs from squares; wider for vertices that fit worse."""
+_ITERATIONS, _TOLERANCE = 100, 0.02
+"""Most reweightings; a vertex is done when no number moves by more than this part of its deviation."""
+_KINDS = {"cauchy": kernels.CAUCHY, "charbonnier": kernels.CHARBONNIER, "squares": kernels.NONE}
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,6 @@ class ReflectanceFitOptions:
     """One of "cauchy", "charbonnier", "squares". Of a picture's residual, its three channels together: what
     no model of the light explains, a shadow that the mesh does not cast for instance, pulls little or not at
     all."""
-    width: float = 2.4
-    """Residual over sigma from which the loss departs from squares; wider for vertices that fit worse."""
-    iterations: int = 100
-    """Most reweightings."""
-    tolerance: float = 0.02
-    """A vertex is done when no number moves by more than this part of its standard deviation."""
     light_gains: bool = False
     """Estimate the strength of each flash in each channel, too; their mean is 1."""
     gain_iterations: int = 50
@@ -79,12 +76,11 @@ class ReflectanceFitOptions:
     """A vertex with fewer pictures of a channel is not known."""
 
     def __post_init__(self) -> None:
-        if self.loss not in LOSSES:
-            raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(LOSSES)}")
-        for name in ("width", "tolerance", "gain_tolerance"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
-        for name in ("iterations", "gain_iterations", "gain_vertices", "least_pairs"):
+        if self.loss not in _KINDS:
+            raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(_KINDS)}")
+        if not 0 < self.gain_tolerance < math.inf:
+            raise ValueError(f"gain_tolerance is {self.gain_tolerance}, expected > 0 and finite")
+        for name in ("gain_iterations", "gain_vertices", "least_pairs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 1")
 
@@ -144,16 +140,14 @@ def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions,
     state.reweigh(data, rows, options)
     meter.count()
     meter.record(state.loss[rows].sum() / observations)
-    while (
-        options.loss != "squares" and len(moving) and iterations < options.iterations and not meter.exhausted
-    ):
+    while options.loss != "squares" and len(moving) and iterations < _ITERATIONS and not meter.exhausted:
         before = state.estimate[moving]
         deviation = state.solve(data, moving)
         state.reweigh(data, moving, options)
         iterations += 1
         meter.count()
         meter.record(state.loss[rows].sum() / observations)
-        moved = (np.abs(state.estimate[moving] - before) > options.tolerance * deviation).any(1)
+        moved = (np.abs(state.estimate[moving] - before) > _TOLERANCE * deviation).any(1)
         moving = moving[moved]
     normal, center, deviation = (
         np.empty((len(rows), 3, 14)),
@@ -222,7 +216,7 @@ class _State:
                 data.prior,
                 rows[block],
                 _KINDS[options.loss],
-                options.width,
+                _WIDTH,
                 self.scale,
                 self.weight,
                 self.loss,

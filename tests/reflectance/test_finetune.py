@@ -126,7 +126,7 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
     shots = pictures(people(3, 1, BEARD), 1)
     fits = [fit_image(shot, model, lighting) for shot in shots]
     m, n = 0.1, 0.3
-    change = best_change(model, shots, fits, mean_change=m, basis_change=n, lobe="tilted")
+    change = best_change(model, shots, fits, mean_change=m, basis_change=n)
     for vertex in np.flatnonzero(SEEN)[[3, 50]]:
         response = light_response(NORMALS[[vertex]], VIEW[[vertex]])
         rows, off, noise = [], [], []

@@ -351,9 +351,8 @@ def test_the_wrong_gamma(capture):
     ("options", "wrong"),
     [
         (ReflectanceFitOptions, {"loss": "tukey"}),
-        (ReflectanceFitOptions, {"width": 0}),
-        (ReflectanceFitOptions, {"iterations": 0}),
-        (ReflectanceFitOptions, {"tolerance": np.nan}),
+        (ReflectanceFitOptions, {"gain_iterations": 0}),
+        (ReflectanceFitOptions, {"gain_tolerance": np.nan}),
         (ReflectancePrior, {"diffuse_std": 0}),
         (ReflectancePrior, {"weights_std": (0.1, 0.0, 0.1)}),
         (ReflectancePrior, {"weights_mean": (0.1, 0.1)}),

@@ -330,7 +330,7 @@ for _name, _budget in (("1e-3 s", Budget(seconds=1e-3)), ("1 evaluation", Budget
         return Measured(f"converged=False, albedo off by {100 * _albedo_error(fit):.1f} %")
 
 
-for _wrong in ({"iterations": 0}, {"width": math.nan}, {"loss": "magic"}, {"tolerance": math.nan}):
+for _wrong in ({"gain_iterations": 0}, {"loss": "magic"}, {"gain_tolerance": math.nan}):
 
     @CASES.extreme(STAGE, "vertex fit: " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
     def _odd_fit(wrong: dict[str, Any] = _wrong) -> str:
