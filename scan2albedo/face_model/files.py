@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -12,9 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.annotation import AnnotatedSurface, Region
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
-from scan2albedo.io.atomic import write_text
 from scan2albedo.io.npz import Arrays, read_npz, write_npz
-from scan2albedo.io.records import read_record
+from scan2albedo.io.records import read_record, write_record
 
 
 class RegionEntry(BaseModel):
@@ -77,7 +75,7 @@ def save_model(model: AnnotatedSurface, path: str | Path) -> None:
         regions={name: _entry_of(region) for name, region in model.regions.items()},
     )
     write_npz(target.with_suffix(".npz"), arrays, what="face model", compression=6)
-    write_text(target, json.dumps(entry.model_dump(), indent=2) + "\n")
+    write_record(target, entry)
 
 
 def _entry_of(region: Region) -> RegionEntry:
