@@ -36,6 +36,10 @@ where the bridge meets it, below that the side at the nose, and the side at the 
 KEY_POINT_COUNT = len(KEY_POINT_NAMES)
 
 
+MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
+"""Index of each key point's counterpart on the other side."""
+
+
 def _bones() -> tuple[tuple[int, int], ...]:
     number = {name: index for index, name in enumerate(KEY_POINT_NAMES)}
     pairs = [("bridge_top", "bridge_bottom")]
@@ -62,6 +66,3 @@ def _tree(root: int) -> tuple[int, ...]:
 
 PARENTS: tuple[int, ...] = _tree(0)
 """A tree of bones that hangs on the top of the bridge: rims and bridge are circles, cut once each."""
-
-MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
-"""Index of each key point's counterpart on the other side."""

@@ -14,6 +14,12 @@ from scan2albedo.geometry.mesh import normalized
 FloatArray = NDArray[np.float64]
 
 
+PRIOR = 0.1
+"""Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
+straight bone shows in no key point."""
+_SWEEPS, _SETTLED = 100, 1e-13
+
+
 @overload
 def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> FloatArray: ...
 
@@ -88,12 +94,6 @@ def _inverse_transpose_directions(linear: FloatArray, directions: FloatArray) ->
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 2)
     mirrored = np.where(np.einsum("vi,vi->v", a, cofactors[:, :, 0]) < 0, -1.0, 1.0)
     return mirrored[:, None] * np.einsum("vij,vj->vi", cofactors, directions)
-
-
-PRIOR = 0.1
-"""Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
-straight bone shows in no key point."""
-_SWEEPS, _SETTLED = 100, 1e-13
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:

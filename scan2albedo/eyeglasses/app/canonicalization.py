@@ -40,6 +40,10 @@ from scan2albedo.report.overview import overview_figure
 FloatArray = NDArray[np.float64]
 
 
+FRAME_RECORD, SET_RECORD = "result.json", "set.json"
+"""They come last: a folder that has one is whole."""
+
+
 @dataclass(frozen=True)
 class FailedFrame:
     """A mesh file that could not be done, and why."""
@@ -116,10 +120,6 @@ def _mean_mm(path: Path) -> FloatArray:
     if mean.unit == "unknown":
         raise EyeglassesError(f"key points {path} do not say their unit; a mean needs one: mm, cm or m")
     return mean.points * MM_PER_UNIT[mean.unit]
-
-
-FRAME_RECORD, SET_RECORD = "result.json", "set.json"
-"""They come last: a folder that has one is whole."""
 
 
 def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:

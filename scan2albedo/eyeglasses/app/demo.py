@@ -45,6 +45,14 @@ Mesh = tuple[FloatArray, IntArray]
 Head = Literal["fitted", "true", "none"]
 
 
+INPUT = "input"
+"""Folder with what a person who takes pictures would bring."""
+LENSES = "lenses"
+"""Folder with the picture through lenses."""
+_SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
+"""Neither registration nor fit look at the scan's pictures."""
+
+
 @dataclass(frozen=True)
 class GlassesDemoReport:
     """What the registration found, against the truth; lengths in mm.
@@ -159,14 +167,6 @@ def _depth_error(person: Wearer, off: FloatArray) -> float:
         rays = normalized(person.keypoints[shown] - center)
         errors.append(_rms(np.einsum("ki,ki->k", rays, off[shown])))
     return float(np.nanmin(errors))
-
-
-INPUT = "input"
-"""Folder with what a person who takes pictures would bring."""
-LENSES = "lenses"
-"""Folder with the picture through lenses."""
-_SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
-"""Neither registration nor fit look at the scan's pictures."""
 
 
 def run_glasses_demo(

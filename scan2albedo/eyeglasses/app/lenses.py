@@ -39,6 +39,13 @@ _SOFTNESS = 0.08
 """Cosines over which a lamp's edge fades."""
 
 
+EnvironmentKind = Literal["given", "built-in", "none"]
+_WORN_MM = 150.0
+"""Largest distance between a worn frame's rims and the head: more is another world, or another unit."""
+_BRIGHT, _SHOWN_AS = 98.0, 0.65
+"""Percentile of a drawn picture's brightness, and what previews show it as."""
+
+
 def soft_environment(camera: ArrayLike, shape: tuple[int, int], *, rows: int = 128) -> FloatArray:
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
@@ -74,14 +81,6 @@ def _axes(camera: FloatArray, shape: tuple[int, int]) -> FloatArray:
     center, above = pixel_directions(matrix, np.array([middle, middle - [0, 1.0]]))
     up = normalized(above - (above @ center) * center)
     return np.array([np.cross(center, up), up, -center])
-
-
-EnvironmentKind = Literal["given", "built-in", "none"]
-
-_WORN_MM = 150.0
-"""Largest distance between a worn frame's rims and the head: more is another world, or another unit."""
-_BRIGHT, _SHOWN_AS = 98.0, 0.65
-"""Percentile of a drawn picture's brightness, and what previews show it as."""
 
 
 @dataclass(frozen=True)

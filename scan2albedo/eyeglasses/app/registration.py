@@ -36,6 +36,11 @@ _APART_MM = 25.0
 """Distance of the nearest key point from the head beyond which nobody wears the frame."""
 
 
+RECORD = "result.json"
+"""Comes last: a folder that has one is whole."""
+_COLUMNS = 3
+
+
 @dataclass(frozen=True)
 class PlacedFrame:
     """What became of the files of a registration."""
@@ -148,11 +153,6 @@ def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[st
     if not result.converged:
         notes.append("not converged: the plan says which step, and a longer budget may end it")
     return notes
-
-
-RECORD = "result.json"
-"""Comes last: a folder that has one is whole."""
-_COLUMNS = 3
 
 
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:

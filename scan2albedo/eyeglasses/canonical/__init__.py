@@ -1,1 +1,1 @@
-"""Frames brought to their mean key points."""
+"""Frames brought to the mean of their key points, without pose and bend (S2)."""

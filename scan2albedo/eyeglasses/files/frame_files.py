@@ -26,6 +26,43 @@ Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 """Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
 
 
+_CANONICAL_LAYOUT: Layout = {
+    "vertices": (float, "V", 3),
+    "faces": (int, "F", 3),
+    "weights": (float, "V", KEY_POINT_COUNT),
+    "keypoints": (float, KEY_POINT_COUNT, 3),
+    "canonical_from_frame": (float, 4, 4),
+    "scale": (float,),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "residual": (float,),
+    "converged": (bool,),
+}
+_REGISTERED_LAYOUT: Layout = {
+    "vertices": (float, "V", 3),
+    "faces": (int, "F", 3),
+    "weights": (float, "V", KEY_POINT_COUNT),
+    "keypoints": (float, KEY_POINT_COUNT, 3),
+    "world_from_glasses": (float, 4, 4),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "bend": (float, KEY_POINT_COUNT, 3),
+    "visible": (bool, "C", "V"),
+    "deviation": (float, "V"),
+    "observed": (bool, "V"),
+    "keypoint_deviation": (float, KEY_POINT_COUNT),
+    "keypoints_observed": (bool, KEY_POINT_COUNT),
+    "depth_deviation": (float,),
+    "depth_observed": (bool,),
+    "label_errors_px": (float, "C", KEY_POINT_COUNT),
+    "inliers": (bool, "C", KEY_POINT_COUNT),
+    "outline_rms_px": (float, "C"),
+    "iou": (float, "C"),
+    "converged": (bool,),
+    "iterations": (int,),
+}
+_ROUNDED = 1e-6
+"""How far from a rotation the left 3x3 part may be."""
+
+
 def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) -> None:
     """Write the attributes of `source` that `layout` names as an NPZ file, whole or not at all."""
     arrays = {name: np.asarray(getattr(source, name)) for name in layout}
@@ -68,19 +105,6 @@ def _check_mesh(vertices: NDArray[Any], faces: NDArray[Any], place: str) -> None
         raise EyeglassesError(f"{place}: faces are not those of its vertices; write it again")
 
 
-_CANONICAL_LAYOUT: Layout = {
-    "vertices": (float, "V", 3),
-    "faces": (int, "F", 3),
-    "weights": (float, "V", KEY_POINT_COUNT),
-    "keypoints": (float, KEY_POINT_COUNT, 3),
-    "canonical_from_frame": (float, 4, 4),
-    "scale": (float,),
-    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
-    "residual": (float,),
-    "converged": (bool,),
-}
-
-
 def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
     """Write a frame that `canonicalize` made, all but its plan, atomically.
 
@@ -115,30 +139,6 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
     return CanonicalEyeglasses(**arrays, plan=Plan())
 
 
-_REGISTERED_LAYOUT: Layout = {
-    "vertices": (float, "V", 3),
-    "faces": (int, "F", 3),
-    "weights": (float, "V", KEY_POINT_COUNT),
-    "keypoints": (float, KEY_POINT_COUNT, 3),
-    "world_from_glasses": (float, 4, 4),
-    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
-    "bend": (float, KEY_POINT_COUNT, 3),
-    "visible": (bool, "C", "V"),
-    "deviation": (float, "V"),
-    "observed": (bool, "V"),
-    "keypoint_deviation": (float, KEY_POINT_COUNT),
-    "keypoints_observed": (bool, KEY_POINT_COUNT),
-    "depth_deviation": (float,),
-    "depth_observed": (bool,),
-    "label_errors_px": (float, "C", KEY_POINT_COUNT),
-    "inliers": (bool, "C", KEY_POINT_COUNT),
-    "outline_rms_px": (float, "C"),
-    "iou": (float, "C"),
-    "converged": (bool,),
-    "iterations": (int,),
-}
-
-
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
     """Write a frame that `register_on_face` placed, all but its plan and trace, atomically.
 
@@ -171,10 +171,6 @@ def read_registered(path: str | Path) -> RegisteredEyeglasses:
     """
     arrays = read_arrays(path, _REGISTERED_LAYOUT, what="registered frame", example="registered.npz")
     return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
-
-
-_ROUNDED = 1e-6
-"""How far from a rotation the left 3x3 part may be."""
 
 
 class StartFile(BaseModel):

@@ -1,1 +1,1 @@
-"""Lenses: rims, refraction, light, pictures."""
+"""Lenses: rims, refraction, light, pictures (S11 to S15)."""

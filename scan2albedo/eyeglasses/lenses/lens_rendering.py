@@ -38,6 +38,10 @@ _JUMP_PX = 8.0
 """Step in depth between neighbouring pixels, in sizes of a pixel there, that is an edge."""
 
 
+_NEGLIGIBLE = 1e-12
+"""Part of all light below which a light may be left out."""
+
+
 @dataclass(frozen=True)
 class Rendering:
     """N pixels of a picture, row by row."""
@@ -216,10 +220,6 @@ class LensRenderer:
                 rays = SceneRays(origins, directions, self._scene.caster.first_hit(origins, directions))
                 reflected = self._colors.mirrored(rays)
                 yield AddedColors(near[crossings.ray[which]], crossings.mirror_share[which], reflected)
-
-
-_NEGLIGIBLE = 1e-12
-"""Part of all light below which a light may be left out."""
 
 
 def checked_image(name: str, values: ArrayLike) -> FloatArray:

@@ -41,6 +41,12 @@ _ENOUGH = 0.75
 """Share of the places at which a lens is met; what crosses fewer is a strut or a nose pad."""
 
 
+_FEWEST = 32
+"""Points of a rim; with fewer, neighbours are too far apart to tell the rim from what is in the way."""
+_LONGEST_GAP_DEG = 30.0
+"""Wider gaps are no hole in a scan but an open rim, which a straight line would cut off."""
+
+
 def without_panes(
     vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray | None
 ) -> IntArray:
@@ -107,12 +113,6 @@ def _is_frame(
         return False
     apart = ClosestPointQuery(vertices, faces[rest]).query(rim_points).distance
     return bool((apart > _AT_RIM * radius).mean() > 0.5)
-
-
-_FEWEST = 32
-"""Points of a rim; with fewer, neighbours are too far apart to tell the rim from what is in the way."""
-_LONGEST_GAP_DEG = 30.0
-"""Wider gaps are no hole in a scan but an open rim, which a straight line would cut off."""
 
 
 @dataclass(frozen=True)

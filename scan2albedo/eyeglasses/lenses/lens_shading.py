@@ -1,4 +1,4 @@
-"""What a lens is made of and adds to the picture: its tint and the surroundings it mirrors (S13 to S15)."""
+"""What a lens is made of and adds to the picture: its tint and the surroundings it mirrors."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 
 FloatArray = NDArray[np.float64]
+
+
+_ROUNDING = 1e-12
 
 
 def map_places(directions: FloatArray) -> FloatArray:
@@ -55,9 +58,6 @@ def _radiance(environment, places):  # type: ignore[no-untyped-def]
             lower = (1 - across) * environment[below, left, c] + across * environment[below, right, c]
             result[i, c] = (1 - down) * upper + down * lower
     return result
-
-
-_ROUNDING = 1e-12
 
 
 def blend_lens(

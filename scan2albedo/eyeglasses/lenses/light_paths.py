@@ -34,6 +34,10 @@ _STEEPEST = 4.0
 surface is seen at 14 degrees then. Neighbours farther apart may lie on different pieces."""
 
 
+_RAYS = 2**20
+"""Rays that are shot at once: a bound on memory."""
+
+
 @dataclass(frozen=True)
 class PointStage:
     """M points whose shadows are found together."""
@@ -125,10 +129,6 @@ def _neighbours(cell, surface, position, viewer, distance):  # type: ignore[no-u
             near[i, :] = -1
             stage[i] = 0
     return stage, near
-
-
-_RAYS = 2**20
-"""Rays that are shot at once: a bound on memory."""
 
 
 def light_paths(

@@ -1,4 +1,4 @@
-"""Rays through an ideal thin lens of given dioptres."""
+"""Rays through an ideal thin lens of given dioptres (supplement, equations S11 and S12)."""
 
 from __future__ import annotations
 

@@ -20,6 +20,25 @@ _FLAT = 0.05
 """Spread of rim points across their longest direction below which they are a line and hold no plane."""
 
 
+_REACH = 0.16
+"""Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
+_HEIGHTS = 33
+_REFINEMENTS, _FINER = (0.006, 0.002), 9
+"""Then heights around the neighbourhood's: single rays meet ends of bridges that poke through."""
+_NEAREST, _FARTHEST = 0.4, 1.5
+"""Hits outside this range, in lens radii, are a nose pad, the other rim or a temple."""
+_WINDOW_RAD = 0.2
+_DENT = 0.0025
+"""Part of the radius by which the edge may lie inside a chord between its neighbours."""
+_STEP = 0.05
+"""Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
+_JUMP = 0.12
+"""Hits this much off the median of their neighbourhood, in lens radii, are something in the way."""
+_LEVELS = 5
+_PULL = 0.25
+"""Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
+
+
 @dataclass(frozen=True)
 class RimProfile:
     """An outline around a lens centre: (R,) radius and height over the plane at given angles."""
@@ -84,22 +103,6 @@ def fit_normal(rim_points: FloatArray, vertices: FloatArray) -> FloatArray:
         raise EyeglassesError("rim points on one line hold no lens plane; give three or more around the lens")
     behind = (vertices - rim_points.mean(0)) @ axes[2]
     return -axes[2] if behind.mean() > 0 else axes[2]
-
-
-_REACH = 0.16
-"""Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
-_HEIGHTS = 33
-_REFINEMENTS, _FINER = (0.006, 0.002), 9
-"""Then heights around the neighbourhood's: single rays meet ends of bridges that poke through."""
-_NEAREST, _FARTHEST = 0.4, 1.5
-"""Hits outside this range, in lens radii, are a nose pad, the other rim or a temple."""
-_WINDOW_RAD = 0.2
-_DENT = 0.0025
-"""Part of the radius by which the edge may lie inside a chord between its neighbours."""
-_STEP = 0.05
-"""Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
-_JUMP = 0.12
-"""Hits this much off the median of their neighbourhood, in lens radii, are something in the way."""
 
 
 def shoot_rim(
@@ -206,11 +209,6 @@ def _local_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
 
 def _half_window(count: int) -> int:
     return max(1, round(_WINDOW_RAD * count / (2 * np.pi)))
-
-
-_LEVELS = 5
-_PULL = 0.25
-"""Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
 
 
 def subdivide_rim(

@@ -15,6 +15,10 @@ _MARGIN_PX = 96
 """How far around the mask distances are worked out; what lies farther is out of reach anyway."""
 
 
+_EDGE = 0.5
+"""Distance from a mask's outermost pixels at which its edge lies."""
+
+
 @dataclass(frozen=True)
 class MaskDistance:
     """Distance in pixels from a mask's outermost covered pixels: 0 there, positive outside."""
@@ -56,10 +60,6 @@ class MaskDistance:
         value, slope = value.astype(np.float64), slope.astype(np.float64)
         value[~inside], slope[~inside] = np.nan, np.nan
         return value, slope
-
-
-_EDGE = 0.5
-"""Distance from a mask's outermost pixels at which its edge lies."""
 
 
 def search_edges(

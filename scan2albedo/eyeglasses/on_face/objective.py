@@ -30,6 +30,9 @@ _HUBER = 2.0
 """Standard deviations from which an outline's error counts by its size alone."""
 
 
+_DAMPING = Damping(largest=1e6)
+
+
 @dataclass(frozen=True)
 class ObservedView:
     """One camera's picture."""
@@ -230,9 +233,6 @@ def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, Flo
     pixels = image[:, :2] / depth[:, None]
     slopes = (cameras[:, :2, :3] - pixels[:, :, None] * cameras[:, 2:, :3]) / depth[:, None, None]
     return pixels, slopes, front
-
-
-_DAMPING = Damping(largest=1e6)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,12 @@ _MEDIAN_OF_RAYLEIGH, _MEDIAN_OF_NORMAL = 1.1774, 0.6745
 """Medians of a label's distance and of an outline's absolute error at a deviation of 1 a coordinate."""
 
 
+_NEAR_PX, _NEAR = 3.0, 4.0
+"""Pixels of one mask this near to the other agree with it: at least, and in deviations of outlines."""
+_PATCH_PX = 25.0
+"""Pixels by which a key point's surroundings may differ: a patch as wide as a temple is more."""
+
+
 @dataclass(frozen=True)
 class Noise:
     """Standard deviations in pixels that the fit's own residuals show."""
@@ -70,12 +76,6 @@ def deviation_along(covariances: FloatArray, directions: FloatArray) -> FloatArr
     """Return (N,) standard deviations along directions (N, 3)."""
     heading = normalized(directions)
     return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", heading, covariances, heading), 0.0))
-
-
-_NEAR_PX, _NEAR = 3.0, 4.0
-"""Pixels of one mask this near to the other agree with it: at least, and in deviations of outlines."""
-_PATCH_PX = 25.0
-"""Pixels by which a key point's surroundings may differ: a patch as wide as a temple is more."""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,11 @@ _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
 _TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
 
 
+_CANDIDATES = 200
+"""Front vertices nearest to the head that are watched between two choices."""
+_FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
+
+
 def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     """Return residuals (N,) in standard deviations and their derivatives (N, 6 + 3 K).
 
@@ -88,11 +93,6 @@ def _rigid(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     still = np.eye(rows.shape[1])[np.repeat(~motion.known, 3)]
     rows = np.concatenate([rows, still])
     return rows @ motion.state.shifts.ravel(), rows
-
-
-_CANDIDATES = 200
-"""Front vertices nearest to the head that are watched between two choices."""
-_FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
 
 
 class HeadContact:

@@ -224,33 +224,25 @@ def _reported(
     given: RegistrationInputs,
 ) -> Plan:
     """Return rows on what the pictures do not determine."""
-    steps = []
+    rows = []
     if depth > OBSERVED_MM:
-        steps.append(
-            PlanStep(
-                "glasses.depth", False, "the views do not see depth", f"{depth:.1f} mm standard deviation"
-            )
-        )
+        rows.append(("depth", "the views do not see depth", f"{depth:.1f} mm standard deviation"))
     if misfit > _MISFIT:
         reason = "the labels do not fit this frame in these cameras: nothing counts as observed"
-        steps.append(PlanStep("glasses.misfit", False, reason, f"{misfit:.0%} of the labels are off"))
+        rows.append(("misfit", reason, f"{misfit:.0%} of the labels are off"))
     if not bend_found:
-        reason = "the budget ended before the bend was found: nothing counts as observed"
-        steps.append(PlanStep("glasses.unfinished", False, reason))
+        rows.append(
+            ("unfinished", "the budget ended before the bend was found: nothing counts as observed", "")
+        )
     if given.head is not None and not visible.any():
-        reason = "the head hides all of the frame: is it in the cameras' frame and unit?"
-        steps.append(PlanStep("glasses.head", False, reason))
+        rows.append(("head", "the head hides all of the frame: is it in the cameras' frame and unit?", ""))
     hidden = given.known & ~visible.any(0)
-    vague = given.known & ~hidden & (deviation > OBSERVED_MM)
-    for lost, why in ((hidden, "hidden in all views"), (vague, "seen, but not well enough")):
+    uncertain = given.known & ~hidden & (deviation > OBSERVED_MM)
+    for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
         if lost.any():
             worst = f"up to {deviation[lost].max():.1f} mm standard deviation"
-            steps.append(
-                PlanStep("glasses.unobserved", False, f"{int(lost.sum())} key points are {why}", worst)
-            )
+            rows.append(("unobserved", f"{int(lost.sum())} key points are {why}", worst))
     if wrong.any():
         names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
-        steps.append(
-            PlanStep("glasses.contradicted", False, "masks show them elsewhere or not at all", names)
-        )
-    return Plan(tuple(steps))
+        rows.append(("contradicted", "masks show them elsewhere or not at all", names))
+    return Plan(tuple(PlanStep(f"glasses.{step}", False, reason, found) for step, reason, found in rows))

@@ -1,1 +1,1 @@
-"""Bounded biharmonic weights on a voxel lattice around any mesh."""
+"""Bounded biharmonic weights on a voxel lattice around any mesh (S2)."""

@@ -21,6 +21,10 @@ CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], 
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
 
 
+_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
+"""The 12 edges of a cell as pairs of its corners."""
+
+
 @dataclass(frozen=True)
 class Lattice:
     """Cells and nodes in units of the spacing; cell (i, j, k) is the cube from (i, j, k) to (i + 1, ...).
@@ -90,10 +94,6 @@ class Lattice:
         rows = np.repeat(np.arange(len(points)), 8)
         shape = (len(points), len(self.nodes))
         return sparse.csr_matrix((shares.ravel(), (rows, self.corners[cell].ravel())), shape=shape)
-
-
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
-"""The 12 edges of a cell as pairs of its corners."""
 
 
 def node_volumes(lattice: Lattice) -> FloatArray:

@@ -30,6 +30,11 @@ _ROUGH = 1e-4
 """Scaled residual at which a coarser lattice's weights are good enough to start from."""
 
 
+STAGE, UNIT = "eyeglasses.weights", "scaled KKT residual"
+_VANISHED = 1e-6
+"""Sum of the weights below which no key point holds a node: dividing by it would amplify rounding."""
+
+
 @dataclass(frozen=True)
 class LatticeWeights:
     """`weights` (N, K) in [0, 1], not normalised; `residual`, `energy`, `steps` (K,) of each handle."""
@@ -111,12 +116,6 @@ def _unbounded(matrix: sparse.csr_matrix, right: FloatArray) -> FloatArray:
 
 def _energies(energy: sparse.csr_matrix, weights: FloatArray) -> FloatArray:
     return 0.5 * np.einsum("nk,nk->k", weights, energy @ weights)
-
-
-STAGE, UNIT = "eyeglasses.weights", "scaled KKT residual"
-
-_VANISHED = 1e-6
-"""Sum of the weights below which no key point holds a node: dividing by it would amplify rounding."""
 
 
 @dataclass(frozen=True)
