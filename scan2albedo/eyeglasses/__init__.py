@@ -1,9 +1,9 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
-S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning), `canonical`.
-S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`, with S11 and S12 in `refraction`, tint,
-reflection and their blending in `lens_shading`; section 6.3, other light, in `lens_rendering`. `files` holds what
-people exchange, `app` the runs of the commands.
+S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
+`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`, with S11 and S12 in
+`refraction`, tint and reflection in `lens_shading`; section 6.3, other light, in `lens_rendering`. `files`
+holds what people exchange, `app` the runs of the commands.
 """
 
 from scan2albedo.eyeglasses.canonical.canonicalization import (
