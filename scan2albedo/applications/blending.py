@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_continuation import continued, trusted
+from scan2albedo.applications.texture_swap import continued, trusted
 from scan2albedo.errors import ApplicationError
 from scan2albedo.lighting.asrm import Reflectance
 

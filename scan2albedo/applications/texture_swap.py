@@ -1,13 +1,28 @@
-"""`swap_texture`: one face's shape with another's skin."""
+"""`swap_texture`: one face's shape with another's skin, continued where it was badly seen."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_continuation import continued, trusted
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MARGIN = 2
+"""Texels beside badly seen ones that are not trusted either."""
+_FLOOR = 1e-5
+"""Albedo below this part of the level counts as this in logarithms."""
+_REACH, _UNLIKE = 0.05, 0.25
+"""Over which part of the image's side the faces' difference is averaged, and from which departure (of a
+logarithm) on a texel is a feature of one face only."""
+_ROUNDS = 5
+_FADE = 2.0
+"""Texels over which a feature at the border fades out."""
 
 
 @dataclass(frozen=True)
@@ -66,3 +81,75 @@ def swap_texture(
 def _gain(source: ProcessedFace, target: ProcessedFace) -> float:
     level = source.level()
     return target.level() / level if level > 0 and target.level() > 0 else 1.0
+
+
+def trusted(face: ProcessedFace) -> BoolArray:
+    """Return (H, W) texels that were seen, without those close to one that was not."""
+    import cv2
+
+    unseen = (face.mask & ~face.image.seen).astype(np.uint8)
+    near = cv2.dilate(unseen, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
+    return np.asarray(face.mask & (near == 0))
+
+
+def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
+    """Return (H, W, 3) `albedo` with the texels that are not `known` continued by the other face's gradients.
+
+    Gradients of log albedo are integrated from the border of the known texels, so that no seam is left [1]_;
+    they are 0 where one of their texels is outside `guide`. A feature of one face alone at the border, such
+    as the end of a brow, would continue as a bright or dark stain: its difference from its surroundings fades
+    out within a few texels instead. Where `albedo` is the other face's own it is returned as it is.
+
+    Parameters
+    ----------
+    albedo : (H, W, 3) float64
+    known : (H, W) bool
+    other : ProcessedFace
+    guide : (H, W) bool
+        Where the other face's albedo is known.
+
+    References
+    ----------
+    .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
+    """
+    missing = other.mask & ~known
+    if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):
+        return albedo
+    floor = _FLOOR * max(other.level(), 1e-12)
+    field = np.log(np.maximum(albedo, floor))
+    log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
+    across, down = forward_differences(log_other)
+    across[~(guide[:, 1:] & guide[:, :-1])] = 0
+    down[~(guide[1:] & guide[:-1])] = 0
+    feature = _features(field - log_other, known & guide)
+    filled = integrate_gradients(field - feature, missing, known, across, down)
+    return np.where(missing[..., None], np.exp(_faded(filled, field, feature, known)), albedo)
+
+
+def _features(difference: FloatArray, both: BoolArray) -> FloatArray:
+    """Return (H, W, 3) by how much the faces' difference departs from its robust local mean; 0 beside `both`.
+
+    The mean is that of a box taken twice, reweighted by Geman and McClure's 1 / (1 + (r / s)^2)^2.
+    """
+    import cv2
+
+    side = 2 * round(_REACH * max(both.shape)) + 1
+    values = np.where(both[..., None], difference, 0.0)
+    weight, departure = both.astype(np.float64), np.zeros_like(values)
+    for _ in range(_ROUNDS):
+        weighted = np.dstack([weight[..., None] * values, weight])
+        total = np.asarray(cv2.blur(cv2.blur(weighted, (side, side)), (side, side)), np.float64)
+        departure = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
+        away = np.abs(departure).max(-1) / _UNLIKE
+        weight = both / (1 + away**2) ** 2
+    return departure
+
+
+def _faded(filled: FloatArray, field: FloatArray, feature: FloatArray, known: BoolArray) -> FloatArray:
+    """Return `filled` plus the feature of the nearest known texel, fading with distance."""
+    from scipy.ndimage import distance_transform_edt
+
+    distance, (row, column) = distance_transform_edt(~known, return_indices=True)
+    border = field[row, column]
+    raised = filled + feature[row, column] * np.exp(-((distance / _FADE) ** 2))[..., None]
+    return np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.applications import SwapOptions, swap_texture
-from scan2albedo.applications.skin_continuation import trusted
+from scan2albedo.applications.texture_swap import trusted
 
 
 def test_the_shape_is_as_and_the_skin_bs(person):
