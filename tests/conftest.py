@@ -1,8 +1,11 @@
-"""Shared fixtures: the real scans live beside the repository and are optional."""
+"""Shared fixtures: the real scans (beside the repository, optional), the default model, a face-like mask."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from scan2albedo import AnnotatedFaceModel
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -13,3 +16,16 @@ def shared_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real scans are not here: {DATA.name} beside the repository is absent")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def model() -> AnnotatedFaceModel:
+    """The default model."""
+    return AnnotatedFaceModel.default()
+
+
+@pytest.fixture(scope="session")
+def face_like_mask():
+    """A disc (128, 128) with a hole."""
+    rows, columns = np.mgrid[:128, :128] - 63.5
+    return (np.hypot(rows, columns) < 58) & (np.hypot(rows + 20, columns - 15) > 6)

@@ -17,11 +17,6 @@ from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas
 from scan2albedo.geometry.parametrization import boundary_loop, signed_areas
 
 
-@pytest.fixture(scope="module")
-def model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.default()
-
-
 def mirror_of(points: np.ndarray) -> np.ndarray:
     """Return, for each point, the index of its mirror image at x = 0."""
     distance = np.linalg.norm(points[None] * [-1, 1, 1] - points[:, None], axis=2)

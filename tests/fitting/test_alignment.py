@@ -5,7 +5,6 @@ import pytest
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.alignment import proportioned
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -19,11 +18,6 @@ def stretched(points: np.ndarray) -> np.ndarray:
     x, y, z = points.T
     shift = 6 * np.tanh(y / 40)
     return np.column_stack([x, y - shift, z - 4 * (x / 60) ** 2])
-
-
-@pytest.fixture(scope="module")
-def model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.default()
 
 
 @pytest.fixture(scope="module")

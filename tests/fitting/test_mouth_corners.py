@@ -5,7 +5,6 @@ import pytest
 
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_corners import CORNERS, PULLS_MM, MouthCorners, MouthScan
 from scan2albedo.fitting.scan_surface import scan_near_model
@@ -13,11 +12,6 @@ from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_point
 from scan2albedo.synthetic import raw_like
 
 RIGHT, LEFT = CORNERS
-
-
-@pytest.fixture(scope="module")
-def model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.default()
 
 
 def smiling(model, right_mm, left_mm):

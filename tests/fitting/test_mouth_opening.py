@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, MouthSearch
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -71,14 +70,8 @@ def test_models_without_landmarks_stay_as_they_are(mask_model, mask_scan):
     assert JawHinge.of(mask_model, mask_model.control_vertices) is None
 
 
-@pytest.fixture(scope="module")
-def default_model():
-    return AnnotatedFaceModel.default()
-
-
 @pytest.mark.parametrize("angle", [8.0, 16.0])
-def test_the_default_model_opens_along_its_film(default_model, angle):
-    model = default_model
+def test_the_default_model_opens_along_its_film(model, angle):
     hinge = JawHinge.of(model, model.control_vertices)
     opened = model.landmarks_of(hinge.opened(model.control_vertices, angle))
     gap = opened[[61, 62, 63], 1] - opened[[67, 66, 65], 1]
@@ -93,8 +86,8 @@ def test_the_default_model_opens_along_its_film(default_model, angle):
     ("shape", "ceiling_mm"),
     [("generic_jawOpen0.7", 4.5), ("person3_browInnerUp_L_browInnerUp_R_jawOpen0.5", 4.5)],
 )
-def test_the_default_model_follows_open_mouths(ict, default_model, shape, ceiling_mm):
-    model, vertices = default_model, ict.shapes[shape]
+def test_the_default_model_follows_open_mouths(ict, model, shape, ceiling_mm):
+    vertices = ict.shapes[shape]
     scan, scan_from_shape = raw_like(vertices, ict.faces, 0)
     given = vertices[ict.landmarks]
     pose = procrustes(given[17:48], model.landmarks[17:48]) @ invert_rigid(scan_from_shape)
@@ -106,20 +99,22 @@ def test_the_default_model_follows_open_mouths(ict, default_model, shape, ceilin
 
 @pytest.mark.slow
 @pytest.mark.parametrize("person", ["generic_neutral", "person1", "person2", "person3", "person4"])
-def test_shut_mouths_stay_shut(ict, default_model, person):
+def test_shut_mouths_stay_shut(ict, model, person):
     vertices = ict.shapes[person]
     scan, scan_from_shape = raw_like(vertices, ict.faces, 1)
-    for model in (ict.model, default_model):
-        pose = procrustes(vertices[ict.landmarks][17:], model.landmarks[17:]) @ invert_rigid(scan_from_shape)
-        fitted = fit(scan, model, pose)
+    for template in (ict.model, model):
+        pose = procrustes(vertices[ict.landmarks][17:], template.landmarks[17:]) @ invert_rigid(
+            scan_from_shape
+        )
+        fitted = fit(scan, template, pose)
         lips = fitted.landmarks[[61, 62, 63], 1] - fitted.landmarks[[67, 66, 65], 1]
         assert lips.max() < 3.0
 
 
-def test_nothing_pulls_at_the_film_between_the_lips(default_model):
-    samples = SurfaceSamples.of(default_model, default_model.control_vertices, 1)
-    film = samples.faces[default_model.in_region("between_lips")[samples.parent]]
-    inside = np.setdiff1d(film, samples.faces[~default_model.in_region("between_lips")[samples.parent]])
+def test_nothing_pulls_at_the_film_between_the_lips(model):
+    samples = SurfaceSamples.of(model, model.control_vertices, 1)
+    film = samples.faces[model.in_region("between_lips")[samples.parent]]
+    inside = np.setdiff1d(film, samples.faces[~model.in_region("between_lips")[samples.parent]])
     assert len(inside) > 0
     assert (samples.area[inside] == 0).all()
     assert (samples.area >= 0).all()

@@ -26,13 +26,6 @@ def albedo():
     return build_albedo
 
 
-@pytest.fixture(scope="session")
-def face_like_mask():
-    """A disc (128, 128) with a hole."""
-    rows, columns = np.mgrid[:128, :128] - 63.5
-    return (np.hypot(rows, columns) < 58) & (np.hypot(rows + 20, columns - 15) > 6)
-
-
 def write_stored(folder, seed, *, noise=0, model="default", size=64, hidden=None):
     """Write what recognition reads of a processed face: a synthetic person's true albedo, with noise."""
     scene = face(seed, size=size)

@@ -14,7 +14,6 @@ from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     FineTuneOptions,
     ImageObservation,
-    LightingModel,
     MorphableReflectanceModel,
     VertexReflectance,
     finetune,
@@ -69,11 +68,6 @@ def pictures(faces, seed):
         color = color * (1 + 0.01 * np.random.default_rng(k).normal(size=color.shape))
         shots.append(ImageObservation(color, NORMALS, VIEW, SEEN))
     return shots
-
-
-@pytest.fixture(scope="module")
-def lighting():
-    return LightingModel.default()
 
 
 @pytest.fixture(scope="module")

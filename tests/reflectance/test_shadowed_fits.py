@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from bench_reflectance_model import (
-    LightingModel,
     ShadowedCases,
     albedo_error,
     fit_image,
@@ -13,11 +12,6 @@ from bench_reflectance_model import (
 )
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def lighting():
-    return LightingModel.default()
 
 
 def albedo_errors(cases, lighting, with_transfer):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from scan2albedo import AnnotatedFaceModel, RawScan
+from scan2albedo import RawScan
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_angle_rad, transform_points
 from scan2albedo.synthetic import RawLikeOptions, raw_like
 from scan2albedo.synthetic.face_shape import person
@@ -26,11 +26,6 @@ class PosedScan:
         truth, found = invert_rigid(self.model_from_scan), invert_rigid(model_from_scan)
         angle = rotation_angle_rad(found[:3, :3].T @ truth[:3, :3])
         return float(np.degrees(angle)), float(np.linalg.norm(found[:3, 3] - truth[:3, 3]))
-
-
-@pytest.fixture(scope="session")
-def model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.default()
 
 
 @pytest.fixture(scope="session")

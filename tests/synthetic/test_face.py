@@ -21,11 +21,6 @@ from scan2albedo.synthetic.face_shape import (
 
 
 @pytest.fixture(scope="module")
-def model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.default()
-
-
-@pytest.fixture(scope="module")
 def bare_model(model) -> AnnotatedFaceModel:
     return AnnotatedFaceModel(
         model.control_vertices, model.control_faces, model.uv, model.region, model.regions, name="bare"

@@ -9,13 +9,6 @@ FILTERS = [multi_scale_retinex, histogram_equalized]
 
 
 @pytest.fixture
-def face_like_mask():
-    """A disc (128, 128) with a hole."""
-    rows, columns = np.mgrid[:128, :128] - 63.5
-    return (np.hypot(rows, columns) < 58) & (np.hypot(rows + 20, columns - 15) > 6)
-
-
-@pytest.fixture
 def albedo():
     """Smooth noise (128, 128) within [0.1, 0.9]."""
     field = gaussian_filter(np.random.default_rng(0).standard_normal((128, 128)), 2)
