@@ -1,25 +1,35 @@
-"""GLB and glTF files, read through trimesh."""
+"""GLB and glTF files, read through trimesh; skinned meshes as their joints hold them."""
 
 from __future__ import annotations
 
+import base64
 import io
+import json
 import logging
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote_to_bytes
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers
-from scan2albedo.io.gltf_skins import GltfFile, skinning_transforms
+from scan2albedo.io.glb import glb_bytes
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.repair import require_valid_indices
 
 if TYPE_CHECKING:
     import trimesh
 
+FloatArray = NDArray[np.float64]
+
+_JSON_START = 20
+"""Of a GLB's text: behind the file's header and the first chunk's."""
+_MARK = "_"
+"""Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
 _PARSER_ERRORS = (
     ArithmeticError,
     AssertionError,
@@ -63,7 +73,7 @@ def read_gltf(path: Path) -> ParsedMesh:
 def _read_parts(path: Path) -> ParsedMesh:
     import trimesh
 
-    file = GltfFile.read(path)
+    file = _GltfFile.read(path)
     skinned = bool(file.tree.get("skins"))
     scene = _load_scene(path, file.with_marked_skins() if skinned else None)
     textured = _textured_material_names(file.tree)
@@ -74,7 +84,7 @@ def _read_parts(path: Path) -> ParsedMesh:
         mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
             part = _part(mesh, materials, path.name)
-            by_joints = skinning_transforms(file, scene, node, mesh) if skinned else None
+            by_joints = _skinning_transforms(file, scene, node, mesh) if skinned else None
             parts.append(_placed(part, np.asarray(transform, np.float64) if by_joints is None else by_joints))
     lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
     notes = (
@@ -212,3 +222,81 @@ def _joined_colors(parts: list[ParsedMesh], materials: tuple[Material, ...]) -> 
         plain = np.tile(np.array(base, np.float32), (len(part.vertices), 1))
         colors.append(plain if part.vertex_color_linear is None else part.vertex_color_linear)
     return np.concatenate(colors)
+
+
+@dataclass(frozen=True)
+class _GltfFile:
+    """`tree` is the JSON of a file, `rest` what follows it in a GLB."""
+
+    path: Path
+    tree: dict[str, Any]
+    rest: bytes
+    binary: bool
+
+    @classmethod
+    def read(cls, path: Path) -> _GltfFile:
+        """Read a GLB or glTF file."""
+        data = path.read_bytes()
+        if data[:4] != b"glTF":
+            return cls(path, json.loads(data.decode("utf-8", "replace")), b"", False)
+        end = _JSON_START + int.from_bytes(data[12:16], "little")
+        return cls(path, json.loads(data[_JSON_START:end].decode("utf-8", "replace")), data[end:], True)
+
+    def with_marked_skins(self) -> bytes:
+        """Return the file's bytes with nodes named by number and skin attributes marked for trimesh."""
+        tree = json.loads(json.dumps(self.tree))
+        for number, node in enumerate(tree.get("nodes", [])):
+            node["name"] = str(number)
+        for mesh in tree.get("meshes", []):
+            for primitive in mesh["primitives"]:
+                primitive["attributes"] = {
+                    _MARK + name if name.startswith(("JOINTS_", "WEIGHTS_")) else name: accessor
+                    for name, accessor in primitive["attributes"].items()
+                }
+        return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
+
+    def inverse_binds(self, skin: int) -> FloatArray:
+        """Return (J, 4, 4) inverse bind matrices of a skin; identities where it has none."""
+        entry = self.tree["skins"][skin]
+        count = len(entry["joints"])
+        if "inverseBindMatrices" not in entry:
+            return np.tile(np.eye(4), (count, 1, 1))
+        accessor = self.tree["accessors"][entry["inverseBindMatrices"]]
+        if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
+            raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
+        view = self.tree["bufferViews"][accessor["bufferView"]]
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        stored = np.frombuffer(self._buffer(view["buffer"]), "<f4", 16 * count, start)
+        return stored.reshape(count, 4, 4).transpose(0, 2, 1).astype(np.float64)
+
+    def _buffer(self, number: int) -> bytes:
+        uri = self.tree["buffers"][number].get("uri")
+        if uri is None:
+            return self.rest[8:]  # behind the second chunk's header
+        if uri.startswith("data:"):
+            head, _, body = uri.partition(",")
+            return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
+        return (self.path.parent / unquote_to_bytes(uri).decode()).read_bytes()
+
+
+def _skinning_transforms(
+    file: _GltfFile, scene: trimesh.Scene, frame: str, mesh: trimesh.Trimesh
+) -> FloatArray | None:
+    """Return the transforms (V, 4, 4) of a mesh's vertices by their joints; None for a mesh without a skin.
+
+    v' = sum over k of w_k J_k B_k v, and the transform of the mesh's own node `frame` is ignored (glTF 2.0,
+    3.7.3.2 and 3.7.3.3). The scene is that of `with_marked_skins`.
+    """
+    attributes = {name: np.asarray(values) for name, values in mesh.vertex_attributes.items()}
+    skin = file.tree["nodes"][int(frame.partition("_")[0])].get("skin")
+    sets = sum(name.startswith(f"{_MARK}JOINTS_") for name in attributes)
+    if skin is None or sets == 0:
+        return None
+    joints = np.concatenate([attributes[f"{_MARK}JOINTS_{n}"] for n in range(sets)], 1).astype(np.int64)
+    weights = np.concatenate([attributes[f"{_MARK}WEIGHTS_{n}"] for n in range(sets)], 1).astype(np.float64)
+    total = weights.sum(1, keepdims=True)
+    if not (total > 0).all():
+        raise ValueError("a vertex of a skinned mesh has no weights")
+    places = np.array([scene.graph[str(joint)][0] for joint in file.tree["skins"][skin]["joints"]])
+    transforms = places @ file.inverse_binds(skin)
+    return np.einsum("vj,vjab->vab", weights / total, transforms[joints])
