@@ -48,7 +48,7 @@ class LeastSquaresPoint(Protocol):
         """What is minimised; NaN or infinite where the state is not possible."""
 
     def normal_equations(self) -> NormalEquations:
-        """Return the quadratic model around the state; asked for once, and only of the best state so far."""
+        """Return the quadratic model around the state; called once, and only for the best state so far."""
 
     def moved(self, step: FloatArray) -> Self:
         """Return the state that a step (P,) leads to, evaluated."""
@@ -82,7 +82,7 @@ class Descent(Generic[Point]):
     best: Point
     """The start where nothing better was found."""
     converged: bool
-    """True at a minimum as far as the tolerances tell, False when trials, steps or budget ended first."""
+    """True at a minimum within the tolerances, False when trials, steps or budget ended first."""
     steps: int
     """Steps that lowered the cost."""
     damping: float

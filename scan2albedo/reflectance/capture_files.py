@@ -137,7 +137,7 @@ class CaptureFiles:
         read = cache(lambda name: read_image_values(self.path.parent / name))
         flashes = [read_image_values(self.path.parent / pair.flash_image) for pair in self.content.pictures]
         lit_by_room = [read(pair.room_image) for pair in self.content.pictures]
-        self._refuse_sizes(flashes, lit_by_room)
+        self._check_sizes(flashes, lit_by_room)
         content = self.content
         options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
         olat = self._masked(extract_olat(flashes, lit_by_room, options=options))
@@ -157,7 +157,7 @@ class CaptureFiles:
                 valid[j] &= read(name)[..., None]
         return replace(olat, valid=valid, linear=np.where(valid, olat.linear, np.float32(0)))
 
-    def _refuse_sizes(self, flashes: list[NDArray], rooms: list[NDArray]) -> None:
+    def _check_sizes(self, flashes: list[NDArray], rooms: list[NDArray]) -> None:
         first = flashes[0].shape[:2]
         for pair, lit, ambient in zip(self.content.pictures, flashes, rooms, strict=True):
             for name, picture in ((pair.flash_image, lit), (pair.room_image, ambient)):
@@ -184,7 +184,7 @@ def read_capture(path: str | Path) -> CaptureFiles:
     Raises
     ------
     ReflectanceError
-        When the file does not fit or a pose is none; names it and the first fault.
+        When the file or a pose in it is invalid; names it and the first fault.
     ScanError
         When the mesh cannot be read.
     """

@@ -51,7 +51,7 @@ class LightResponse:
     diffuse: FloatArray
     """(V, 81) A_l / pi Y_lm(n)."""
     specular: FloatArray
-    """(V, 3, 81) B_l^s Y_lm(r), or at what stands for r, a row for each of `EXPONENTS`."""
+    """(V, 3, 81) B_l^s Y_lm(r), or at the lobe's mean direction, a row for each of `EXPONENTS`."""
 
     def shade(self, reflectance: VertexReflectance, light: FloatArray) -> EnvironmentShading:
         """Return the radiance under light (81, 3)."""

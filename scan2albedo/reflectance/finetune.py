@@ -243,7 +243,7 @@ class _Tuning:
         self.meter.count()
         left = Budget(seconds=self.meter.sub_meter(self.meter.stage, self.meter.unit).budget.seconds)
         with warnings.catch_warnings():
-            # One of many fits; the held-out objective tells whether they were good enough.
+            # One of many fits; the held-out objective shows whether they were good enough.
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
             fit = fit_image(observation, model, self.lighting, budget=left)
         if self.meter.out_of_time and not even_late:

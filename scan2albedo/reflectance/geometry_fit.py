@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 _RIGID_STEPS, _LANDMARK_STEPS = 20, 100
 """Most steps with landmarks alone: of the pose, then of pose and shape."""
 _REFRESH_STEPS = 5
-"""After so many steps with photometry it is settled anew which vertices count."""
+"""After so many steps with photometry, rays find anew which vertices are seen."""
 _LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
 """Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
 by more than this many pixels."""
@@ -145,8 +145,8 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. One image cannot tell how far away a face is from how large it is, but for
-    the prior. Han, Wang and Xu weight landmarks far less, since those of networks are several mm off;
+    Cast shadows are not modelled. One image cannot separate how far away a face is from how large it is,
+    but for the prior. Han, Wang and Xu weight landmarks far less, since those of networks are several mm off;
     tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
 
     References
@@ -260,7 +260,7 @@ class _Refinement:
                     break
                 terms: list[GeometryTerm] = [term] if self.anchor is None else [self.anchor, term]
                 search.run(self._objective(terms, search.meter), _REFRESH_STEPS)
-                # Nothing to gain from what is seen now, and so neither from settling it anew.
+                # Nothing to gain from what is seen now, and so neither from finding it anew.
                 if search.converged or search.hardly_fell:
                     converged = not search.meter.exhausted
                     break

@@ -52,7 +52,7 @@ class GeometryFitOptions:
     """The image is smoothed by these standard deviations, one after the other, in mean edges of the mesh: the
     reflectance does not hold what is finer than the spacing of its vertices."""
     rounds: int = 10
-    """Most times that it is settled anew which vertices count, for each of `blur_edges`."""
+    """Most times that the vertices seen are found anew, for each of `blur_edges`."""
     largest_rmse: float = 0.25
     """Photometry is not accepted when the colours' relative rmse stays above this."""
 
@@ -73,7 +73,7 @@ class GeometryFitOptions:
 
 @dataclass(frozen=True)
 class WeightedResiduals:
-    """Residuals r (R,) whose weighted squares stand for a term: its gradient is J^T (weight r)."""
+    """Residuals r (R,) whose weighted squares replace a term locally: its gradient is J^T (weight r)."""
 
     residual: FloatArray
     weight: FloatArray

@@ -119,7 +119,7 @@ def fit_image(
     first that of a squared distance whose least value is 0. Steps that do not lower the objective are refused
     in any case, so this decides the pace and not the end. A wrong gradient ends the search early.
 
-    One image cannot tell bright skin from bright light, but for the models' priors. In pictures with
+    One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
     is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
 

@@ -20,7 +20,7 @@ COMPONENTS = 80
 _WHITE = np.sqrt(4 * np.pi)
 """First coefficient of light whose mean radiance is 1."""
 SHAPE = (32, 64)
-"""Rows and columns: finer than harmonics of order 8 can tell."""
+"""Rows and columns: finer than harmonics of order 8 resolve."""
 
 _KELVIN = {"candle": 1900.0, "tungsten": 2800.0, "neutral": 4200.0, "daylight": 6000.0, "shade": 9000.0}
 
@@ -60,9 +60,7 @@ class LightingModel:
             Maps, directions to keep, and what the maps are drawn from.
         """
         if count < 2:
-            raise ReflectanceError(
-                f"{count} environment maps tell nothing of how light varies; give 2 or more"
-            )
+            raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")
         rng = np.random.default_rng(seed)
         projection = _projection()
         maps = (generated_environment(rng).reshape(-1, 3) for _ in range(count))

@@ -119,7 +119,7 @@ def _integral(angle: float, exponent: float) -> tuple[FloatArray, float]:
     heights, turns = _QUADRATURE
     nodes, weights = leggauss(heights)
     t, across = (nodes + 1) / 2, np.sqrt(1 - ((nodes + 1) / 2) ** 2)
-    # The lobe is even in the turn, so half a circle of midpoints stands for all of it.
+    # The lobe is even in the turn, so half a circle of midpoints covers all of it.
     forward = -across[:, None] * np.cos((np.arange(turns) + 0.5) * np.pi / turns)
     upward = np.broadcast_to(t[:, None], forward.shape)
     light_view = np.cos(angle) * upward - np.sin(angle) * forward

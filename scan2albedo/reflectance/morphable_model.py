@@ -19,7 +19,7 @@ from scan2albedo.reflectance.sample_statistics import (
     principal_directions,
     stack_samples,
 )
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, refuse_other_lobes
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -43,7 +43,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 class ReflectanceModelHeader(BaseModel):
     """The text "header" in a file of a morphable reflectance model, as JSON.
 
-    Beside it stand known (V,), support (V,), diffuse_mean (V, 3), diffuse_basis (N, V, 3), sum_mean (V,),
+    The file also holds known (V,), support (V,), diffuse_mean (V, 3), diffuse_basis (N, V, 3), sum_mean (V,),
     sum_basis (N, V), share_mean (V, 3), share_basis (N, V, 3) and deviation (N,).
     """
 
@@ -219,7 +219,7 @@ class MorphableReflectanceModel:
             advice="give a file that its `save` wrote (data_schemas/reflectance_model.schema.json)",
             error=ReflectanceError,
         )
-        refuse_other_lobes(header.exponents, f"reflectance model {path}")
+        check_exponents(header.exponents, f"reflectance model {path}")
         found = arrays["deviation"].shape, arrays["known"].shape
         if found != ((header.components,), (header.vertices,)):
             raise ReflectanceError(

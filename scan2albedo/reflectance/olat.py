@@ -149,7 +149,7 @@ def extract_olat(
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
         linear[j], sigma[j] = np.where(valid[j], difference, 0.0), deviation
-    _refuse_if_all_left_out(diagnostics, shape[0])
+    _check_some_pair_usable(diagnostics, shape[0])
     return OlatImages(linear, sigma, valid, saturated, tuple(diagnostics))
 
 
@@ -207,7 +207,7 @@ def _room_diagnostics(pair: int, usable: int, darker: int, brighter: int) -> lis
     return [CaptureDiagnostic("room_brighter_than_flash", pair, part, swapped, text)]
 
 
-def _refuse_if_all_left_out(diagnostics: list[CaptureDiagnostic], count: int) -> None:
+def _check_some_pair_usable(diagnostics: list[CaptureDiagnostic], count: int) -> None:
     left_out = [one for one in diagnostics if one.left_out]
     if len({one.pair for one in left_out}) == count:
         raise ReflectanceError(f"no pair of pictures can be used; {left_out[0].message}")

@@ -68,7 +68,7 @@ def observe_photograph(
 ) -> ImageObservation:
     """Look up a face's vertices in a photograph, where the camera sees them well.
 
-    A vertex counts when nothing stands before it, it is not seen at too flat an angle nor near an edge in
+    A vertex counts when nothing hides it, it is not seen at too flat an angle nor near an edge in
     depth, and the four pixels around it are skin, finite and not saturated in any channel. Their light,
     value^gamma, is interpolated.
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, refuse_other_lobes
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -64,8 +64,8 @@ class MeshReflectance:
 class MeshReflectanceHeader(BaseModel):
     """The text "header" in a file of a mesh's reflectance, as JSON.
 
-    Beside it stand vertices (V, 3) in mm, faces (F, 3), known (V,), diffuse_linear (V, 3) and weights (V, 3);
-    in that of a fit also std, low, high, identifiability and identified (V, 6), pair_count, condition and
+    The file also holds vertices (V, 3) in mm, faces (F, 3), known (V,), diffuse_linear and weights (V, 3);
+    that of a fit also std, low, high, identifiability and identified (V, 6), pair_count, condition and
     misfit (V,), activation (V, 3) and light_gain (L, 3).
     """
 
@@ -130,7 +130,7 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
         advice="give a file that write_reflectance wrote (data_schemas/mesh_reflectance.schema.json)",
         error=ReflectanceError,
     )
-    refuse_other_lobes(header.exponents, f"reflectance {path}")
+    check_exponents(header.exponents, f"reflectance {path}")
     try:
         reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
         return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance)

@@ -32,7 +32,7 @@ _ARRAYS = {
 class ShapeModelHeader(BaseModel):
     """The text "header" in a file of a morphable shape model, as JSON.
 
-    Beside it stand mean (V, 3), identity_basis (N_S, V, 3) and expression_basis (N_E, V, 3) in mm,
+    The file also holds mean (V, 3), identity_basis (N_S, V, 3) and expression_basis (N_E, V, 3) in mm,
     faces (F, 3) and landmark_vertices (68,).
     """
 

@@ -61,7 +61,7 @@ class VertexReflectance:
         object.__setattr__(self, "known", known)
 
 
-def refuse_other_lobes(exponents: tuple[float, ...], place: str) -> None:
+def check_exponents(exponents: tuple[float, ...], place: str) -> None:
     """Raise ReflectanceError when reflectance at `place`, in words, has other lobes than `EXPONENTS`."""
     if exponents != EXPONENTS:
         raise ReflectanceError(f"{place} has lobes of exponents {exponents}, expected {EXPONENTS}")

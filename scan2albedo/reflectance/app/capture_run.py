@@ -109,7 +109,7 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         for number, linear in enumerate(olat.linear):
             write_exr(results.folder / f"olat_{number:03d}.exr", linear)
         results.picture("olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
-        results.finish(figures, options={"gamma": capture.content.gamma}, notes=_notes(olat, names))
+        results.write_record(figures, options={"gamma": capture.content.gamma}, notes=_notes(olat, names))
     return figures
 
 
@@ -169,7 +169,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
             results.figure("relit.png", overview_figure(_relit_title(done.error), relit_held_out(done), 6))
         write_colored_mesh(results.folder / "face.ply", mesh)
         notes = (*done.notes, *_notes(done.olat, capture.pair_names()))
-        results.finish(figures, options=options, notes=notes)
+        results.write_record(figures, options=options, notes=notes)
     return figures
 
 

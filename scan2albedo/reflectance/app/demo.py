@@ -247,7 +247,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 
     Raises `ValueError` when its pictures are not integers, `OutputError` naming the folder and the cause.
     """
-    _refuse_floats(capture.options.bits)
+    _check_integers(capture.options.bits)
     with result_folder(folder, CAPTURE_FILE) as staging:
         _write_mesh(staging / _MESH, capture.vertices, capture.faces)
         pairs = []
@@ -269,7 +269,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
 
     Raises `ValueError` when the image is not of integers, `OutputError` naming the folder and the cause.
     """
-    _refuse_floats(taken.options.bits)
+    _check_integers(taken.options.bits)
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
     with result_folder(folder, PHOTOGRAPH_FILE) as staging:
         write_png(staging / _IMAGE, taken.image)
@@ -317,7 +317,7 @@ def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptur
     )
 
 
-def _refuse_floats(bits: int | None) -> None:
+def _check_integers(bits: int | None) -> None:
     if bits is None:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
 

@@ -179,7 +179,7 @@ def write_fitted_photograph(
         panels = relit_panels("face", np.nan_to_num(linear), made, shown, valid)
         title = f"relative RMSE {100 * done.fit.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
-        results.finish(figures, options=options, notes=done.notes())
+        results.write_record(figures, options=options, notes=done.notes())
     return figures
 
 
@@ -261,7 +261,7 @@ def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> d
         done.tuning.trace.to_csv(results.folder / "trace.csv")
         results.figure("error_vs_time.png", done.tuning.trace.plot())
         ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
-        results.finish(figures, options=options, notes=ended)
+        results.write_record(figures, options=options, notes=ended)
     return figures
 
 

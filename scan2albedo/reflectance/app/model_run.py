@@ -149,7 +149,7 @@ def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) ->
         if built.shape is not None:
             built.shape.save(results.folder / SHAPE_FILE)
         results.figure("model.png", overview_figure(_title(built.model), model_panels(built), 5))
-        results.finish(figures, options=options)
+        results.write_record(figures, options=options)
     return figures
 
 
@@ -203,7 +203,7 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
             write_reflectance(results.folder / f"sample_{number:03d}.npz", mesh)
             panels.append(Panel(f"sample {number}", _face(mesh, white)))
         results.figure("samples.png", overview_figure(f"{count} samples of {folder.name}", panels, 6))
-        results.finish(figures, options={"count": count, "seed": seed, "scale": scale})
+        results.write_record(figures, options={"count": count, "seed": seed, "scale": scale})
     return figures
 
 

@@ -51,7 +51,7 @@ class Results:
         """Write a matplotlib figure."""
         figure.savefig(self.folder / name, dpi=_DPI)
 
-    def finish(
+    def write_record(
         self, metrics: Mapping[str, Any], *, options: Mapping[str, Any], notes: Sequence[str] = ()
     ) -> None:
         """Write the record; call it last."""
