@@ -28,7 +28,7 @@ def identify(
     ],
     probes: Annotated[
         Path | None,
-        typer.Option(help="The same; person may be empty where nobody knows whom the result shows."),
+        typer.Option(help="The same; person may be empty where it is unknown."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for table, similarities and curves.")

@@ -182,9 +182,9 @@ def _check_pair(gallery: LabelledTemplates, probes: LabelledTemplates) -> None:
     if strangers:
         more = f" and {len(strangers) - 5} more" if len(strangers) > 5 else ""
         raise RecognitionError(
-            f"{gallery.source} has no image of whom these probes of {probes.source} show: "
+            f"{gallery.source} has no image of the persons on these probes of {probes.source}: "
             f"{', '.join(strangers[:5])}{more}; add their images to the gallery, or leave their person "
-            "empty: then they are taken for somebody of the gallery, and not counted"
+            "empty: then they are identified, and not counted"
         )
 
 

@@ -1,12 +1,13 @@
 """A batch's page: its table from a catalogue or from the result files, failures, what is shown in full."""
 
 import math
+import sys
 from datetime import datetime, timedelta
 
 import pytest
 
 from scan2albedo import report
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import MissingDependencyError, Scan2AlbedoError
 from scan2albedo.report.html.batch_section import batch_section
 from scan2albedo.report.html.rows import (
     DONE,
@@ -121,6 +122,13 @@ def test_a_damaged_catalogue_and_one_of_something_else_are_refused(tmp_path):
     parquet.write_table(pyarrow.table({"x": [1]}), file)
     with pytest.raises(Scan2AlbedoError, match="no column name and no column status"):
         report.write_report(tmp_path)
+
+
+def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
+    write_catalogue(tmp_path, [entry("a")])
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingDependencyError, match=r"pyarrow.*pip install 'scan2albedo\[report\]'"):
+        rows_of_catalogue(tmp_path / "catalogue.parquet")
 
 
 def test_an_empty_catalogue_makes_a_page(tmp_path):

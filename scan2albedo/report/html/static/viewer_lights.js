@@ -20,7 +20,7 @@ class LightControls {
     this.pad = this.#makePad();
     this.chips = element("div", { class: "chips", role: "group", "aria-label": "Lights" });
     this.sliders = this.#makeSliders();
-    this.onBox = element("input", { type: "checkbox", onchange: () => { this.light.on = this.onBox.checked; this.#tell(); } });
+    this.onBox = element("input", { type: "checkbox", onchange: () => { this.light.on = this.onBox.checked; this.#announce(); } });
     this.remove = element("button", { type: "button", onclick: () => this.#removeChosen() }, "Remove");
     this.detail = element("div", { class: "light-detail" },
       element("div", { class: "row" }, element("label", { class: "check" }, this.onBox, " on"), this.remove),
@@ -54,7 +54,7 @@ class LightControls {
     this.state.harmonic = harmonic;
     this.state.ambient = 1;
     this.chosen = 0;
-    this.#tell(preset);
+    this.#announce(preset);
   }
 
   // By degrees, for the pointer and the keyboard on the face.
@@ -62,27 +62,27 @@ class LightControls {
     if (!this.light) return;
     this.light.azimuth = clamp(this.light.azimuth + azimuth, -180, 180);
     this.light.elevation = clamp(this.light.elevation + elevation, -90, 90);
-    this.#tell();
+    this.#announce();
   }
 
-  #tell(preset = "") { this.refresh(preset); this.changed(); }
+  #announce(preset = "") { this.refresh(preset); this.changed(); }
 
   #removeChosen() {
     this.state.lights.splice(this.chosen, 1);
     this.chosen = Math.max(0, this.chosen - 1);
-    this.#tell();
+    this.#announce();
   }
 
   #add() {
     const azimuth = this.light && this.light.azimuth > 0 ? -45 : 45;
     this.state.lights.push({ azimuth, elevation: 20, distance: null, intensity: LAMP_INTENSITY / 2, on: true });
     this.chosen = this.state.lights.length - 1;
-    this.#tell();
+    this.#announce();
   }
 
   #makeSliders() {
     const strongest = Math.max(6, ...this.face.lights.map((light) => Math.ceil(1.5 * light.intensity)));
-    const set = (name) => (value) => { this.light[name] = value; this.#tell(); };
+    const set = (name) => (value) => { this.light[name] = value; this.#announce(); };
     const degrees = (value) => `${Math.round(value)}°`;
     // The slider is logarithmic; its end is a distant light.
     const far = (part) => part >= 1 ? null : this.nearest * (MOST_DISTANCE / this.nearest) ** part;
@@ -93,7 +93,7 @@ class LightControls {
       intensity: slider("Intensity", { low: 0, high: strongest, step: 0.05, value: 1, show: (v) => v.toFixed(2), input: set("intensity") }),
       distance: slider("Distance", {
         low: 0, high: 1, step: 0.01, value: 1, show: (v) => far(v) ? `${Math.round(far(v))} mm` : "distant",
-        input: (v) => { this.light.distance = far(v); this.#tell(); },
+        input: (v) => { this.light.distance = far(v); this.#announce(); },
       }),
     };
   }
@@ -111,7 +111,7 @@ class LightControls {
       if (length > 0.999) { x *= 0.999 / length; y *= 0.999 / length; }
       this.light.elevation = Math.asin(y) / RADIANS;
       this.light.azimuth = Math.atan2(x, Math.sqrt(Math.max(1 - x * x - y * y, 0))) / RADIANS;
-      this.#tell();
+      this.#announce();
     };
     pad.addEventListener("pointerdown", (event) => {
       const index = Number(event.target.dataset.light);
