@@ -202,6 +202,14 @@ def far_vertices(vertices: FloatArray, used: NDArray[np.bool_]) -> NDArray[np.bo
     return distance > FAR_FACTOR * np.percentile(distance[used], FAR_PERCENT)
 
 
+def without_far_vertices(vertices: FloatArray, faces: IntArray) -> IntArray:
+    """Return the faces (K, 3) without those that reach to `far_vertices`: at most 2 % of the vertices."""
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    stray = far_vertices(vertices, used)
+    return faces[~stray[faces].any(1)] if (stray & used).any() else faces
+
+
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return the vertices joined to each by an edge, ascending, each once, as rows of one list.
 

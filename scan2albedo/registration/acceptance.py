@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import turned_against_neighbours
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.candidates import (
     CERTAINTY_NEEDED,
     COVERAGE_NEEDED,
@@ -20,7 +22,6 @@ from scan2albedo.registration.candidates import (
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.robust_icp import residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
@@ -29,11 +30,62 @@ _BEYOND_DOUBT = 0.62
 _CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
 _MIXED_SHARE = 0.02
-_HUMAN_SCALE = (0.75, 1.3)
 _OTHER_FACE_MM = 100.0
+_OTHER_ROTATION_RAD = np.deg2rad(20)
+_OTHER_POSITION_MM = 30.0
+_WHOLE_COVERAGE = 0.8
+_DOUBT_OF_MISSING = 0.4
 
 
-def refuse_inside_out(
+@dataclass(frozen=True)
+class Acceptance:
+    """How clearly the best candidate is a face, 0 ... 1, and the search's note for the plan."""
+
+    confidence: float
+    note: tuple[str, bool, str, str]
+
+
+def accepted(
+    scan: PreparedScan,
+    template: Template,
+    candidates: tuple[Candidate, ...],
+    pose_count: int,
+    options: RegistrationOptions,
+    meter: Meter,
+) -> Acceptance:
+    """Accept the first candidate, of those of `pose_count` poses that were refined, or refuse the scan.
+
+    Where the budget has ended the scores are not complete, so that they refuse nothing.
+
+    Raises
+    ------
+    RegistrationError
+        When there is no face, or it is inside out.
+
+    Warns
+    -----
+    UserWarning
+        When there is a second face.
+    """
+    if not meter.exhausted:
+        _refuse_inside_out(scan, template, candidates[0], options, meter)
+        _refuse_no_face(scan.raw, candidates)
+    _refuse_facing_away(scan, template, candidates[0])
+    _warn_of_second_face(scan.raw, candidates)
+    best = candidates[0]
+    likeness = f"likeness {best.scores.likeness:.2f} (next pose {_next_ranking(candidates):.2f})"
+    evidence = (
+        f"{len(candidates)} of {pose_count} candidates refined; certainty {best.scores.certainty:.2f} "
+        f"(needed: {CERTAINTY_NEEDED:.2f}), {likeness}, coverage {100 * best.scores.coverage:.0f} %, "
+        f"face {100 * best.pose.scale:.0f} % of the model's size"
+    )
+    if scan.stray_faces:
+        evidence += f"; {scan.stray_faces} triangles that reach far away left out"
+    reason = "the pose whose depth image has the relief of a face is taken"
+    return Acceptance(_confidence(candidates), ("search", True, reason, evidence))
+
+
+def _refuse_inside_out(
     scan: PreparedScan, template: Template, best: Candidate, options: RegistrationOptions, meter: Meter
 ) -> None:
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
@@ -70,7 +122,7 @@ def _bulge(samples: OrientedPoints) -> float:
     return float(samples.areas @ outward / reach) if reach > 0 else 0.0
 
 
-def refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate) -> None:
+def _refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate) -> None:
     """Depth images show both sides of a surface: see that the normals agree as well."""
     measured = residuals(scan.samples, template.samples, best.pose)
     near = measured.distance_mm < _NEAR_MM
@@ -93,7 +145,7 @@ def _inside_out_text(scan: RawScan, best: Candidate) -> str:
     )
 
 
-def refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
+def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
     """Refuse, with the figures, a scan whose best candidate is no face."""
     if candidates[0].is_face():
         return
@@ -109,16 +161,7 @@ def refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
     )
 
 
-def warn_of_doubts(scan: RawScan, candidates: tuple[Candidate, ...], scale: float) -> None:
-    """Warn of a size that no person's face has, and of a second face."""
-    low, high = _HUMAN_SCALE
-    if not low <= scale <= high:
-        warnings.warn(
-            f"{scan.name}: the face is {100 * scale:.0f} % of the model's size, which no person's is; check "
-            "the unit of the scan",
-            UserWarning,
-            stacklevel=3,
-        )
+def _warn_of_second_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
     best = candidates[0].pose.translation
     apart = [
         float(np.linalg.norm(other.pose.translation - best))
@@ -130,5 +173,29 @@ def warn_of_doubts(scan: RawScan, candidates: tuple[Candidate, ...], scale: floa
             f"{scan.name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
             "more was taken: cut the other off to choose",
             UserWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
+
+
+def _next_ranking(candidates: tuple[Candidate, ...]) -> float:
+    """Return the ranking of the best candidate whose pose clearly differs from the first's, or 0."""
+    best = candidates[0].pose
+    others = [
+        c.scores.ranking
+        for c in candidates[1:]
+        if not c.pose.is_near(best, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
+    ]
+    return max([0.0, *others])
+
+
+def _confidence(candidates: tuple[Candidate, ...]) -> float:
+    """Return how far the scores lie above the refusal line and above any other pose's, 0 ... 1.
+
+    Where part of the face is missing the line is higher: half a face that resembles the model little
+    slides along it by a centimetre.
+    """
+    best = candidates[0].scores
+    missing = max(0.0, _WHOLE_COVERAGE - best.coverage)
+    clear = (best.certainty - CERTAINTY_NEEDED - _DOUBT_OF_MISSING * missing) / 0.1 + 0.3
+    alone = (best.ranking - _next_ranking(candidates)) / 0.15
+    return float(np.clip(min(clear, alone), 0, 1))

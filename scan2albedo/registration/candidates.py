@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
-from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad
+from scan2albedo.geometry.oriented_points import OrientedPoints
+from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.coarse_search import CoarsePoses, Poses
 from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, robust_icp
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.scoring import FaceScores, normal_relief
@@ -33,10 +33,6 @@ _SAMPLES = 400
 _RANKED_BY_RELIEF = 40
 _SAME_ROTATION_RAD = np.deg2rad(3)
 _SAME_POSITION_MM = 3.0
-_OTHER_ROTATION_RAD = np.deg2rad(20)
-_OTHER_POSITION_MM = 30.0
-_WHOLE_COVERAGE = 0.8
-_DOUBT_OF_MISSING = 0.4
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,7 @@ def with_refined(
             )
             pose = Similarity(refined[:3, :3], refined[:3, 3])
             meter.count()
-        if any(_near(pose, other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
+        if any(_alike(pose, other) for other in poses):
             continue
         poses.append(pose)
         candidates.append(_scored(scan, template, samples, pose, options.scaled_iterations))
@@ -146,32 +142,5 @@ def _scored(
     return Candidate(pose, scores)
 
 
-def next_ranking(candidates: tuple[Candidate, ...]) -> float:
-    """Return the ranking of the best candidate whose pose clearly differs from the first's, or 0."""
-    best = candidates[0].pose
-    others = [
-        c.scores.ranking
-        for c in candidates[1:]
-        if not _near(c.pose, best, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
-    ]
-    return max([0.0, *others])
-
-
-def confidence(candidates: tuple[Candidate, ...]) -> float:
-    """Return how far the scores lie above the refusal line and above any other pose's, 0 ... 1.
-
-    Where part of the face is missing the line is higher: half a face that resembles the model little
-    slides along it by a centimetre.
-    """
-    best = candidates[0].scores
-    missing = max(0.0, _WHOLE_COVERAGE - best.coverage)
-    clear = (best.certainty - CERTAINTY_NEEDED - _DOUBT_OF_MISSING * missing) / 0.1 + 0.3
-    alone = (best.ranking - next_ranking(candidates)) / 0.15
-    return float(np.clip(min(clear, alone), 0, 1))
-
-
-def _near(a: Similarity, b: Similarity, angle_rad: float, distance_mm: float) -> bool:
-    return (
-        float(np.linalg.norm(a.translation - b.translation)) < distance_mm
-        and rotation_angle_rad(a.rotation @ b.rotation.T) < angle_rad
-    )
+def _alike(a: Similarity, b: Similarity) -> bool:
+    return a.is_near(b, _SAME_ROTATION_RAD, _SAME_POSITION_MM)

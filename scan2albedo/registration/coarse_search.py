@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.oriented_points import OrientedPoints, farthest_points
 from scan2albedo.geometry.rigid import super_fibonacci_rotations
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
@@ -147,28 +146,3 @@ def _distinct(poses: Poses, count: int) -> Poses:
         near = np.einsum("ni,ni->n", offset, offset) < _SAME_POSITION_MM**2
         alike[i + 1 :] |= near & (trace > same_trace)
     return poses.subset(np.array(kept, np.int64))
-
-
-def farthest_points(points: FloatArray, spacing: float, limit: int, first: int = 0) -> IntArray:
-    """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
-    return _farthest_points(np.ascontiguousarray(points), spacing * spacing, limit, first)
-
-
-@njit(cache=True, nogil=True)
-def _farthest_points(points, spacing_squared, limit, first):  # type: ignore[no-untyped-def]
-    chosen = np.empty(limit, np.int64)
-    squared = np.full(points.shape[0], np.inf)
-    count, index = 0, first
-    while count < limit:
-        chosen[count] = index
-        count += 1
-        x, y, z = points[index, 0], points[index, 1], points[index, 2]
-        index = 0
-        for i in range(points.shape[0]):
-            dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-            squared[i] = min(squared[i], dx * dx + dy * dy + dz * dz)
-            if squared[i] > squared[index]:
-                index = i
-        if squared[index] < spacing_squared:
-            break
-    return chosen[:count]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scan2albedo.registration.oriented_points import OrientedPoints
+from scan2albedo.geometry.oriented_points import OrientedPoints
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.errors import MissingDependencyError
-from scan2albedo.registration.oriented_points import OrientedPoints
+from scan2albedo.geometry.oriented_points import OrientedPoints
 
 FloatArray = NDArray[np.float64]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,19 +12,8 @@ from scan2albedo.core import Budget, Meter, ProgressCallback, Trace, checked_see
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.registration.acceptance import (
-    refuse_facing_away,
-    refuse_inside_out,
-    refuse_no_face,
-    warn_of_doubts,
-)
-from scan2albedo.registration.candidates import (
-    CERTAINTY_NEEDED,
-    Candidate,
-    confidence,
-    next_ranking,
-    ranked_candidates,
-)
+from scan2albedo.registration.acceptance import accepted
+from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.options import RegistrationOptions
@@ -32,6 +22,8 @@ from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]
+
+_HUMAN_SCALE = (0.75, 1.3)
 
 
 @dataclass(frozen=True)
@@ -130,40 +122,27 @@ def register(
     template = Template.of(model, options.model_spacing_mm, seed)
     poses = coarse_poses(prepared.samples, template, options, meter, seed)
     candidates = ranked_candidates(prepared, template, poses, options, meter)
-    if not meter.exhausted:
-        refuse_inside_out(prepared, template, candidates[0], options, meter)
-        refuse_no_face(scan, candidates)
-    refuse_facing_away(prepared, template, candidates[0])
+    acceptance = accepted(prepared, template, candidates, len(poses.poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     tight = tightened(prepared.samples, template, candidates[0].pose, options.settling_iterations, closing)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, template, tight, options, annealing, seed)
-    warn_of_doubts(scan, candidates, final.pose.scale)
+    low, high = _HUMAN_SCALE
+    if not low <= final.pose.scale <= high:
+        warnings.warn(
+            f"{scan.name}: the face is {100 * final.pose.scale:.0f} % of the model's size, which no person's "
+            "is; check the unit of the scan",
+            UserWarning,
+            stacklevel=2,
+        )
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid()) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),
         depth_error=final.depth_error,
         converged=not any(m.exhausted for m in (meter, closing, annealing)),
-        confidence=confidence(candidates),
+        confidence=acceptance.confidence,
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(_search_note(candidates, len(poses.poses), prepared.stray_faces), final.note),
+        notes=(acceptance.note, final.note),
         face_scale=final.pose.scale,
-    )
-
-
-def _search_note(
-    candidates: tuple[Candidate, ...], kept: int, stray_faces: int
-) -> tuple[str, bool, str, str]:
-    best = candidates[0]
-    return (
-        "search",
-        True,
-        "the pose whose depth image has the relief of a face is taken",
-        f"{len(candidates)} of {kept} candidates refined; "
-        f"certainty {best.scores.certainty:.2f} (needed: {CERTAINTY_NEEDED:.2f}), "
-        f"likeness {best.scores.likeness:.2f} "
-        f"(next pose {next_ranking(candidates):.2f}), coverage {100 * best.scores.coverage:.0f} %, "
-        f"face {100 * best.pose.scale:.0f} % of the model's size"
-        + (f"; {stray_faces} triangles that reach far away left out" if stray_faces else ""),
     )

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
-from scan2albedo.registration.oriented_points import OrientedPoints
 from scan2albedo.registration.template import Template
 
 FloatArray = NDArray[np.float64]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.grid_icp import NearestGrid
-from scan2albedo.registration.oriented_points import OrientedPoints
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

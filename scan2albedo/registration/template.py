@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.operators import vertex_average
-from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.scoring import FaceImage
 
 FloatArray = NDArray[np.float64]

@@ -2,10 +2,9 @@
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
 
-from scan2albedo.registration.coarse_search import anchored_starts, farthest_points
-from scan2albedo.registration.oriented_points import oriented_points
+from scan2albedo.geometry.oriented_points import oriented_points
+from scan2albedo.registration.coarse_search import anchored_starts
 
 
 def test_starts_on_a_sphere_face_outward_everywhere():
@@ -22,12 +21,3 @@ def test_starts_on_a_sphere_face_outward_everywhere():
     assert np.degrees(np.arccos((directions @ outward.T).max(1).min())) < 25
     # Every anchor is tried at several roll angles.
     assert len(starts) > 10 * len(np.unique(on_surface.round(3), axis=0))
-
-
-def test_farthest_points_keep_their_distance_and_cover_the_cloud():
-    points = np.random.default_rng(2).uniform(0, 100, (2000, 3))
-    chosen = points[farthest_points(points, 20.0, 1000)]
-    pairs = np.linalg.norm(chosen[:, None] - chosen[None], axis=2) + 1e9 * np.eye(len(chosen))
-    assert pairs.min() >= 20
-    assert cKDTree(chosen).query(points)[0].max() < 20
-    assert len(farthest_points(points, 1.0, 10)) == 10

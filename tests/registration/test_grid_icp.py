@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration.grid_icp import (
     NearestGrid,
@@ -12,7 +13,6 @@ from scan2albedo.registration.grid_icp import (
     _solve6,
     refine_on_grid,
 )
-from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import MissingDependencyError
+from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration.open3d_icp import ScanTarget, import_open3d
-from scan2albedo.registration.oriented_points import oriented_points
 
 
 def test_it_refines_and_repeats_its_bits(model):

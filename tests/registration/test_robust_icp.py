@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.robust_icp import residuals, robust_icp, settled_icp
 
 

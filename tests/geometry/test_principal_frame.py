@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
-from scan2albedo.registration.scan_preparation import in_principal_frame
+from scan2albedo.geometry.rigid import compose, in_principal_frame, random_rotation, transform_points
 
 
 @pytest.fixture(scope="module")

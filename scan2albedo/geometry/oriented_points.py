@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -91,3 +92,28 @@ def _averaged(
     length = np.linalg.norm(normal, axis=1)
     kept = length > _LEAST_AGREEMENT * total
     return OrientedPoints(mean[kept], normal[kept] / length[kept, None], total[kept])
+
+
+def farthest_points(points: FloatArray, spacing: float, limit: int, first: int = 0) -> IntArray:
+    """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
+    return _farthest_points(np.ascontiguousarray(points), spacing * spacing, limit, first)
+
+
+@njit(cache=True, nogil=True)
+def _farthest_points(points, spacing_squared, limit, first):  # type: ignore[no-untyped-def]
+    chosen = np.empty(limit, np.int64)
+    squared = np.full(points.shape[0], np.inf)
+    count, index = 0, first
+    while count < limit:
+        chosen[count] = index
+        count += 1
+        x, y, z = points[index, 0], points[index, 1], points[index, 2]
+        index = 0
+        for i in range(points.shape[0]):
+            dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
+            squared[i] = min(squared[i], dx * dx + dy * dy + dz * dz)
+            if squared[i] > squared[index]:
+                index = i
+        if squared[index] < spacing_squared:
+            break
+    return chosen[:count]

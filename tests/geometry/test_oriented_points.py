@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.registration.oriented_points import oriented_points
+from scan2albedo.geometry.oriented_points import farthest_points, oriented_points
 
 
 def sphere(level, radius=60.0):
@@ -60,3 +60,12 @@ def test_a_large_mesh_keeps_its_area_when_only_some_faces_are_read():
     samples = oriented_points(vertices, faces, 6.0)
     assert len(faces) > 1_000_000
     assert samples.areas.sum() == pytest.approx(4 * np.pi * 60**2, rel=0.02)
+
+
+def test_farthest_points_keep_their_distance_and_cover_the_cloud():
+    points = np.random.default_rng(2).uniform(0, 100, (2000, 3))
+    chosen = points[farthest_points(points, 20.0, 1000)]
+    pairs = np.linalg.norm(chosen[:, None] - chosen[None], axis=2) + 1e9 * np.eye(len(chosen))
+    assert pairs.min() >= 20
+    assert cKDTree(chosen).query(points)[0].max() < 20
+    assert len(farthest_points(points, 1.0, 10)) == 10
