@@ -18,6 +18,7 @@ from scan2albedo.cli.common import (
 )
 
 if TYPE_CHECKING:
+    from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.core import Budget
 
 app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces.", no_args_is_help=True)
@@ -109,11 +110,10 @@ def _carrier(handles: str) -> Literal["turned", "translated"]:
 def _checked_budget(unit: str, budget: float | None) -> Budget:
     """Return the budget, or refuse what no library call takes."""
     from scan2albedo.core import Budget
-    from scan2albedo.io.units import MM_PER_UNIT
+    from scan2albedo.eyeglasses.app.input import check_unit
 
-    if unit != "auto" and unit not in MM_PER_UNIT:
-        raise typer.BadParameter(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
     try:
+        check_unit(unit)
         return Budget.of(budget)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
@@ -123,6 +123,12 @@ def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out
     if reason is not None:
         return {"frame": str(mesh), "status": "failed", "reason": reason}
     return {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
+
+
+def _report_failure(frame: Path, error: Exception, progress: ProgressLines, json_summary: bool) -> None:
+    progress.say(f"scan2albedo: error: {one_line(error)}")
+    if json_summary:
+        echo_json(_row(frame, one_line(error), {}, frame))
 
 
 @app.command()
@@ -176,9 +182,7 @@ def register(
             done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
             figures = write_registration_files(done, out)
         except Scan2AlbedoError as error:
-            progress.say(f"scan2albedo: error: {one_line(error)}")
-            if json_summary:
-                echo_json({"frame": str(mesh), "status": "failed", "reason": one_line(error)})
+            _report_failure(mesh, error, progress, json_summary)
             raise typer.Exit(USAGE_ERROR) from None
         for note in done.notes:
             progress.say(f"{given.name}: {note}")
@@ -260,8 +264,9 @@ def lenses(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions
+    from scan2albedo.eyeglasses.app.input import check_unit
     from scan2albedo.eyeglasses.app.lens_files import run_lenses
-    from scan2albedo.eyeglasses.app.lens_input import check_unit, material_pair, read_lens_input
+    from scan2albedo.eyeglasses.app.lens_input import material_pair, read_lens_input
     from scan2albedo.io.atomic import check_writable
 
     try:
@@ -288,9 +293,7 @@ def lenses(
             options = LensPictureOptions(supersampling=supersampling, light_count=lights)
             record = run_lenses(source, materials, options, out, progress.say)
         except Scan2AlbedoError as error:
-            progress.say(f"scan2albedo: error: {one_line(error)}")
-            if json_summary:
-                echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
+            _report_failure(frame, error, progress, json_summary)
             raise typer.Exit(USAGE_ERROR) from None
     if json_summary:
         echo_json({"frame": str(frame), "status": "done", "out": str(out), **record.model_dump(mode="json")})

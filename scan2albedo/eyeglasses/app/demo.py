@@ -55,31 +55,13 @@ _SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
 
 @dataclass(frozen=True)
 class GlassesDemoReport:
-    """What the registration found, against the truth; lengths in mm.
+    """What the registration found, against the truth; lengths in mm, shares of the vertices.
 
-    Parameters
-    ----------
-    placed : PlacedFrame
-    head : str
-        What was given as head: the person's "fitted" face, "true" head, or "none".
-    seen_rms_mm, seen_max_mm : float
-        Errors of the vertices that the true head leaves visible in a view or more.
-    seen_share : float
-        Of the vertices.
-    all_rms_mm, all_max_mm : float
-        Errors of all vertices.
-    observed_rms_mm : float
-        Errors of the vertices that the registration calls observed.
-    observed_share : float
-        Of the vertices.
-    observed_deviation_mm : float
-        Root mean square of the standard deviations that it states for them, each in its worst direction.
-    keypoints_rms_mm, keypoints_max_mm : float
-        Errors of the key points.
-    depth_error_mm, depth_deviation_mm : float
-        Error of the key points along the line of sight, in the view where it is least, and what is stated.
-    seconds : float
-        Of the registration.
+    Errors are those of vertices that the true head leaves visible in a view or more (`seen`), of `all`, of
+    those that the registration calls `observed`, and of the key points; `depth_error_mm` is along the line of
+    sight, in the view where it is least. Deviations are what the registration states: root mean squares over
+    the observed vertices, each in its worst direction, and along the line of sight. `head` is what was given
+    as head.
     """
 
     placed: PlacedFrame

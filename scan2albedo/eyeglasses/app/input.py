@@ -48,6 +48,12 @@ class GlassesFrame:
         return self.scan.name
 
 
+def check_unit(unit: str) -> None:
+    """Raise ValueError unless it is auto, mm, cm or m."""
+    if unit != "auto" and unit not in MM_PER_UNIT:
+        raise ValueError(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
+
+
 def keypoints_beside(mesh: Path) -> Path:
     """Return where a mesh's key points are looked for: ``<stem>.keypoints.json`` beside it."""
     return mesh.with_name(mesh.stem + KEY_POINTS_SUFFIX)
@@ -66,8 +72,7 @@ def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") ->
     ValueError
         For an unknown unit.
     """
-    if unit != "auto" and unit not in MM_PER_UNIT:
-        raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
+    check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
     marks = read_keypoints_with_unit(marks_file)
     mm_per_unit = 0.0

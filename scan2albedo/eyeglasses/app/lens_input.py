@@ -16,7 +16,6 @@ from scan2albedo.eyeglasses.app.input import GlassesFrame, keypoints_beside, rea
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan
-from scan2albedo.io.units import MM_PER_UNIT
 
 if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
@@ -151,12 +150,6 @@ def material_pair(
         for power in (powers[0], powers[-1])
     )
     return left, right
-
-
-def check_unit(unit: str) -> None:
-    """Raise ValueError unless it is auto, mm, cm or m."""
-    if unit != "auto" and unit not in MM_PER_UNIT:
-        raise ValueError(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
 
 
 def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]:

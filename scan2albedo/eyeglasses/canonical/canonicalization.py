@@ -77,12 +77,8 @@ class CanonicalEyeglasses:
     def uncanonicalize(self, vertices: ArrayLike) -> FloatArray:
         """Return canonical vertices (V, 3), edited or not, back in the frame's pose, bend and unit.
 
-        The exact inverse of `apply`: each vertex's own blended affine map, inverted.
-
-        Raises
-        ------
-        ValueError
-            When there are not as many vertices as weights.
+        The exact inverse of `apply`: each vertex's own blended affine map, inverted. Raises ValueError when
+        there are not as many vertices as weights.
         """
         xyz = np.asarray(vertices, np.float64)
         if xyz.shape != (len(self.weights), 3):

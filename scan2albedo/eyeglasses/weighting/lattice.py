@@ -29,14 +29,8 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a]
 class Lattice:
     """Cells and nodes in units of the spacing; cell (i, j, k) is the cube from (i, j, k) to (i + 1, ...).
 
-    Parameters
-    ----------
-    cells : (C, 3) int64
-        Distinct, in lexicographic order.
-    nodes : (N, 3) int64
-        All corners of the cells, in lexicographic order.
-    corners : (C, 8) int64
-        Nodes of each cell, in the order of `CORNERS`.
+    Distinct `cells` (C, 3) and all their corners, the `nodes` (N, 3), are in lexicographic order; `corners`
+    (C, 8) are the nodes of each cell, in the order of `CORNERS`.
     """
 
     cells: IntArray
