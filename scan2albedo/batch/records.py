@@ -123,6 +123,8 @@ METRICS = {
     "metrics_albedo_parameters_light_distance_mm": "float64",
     "metrics_albedo_converged": "bool",
     "metrics_albedo_uncertainty_albedo_deviation": "float64",
+    "metrics_albedo_uncertainty_direction_deviation_deg": "float64",
+    "metrics_albedo_uncertainty_intensity_deviation": "float64",
 }
 """Figures of `ProcessResult.metrics` that have a column even where no scan has them."""
 
