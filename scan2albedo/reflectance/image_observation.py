@@ -68,8 +68,7 @@ class ImageObservation:
         return float(np.asarray(self.observed_linear)[np.asarray(self.seen)].mean())
 
     def response(self, used: ArrayLike, lobe: Lobe = "tilted") -> LightResponse:
-        """Return how vertices `used` (U,), all seen, respond to light: rows of the transfer, or without
-        shadows.
+        """Return how seen vertices `used` (U,) respond to light: rows of the transfer, or without shadows.
 
         `lobe` applies without a transfer, see `light_response`; a transfer has its own.
         """

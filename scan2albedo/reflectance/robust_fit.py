@@ -26,10 +26,9 @@ _KINDS = {"cauchy": kernels.CAUCHY, "charbonnier": kernels.CHARBONNIER, "squares
 
 @dataclass(frozen=True)
 class ReflectancePrior:
-    """Gaussian prior of a vertex before its pictures, in units of `level`; a value out of range is a
-    `ValueError`.
+    """Gaussian prior of a vertex before its pictures, in units of `level`.
 
-    It keeps lobes that no picture shows from fitting noise.
+    It keeps lobes that no picture shows from fitting noise. A value out of range is a `ValueError`.
     """
 
     diffuse_mean: float = 1.0
@@ -126,44 +125,26 @@ def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions,
 
     Vertices that are done drop out. A budget ends it after the step that goes over it.
     """
-    count = data.observed.shape[1]
-    state = _State(
-        weight=np.ones(data.observed.shape[:2]),
-        estimate=np.zeros((count, 6)),
-        scale=np.full(count, np.inf),
-        loss=np.zeros(count),
-        misfit=np.zeros((count, 2)),
-    )
+    state, robust = _State.start(data), options.loss != "squares"
     observations = max(int((data.precision[:, rows] > 0).sum()), 1)
-    moving, iterations = rows, 0
-    state.solve(data, rows)
-    state.reweigh(data, rows, options)
-    meter.count()
-    meter.record(state.loss[rows].sum() / observations)
-    while options.loss != "squares" and len(moving) and iterations < _ITERATIONS and not meter.exhausted:
-        before = state.estimate[moving]
-        deviation = state.solve(data, moving)
-        state.reweigh(data, moving, options)
-        iterations += 1
+
+    def reweigh(part: IntArray) -> None:
+        state.reweigh(data, part, options)
         meter.count()
         meter.record(state.loss[rows].sum() / observations)
-        moved = (np.abs(state.estimate[moving] - before) > _TOLERANCE * deviation).any(1)
-        moving = moving[moved]
-    normal, center, deviation = (
-        np.empty((len(rows), 3, 14)),
-        np.empty((len(rows), 6)),
-        np.empty((len(rows), 6)),
-    )
 
-    def describe(block: slice) -> None:
-        kernels.add_normal_equations(
-            data.observed, data.precision, data.lobes, state.weight, rows[block], normal[block]
-        )
-        kernels.solve_free(normal[block], data.mean, data.prior, center[block], deviation[block])
-
-    each_block(describe, blocks(len(rows), _BLOCK))
+    state.solve(data, rows)
+    reweigh(rows)
+    moving, iterations = rows, 0
+    while robust and len(moving) and iterations < _ITERATIONS and not meter.exhausted:
+        before = state.estimate[moving]
+        deviation = state.solve(data, moving)
+        reweigh(moving)
+        iterations += 1
+        moving = moving[(np.abs(state.estimate[moving] - before) > _TOLERANCE * deviation).any(1)]
+    normal, center, deviation = state.posterior(data, rows)
     estimate = state.estimate[rows]
-    settled = ~np.isin(rows, moving) if options.loss != "squares" else np.ones(len(rows), bool)
+    settled = ~np.isin(rows, moving) if robust else np.ones(len(rows), bool)
     return RobustFit(
         estimate,
         center,
@@ -188,6 +169,13 @@ class _State:
     loss: FloatArray
     misfit: FloatArray
 
+    @classmethod
+    def start(cls, data: Observations) -> _State:
+        """Return the state of least squares, before any estimate."""
+        pictures, count = data.observed.shape[:2]
+        scale, misfit = np.full(count, np.inf), np.zeros((count, 2))
+        return cls(np.ones((pictures, count)), np.zeros((count, 6)), scale, np.zeros(count), misfit)
+
     def solve(self, data: Observations, rows: IntArray) -> FloatArray:
         """Update the estimate of `rows` (N,) and return their standard deviations (N, 6)."""
         found, center, deviation = (np.empty((len(rows), 6)) for _ in range(3))
@@ -202,6 +190,20 @@ class _State:
         each_block(work, blocks(len(rows), _BLOCK))
         self.estimate[rows] = found
         return deviation
+
+    def posterior(self, data: Observations, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return normal equations (N, 3, 14), means and standard deviations (N, 6) without bounds."""
+        normal = np.empty((len(rows), 3, 14))
+        center, deviation = np.empty((len(rows), 6)), np.empty((len(rows), 6))
+
+        def work(block: slice) -> None:
+            kernels.add_normal_equations(
+                data.observed, data.precision, data.lobes, self.weight, rows[block], normal[block]
+            )
+            kernels.solve_free(normal[block], data.mean, data.prior, center[block], deviation[block])
+
+        each_block(work, blocks(len(rows), _BLOCK))
+        return normal, center, deviation
 
     def reweigh(self, data: Observations, rows: IntArray, options: ReflectanceFitOptions) -> None:
         """Update weights, losses and misfits of `rows` (N,)."""
