@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_li
 
 _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
 
+_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 _LARGEST_INDEX = 2.0**53
 """Beyond it a float64 does not hold every whole number; such an index, or NaN, points nowhere."""
 
@@ -32,18 +33,23 @@ def read_stl(path: Path) -> ParsedMesh:
     ScanError
         When the file is damaged, cut short or empty; the message names it.
     """
-    from trimesh.exchange.stl import HeaderError, load_stl
+    from trimesh.exchange.stl import load_stl_ascii, load_stl_binary
 
     data = path.read_bytes()
+    declared = int.from_bytes(data[80:84], "little")
+    needed = _STL_HEADER_BYTES + _STL_TRIANGLE_BYTES * declared
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", DeprecationWarning)  # older NumPy's, of text that is no numbers
-            loaded = load_stl(BytesIO(data))
-    except (HeaderError, ValueError, LookupError, DeprecationWarning) as error:
+        if len(data) == needed:
+            loaded = load_stl_binary(BytesIO(data))
+        elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", DeprecationWarning)  # of text that is no numbers
+                loaded = load_stl_ascii(StringIO(data.decode("utf-8", "replace")))
+        else:
+            what = f"it has {len(data)} bytes, but {declared} triangles need {needed}"
+            raise _damaged(path, f"{what}, and it does not end with endsolid", "STL")
+    except (ValueError, LookupError, DeprecationWarning) as error:
         raise _damaged(path, str(error), "STL") from error
-    text = "face_attributes" not in loaded  # which are those of binary files
-    if text and b"endsolid" not in data[-4096:].lower():
-        raise _damaged(path, "its length is not that of its header, and it does not end with endsolid", "STL")
     solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
     if not solids:
         raise _damaged(path, "it holds no triangles", "STL")

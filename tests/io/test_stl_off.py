@@ -52,6 +52,12 @@ def test_all_solids_of_a_text_stl_are_read(tmp_path):
         load_scan(tmp_path / "b.stl")
 
 
+def test_the_name_of_a_text_stl_may_be_in_any_encoding(tmp_path):
+    text = SPHERE.export(file_type="stl_ascii").encode().replace(b"solid", b"solid Gesch\xfctz", 1)
+    (tmp_path / "a.stl").write_bytes(text)
+    assert len(load_scan(tmp_path / "a.stl").faces) == len(SPHERE.faces)
+
+
 @pytest.mark.parametrize(
     "data", [bytes(84), b"solid\nvertex 0 0\nvertex 1 0\nvertex 1 1\nendsolid\n", b"solid\nendsolid\n"]
 )
