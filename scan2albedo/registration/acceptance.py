@@ -27,9 +27,11 @@ from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
 _BEYOND_DOUBT = 0.62
+"""Certainty that no surface but a face reaches, seen from in front."""
 _CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
 _MIXED_SHARE = 0.02
+"""A greater share of triangles wound against their neighbours is the reason to name."""
 _OTHER_FACE_MM = 100.0
 _OTHER_ROTATION_RAD = np.deg2rad(20)
 _OTHER_POSITION_MM = 30.0

@@ -24,6 +24,7 @@ from scan2albedo.registration.template import Template
 FloatArray = NDArray[np.float64]
 
 _HUMAN_SCALE = (0.75, 1.3)
+"""Sizes of people's faces, children's too, relative to the model's."""
 
 
 @dataclass(frozen=True)
