@@ -32,9 +32,7 @@ KEY_POINT_NAMES: tuple[str, ...] = (
 )
 """Names in the order of all (20, 3) arrays. Left and right are the wearer's. Of each rim: its top and bottom,
 where the bridge meets it, below that the side at the nose, and the side at the temple."""
-
 KEY_POINT_COUNT = len(KEY_POINT_NAMES)
-
 
 MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
 """Index of each key point's counterpart on the other side."""

@@ -13,7 +13,6 @@ from scan2albedo.geometry.mesh import normalized
 
 FloatArray = NDArray[np.float64]
 
-
 PRIOR = 0.1
 """Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
 straight bone shows in no key point."""

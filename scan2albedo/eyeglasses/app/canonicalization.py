@@ -39,7 +39,6 @@ from scan2albedo.report.overview import overview_figure
 
 FloatArray = NDArray[np.float64]
 
-
 FRAME_RECORD, SET_RECORD = "result.json", "set.json"
 """They come last: a folder that has one is whole."""
 

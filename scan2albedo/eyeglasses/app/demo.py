@@ -44,7 +44,6 @@ Mesh = tuple[FloatArray, IntArray]
 
 Head = Literal["fitted", "true", "none"]
 
-
 INPUT = "input"
 """Folder with what a person who takes pictures would bring."""
 LENSES = "lenses"

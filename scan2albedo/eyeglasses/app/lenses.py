@@ -27,7 +27,6 @@ from scan2albedo.geometry.pinhole import normalized_cameras, pixel_directions
 
 FloatArray = NDArray[np.float64]
 
-
 _LAMPS = (
     ((-0.6, 0.6, 0.7), 0.82, 7.0),
     ((0.9, 0.15, 0.6), 0.86, 1.6),
@@ -37,7 +36,6 @@ _LAMPS = (
 fill, and one above the sitter."""
 _SOFTNESS = 0.08
 """Cosines over which a lamp's edge fades."""
-
 
 EnvironmentKind = Literal["given", "built-in", "none"]
 _WORN_MM = 150.0

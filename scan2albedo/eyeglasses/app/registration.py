@@ -34,8 +34,6 @@ from scan2albedo.report.overview import overview_figure
 
 _APART_MM = 25.0
 """Distance of the nearest key point from the head beyond which nobody wears the frame."""
-
-
 RECORD = "result.json"
 """Comes last: a folder that has one is whole."""
 _COLUMNS = 3

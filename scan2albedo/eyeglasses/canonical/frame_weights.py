@@ -32,7 +32,7 @@ class Frame:
     points: FloatArray
     weights: FloatArray | None = None
 
-    def blamed(self, reason: str) -> str:
+    def fault(self, reason: str) -> str:
         """Return what is wrong with the frame, beginning with its number and its name if it has one."""
         return f"frame {self.number}{f', {self.name}' if self.name else ''}: {reason}"
 
@@ -105,10 +105,10 @@ def weigh_frames(
             done.append(_weighted(used, spacing, options, meter, len(frames) - i))
         except EyeglassesError as error:
             if not skip_failed:
-                raise EyeglassesError(frame.blamed(str(error))) from error
+                raise EyeglassesError(frame.fault(str(error))) from error
             failures[frame.number] = str(error)
     if not done:
-        raise EyeglassesError("; ".join(f.blamed(failures[f.number]) for f in frames))
+        raise EyeglassesError("; ".join(f.fault(failures[f.number]) for f in frames))
     return done, failures
 
 

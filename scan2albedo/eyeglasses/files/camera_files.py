@@ -21,7 +21,6 @@ FloatArray = NDArray[np.float64]
 _Row = tuple[float, float, float, float]
 BoolArray = NDArray[np.bool_]
 
-
 _SINGULAR = 1e-9
 """Volume that the three rows' unit vectors span below which a camera maps space onto a line."""
 

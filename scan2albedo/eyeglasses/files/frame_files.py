@@ -21,11 +21,8 @@ from scan2albedo.io.units import MM_PER_UNIT
 
 FloatArray = NDArray[np.float64]
 
-
 Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 """Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
-
-
 _CANONICAL_LAYOUT: Layout = {
     "vertices": (float, "V", 3),
     "faces": (int, "F", 3),

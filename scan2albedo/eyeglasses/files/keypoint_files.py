@@ -19,7 +19,6 @@ from scan2albedo.io.records import read_record, write_record
 
 FloatArray = NDArray[np.float64]
 
-
 _Coordinate = Annotated[float, Field(allow_inf_nan=False)]
 _Point = tuple[_Coordinate, _Coordinate, _Coordinate]
 _Pixel = tuple[_Coordinate, _Coordinate]

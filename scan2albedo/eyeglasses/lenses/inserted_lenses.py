@@ -21,7 +21,6 @@ from scan2albedo.geometry.rays import RayCaster
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 SIDES = ("left", "right")
 _BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
 _RADII_MM = (5.0, 100.0)

@@ -35,7 +35,6 @@ _NO_ENVIRONMENT = "no environment is given: lenses mirror surfaces only, and bla
 
 Lenses = LensMaterial | tuple[LensMaterial | None, LensMaterial | None]
 
-
 _FRINGE_PX = 1
 """Pixels around the frame, and of the background around surfaces, that a photograph's colours are not taken
 from: they may hold some of both."""

@@ -31,13 +31,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-
 _BAND = 2**18
 """Rays that are followed at once: a bound on memory."""
 _JUMP_PX = 8.0
 """Step in depth between neighbouring pixels, in sizes of a pixel there, that is an edge."""
-
-
 _NEGLIGIBLE = 1e-12
 """Part of all light below which a light may be left out."""
 

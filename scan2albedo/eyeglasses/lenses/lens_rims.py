@@ -25,7 +25,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-
 _PLACES = 12
 _INNER = 0.4
 """Parts are looked for on a circle of this many lens radii around the centre, and at the centre."""
@@ -39,8 +38,6 @@ _AT_RIM = 0.25
 """Lens radii between a rim's key points and its surface, at most."""
 _ENOUGH = 0.75
 """Share of the places at which a lens is met; what crosses fewer is a strut or a nose pad."""
-
-
 _FEWEST = 32
 """Points of a rim; with fewer, neighbours are too far apart to tell the rim from what is in the way."""
 _LONGEST_GAP_DEG = 30.0

@@ -14,7 +14,6 @@ from scan2albedo.geometry.mesh import normalized
 
 FloatArray = NDArray[np.float64]
 
-
 _ROUNDING = 1e-12
 
 

@@ -59,7 +59,7 @@ def mark_facing(normal, toward, paths):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def ask_neighbours(point, near, paths):  # type: ignore[no-untyped-def]
+def copy_from_neighbours(point, near, paths):  # type: ignore[no-untyped-def]
     """Take over what is WAITING at `point` (M,) from `near` (M, 4) where these agree and face the light."""
     for m in range(len(point)):
         i, a, b, c, d = point[m], near[m, 0], near[m, 1], near[m, 2], near[m, 3]

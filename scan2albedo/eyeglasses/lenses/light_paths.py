@@ -15,7 +15,7 @@ from scan2albedo.eyeglasses.lenses.lens_scene import SeenPoints
 from scan2albedo.eyeglasses.lenses.light_kernels import (
     DARK,
     WAITING,
-    ask_neighbours,
+    copy_from_neighbours,
     lens_rays,
     mark_facing,
     set_paths,
@@ -28,12 +28,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Paths = NDArray[np.uint8]
 
-
 _STEEPEST = 4.0
 """Distance between two points of one smooth piece in widths of what lies between their rays, at most: the
 surface is seen at 14 degrees then. Neighbours farther apart may lie on different pieces."""
-
-
 _RAYS = 2**20
 """Rays that are shot at once: a bound on memory."""
 
@@ -151,7 +148,7 @@ def light_paths(
     mark_facing(normal, toward, paths)
     start = shadow_origins(caster, position, normal, offset_mm)
     for stage in stages:
-        ask_neighbours(stage.point, stage.near, paths)
+        copy_from_neighbours(stage.point, stage.near, paths)
         waiting = partial(waiting_rays, paths, stage.point, start, toward)
         _shoot(caster, paths, len(stage.point), waiting, hit=DARK - WAITING, free=1 - WAITING)
     for number, lens in enumerate(lenses):

@@ -25,7 +25,6 @@ _LEAST_SHARE = 0.2
 _SAME_POINT = 3e-4
 """Distance between a point and what the camera sees in its direction, as a part of the scene's size, up to
 which they are the same: embree's float32 picks a neighbouring face at times."""
-
 _DARK = 1e-6
 """Albedos are at least this where brightness is divided by them."""
 

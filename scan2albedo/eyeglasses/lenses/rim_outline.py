@@ -15,11 +15,8 @@ from scan2albedo.geometry.rays import RayCaster
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 _FLAT = 0.05
 """Spread of rim points across their longest direction below which they are a line and hold no plane."""
-
-
 _REACH = 0.16
 """Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
 _HEIGHTS = 33

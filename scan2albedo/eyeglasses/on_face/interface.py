@@ -15,7 +15,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-
 OBSERVED_MM = 1.2
 """Standard deviation up to which a point counts as observed, in mm of a frame of usual size."""
 

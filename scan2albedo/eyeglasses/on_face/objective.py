@@ -19,7 +19,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-
 _CONTACT_MM = 1.0
 """Usual distance between nose and frame."""
 _BEHIND = 1e6
@@ -28,8 +27,6 @@ _CAUCHY = 2.0
 """Standard deviations from which a label's error counts less and less."""
 _HUBER = 2.0
 """Standard deviations from which an outline's error counts by its size alone."""
-
-
 _DAMPING = Damping(largest=1e6)
 
 
@@ -169,7 +166,7 @@ class RegistrationObjective:
         return errors
 
     def _add_contact(self, contact: HeadContact, motion: FrameMotion, sums: _Sums) -> None:
-        point, place, distance, slope = contact.touch(motion)
+        point, place, distance, slope = contact.nearest_point(motion)
         value = np.array([distance / _CONTACT_MM])
         sums.add(motion, point, place, slope / _CONTACT_MM, value, np.ones(1))
         sums.cost += float(value[0] ** 2)

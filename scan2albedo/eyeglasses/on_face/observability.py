@@ -16,13 +16,10 @@ from scan2albedo.geometry.pinhole import project
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-
 _RIDGE = 1e-12
 """Least eigenvalue of the scaled matrix, as a part of the largest: open directions stay finite."""
 _MEDIAN_OF_RAYLEIGH, _MEDIAN_OF_NORMAL = 1.1774, 0.6745
 """Medians of a label's distance and of an outline's absolute error at a deviation of 1 a coordinate."""
-
-
 _NEAR_PX, _NEAR = 3.0, 4.0
 """Pixels of one mask this near to the other agree with it: at least, and in deviations of outlines."""
 _PATCH_PX = 25.0

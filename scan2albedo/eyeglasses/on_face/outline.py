@@ -16,7 +16,6 @@ BoolArray = NDArray[np.bool_]
 
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""
-
 _SPREAD = np.array([0.63131, 0.52854])
 """Numbers whose sums, differences and multiples have fractional parts that are spread evenly; found by trying
 thousands for ten ways that an outline may run."""

@@ -14,7 +14,6 @@ from scan2albedo.geometry.mesh import face_normals, normalized
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 _STRETCH = 0.001
 """Part of its length by which a bone is usually stretched."""
 _RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
@@ -25,9 +24,8 @@ _RIGID_MM = 1e-3
 _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
 _TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
 
-
 _CANDIDATES = 200
-"""Front vertices nearest to the head that are watched between two choices."""
+"""Front vertices nearest to the head that are looked at until they are chosen anew."""
 _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
 
 
@@ -103,9 +101,9 @@ class HeadContact:
         self._normals = face_normals(vertices, faces)
         front = np.flatnonzero(_FRONT[points.weights.argmax(1)])
         self._front = SkinnedPoints(points.rest[front], points.weights[front])
-        self._watched = self._front
+        self._candidates = self._front
 
-    def face(self, motion: FrameMotion, viewers: FloatArray) -> None:
+    def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
         place = motion.positions(self._front)
         hits = self._query.query(place)
@@ -113,19 +111,19 @@ class HeadContact:
         if np.einsum("ni,ni->n", self._normals[hits.face], toward).sum() < 0:
             self._normals = -self._normals
 
-    def watch(self, motion: FrameMotion) -> None:
+    def select_candidates(self, motion: FrameMotion) -> None:
         """Choose the vertices that may touch next."""
         if len(self._front.rest) > _CANDIDATES:
             distance = self._query.query(motion.positions(self._front)).distance
             nearest = np.argpartition(distance, _CANDIDATES)[:_CANDIDATES]
-            self._watched = SkinnedPoints(self._front.rest[nearest], self._front.weights[nearest])
+            self._candidates = SkinnedPoints(self._front.rest[nearest], self._front.weights[nearest])
 
     def __bool__(self) -> bool:
         return len(self._front.rest) > 0
 
-    def touch(self, motion: FrameMotion) -> tuple[SkinnedPoints, FloatArray, float, FloatArray]:
+    def nearest_point(self, motion: FrameMotion) -> tuple[SkinnedPoints, FloatArray, float, FloatArray]:
         """Return the point that is nearest or deepest, its place (1, 3), signed distance, slope (1, 3)."""
-        place = motion.positions(self._watched)
+        place = motion.positions(self._candidates)
         hits = self._query.query(place)
         normals = self._normals[hits.face]
         height = np.einsum("ni,ni->n", place - hits.points, normals)
@@ -134,5 +132,6 @@ class HeadContact:
         away = place[first] - hits.points[first]
         length = float(np.linalg.norm(away))
         slope = normals[first] if length < 1e-9 else np.sign(signed[first]) * away / length
-        point = SkinnedPoints(self._watched.rest[first : first + 1], self._watched.weights[first : first + 1])
-        return point, place[first : first + 1], float(signed[first]), slope[None]
+        one = slice(first, first + 1)
+        point = SkinnedPoints(self._candidates.rest[one], self._candidates.weights[one])
+        return point, place[one], float(signed[first]), slope[None]

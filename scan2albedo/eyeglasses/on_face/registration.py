@@ -39,7 +39,6 @@ from scan2albedo.geometry.thinning import thinned
 
 FloatArray = NDArray[np.float64]
 
-
 _STEPS_A_TRACE, _TOLERANCE_A_TRACE = 6, 1e-3
 """Most steps on one tracing of the outlines, and the part of the cost below which a gain ends them."""
 _DISAGREE = 2.0
@@ -254,9 +253,9 @@ class _Registration:
         if not contact or self.meter.exhausted:
             self._note("contact", False, "the frame has no front, or the budget has ended", evidence)
             return before
-        contact.face(motion, camera_centers(np.stack([view.camera for view in self.given.views])))
-        contact.watch(motion)
-        gap = abs(contact.touch(motion)[2])
+        contact.orient(motion, camera_centers(np.stack([view.camera for view in self.given.views])))
+        contact.select_candidates(motion)
+        gap = abs(contact.nearest_point(motion)[2])
         if gap > _NEAR_MM:
             reason = "the head is not near the frame: is it in its frame and unit?"
             self._note("contact", False, reason, f"{gap:.0f} mm")
@@ -264,7 +263,7 @@ class _Registration:
         self.objective.contact = contact
         linearize = partial(self.objective.linearize, samples=None, rigid=not self.options.bend)
         found = self._fit_labels("contact", linearize, before.state)
-        contact.watch(self.objective.motion(found.state))
+        contact.select_candidates(self.objective.motion(found.state))
         self._note("contact", True, "the views do not see depth: the frame rests on the nose", evidence)
         return found
 

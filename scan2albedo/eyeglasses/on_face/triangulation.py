@@ -14,7 +14,6 @@ from scan2albedo.optimization.least_squares import Damping, NormalEquations, min
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-
 _STEPS = 50
 """Most steps a point."""
 _DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=0.0, largest=1e12)

@@ -24,7 +24,6 @@ from scan2albedo.geometry.rays import RayCaster
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 _REACH = 0.05
 """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
 _COINCIDENT = 1e-6

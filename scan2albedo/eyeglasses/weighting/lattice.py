@@ -16,11 +16,8 @@ from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.int64)
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
-
-
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
 """The 12 edges of a cell as pairs of its corners."""
 

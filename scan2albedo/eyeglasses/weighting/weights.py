@@ -21,15 +21,12 @@ from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
 _COARSE_NODES = 1500
 """Lattices of more nodes start from the weights of a lattice of twice the spacing."""
 _MAX_STEPS = 60
 """Newton steps a handle on one lattice."""
 _ROUGH = 1e-4
 """Scaled residual at which a coarser lattice's weights are good enough to start from."""
-
-
 STAGE, UNIT = "eyeglasses.weights", "scaled KKT residual"
 _VANISHED = 1e-6
 """Sum of the weights below which no key point holds a node: dividing by it would amplify rounding."""
