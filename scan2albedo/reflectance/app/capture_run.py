@@ -93,9 +93,7 @@ class FittedCapture:
 
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
-    """Write what each flash added as linear EXR pictures, one a pair, and a sheet; return
-    `reflectance.json`'s figures.
-    """
+    """Write what each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
     with _naming(capture):
         olat = capture.extract_olat()
     names = capture.pair_names()

@@ -46,9 +46,7 @@ _ONE_HELD_OUT_OF = 3
 
 @dataclass(frozen=True)
 class FittedPhotograph:
-    """A photograph, the vertices (V, 3) in mm in the camera's frame, what was seen of them, and what explains
-    it.
-    """
+    """A photograph, its face's vertices (V, 3) in mm in the camera's frame, and what explains it."""
 
     photograph: PhotographFiles
     vertices: FloatArray
