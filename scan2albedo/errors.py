@@ -88,3 +88,8 @@ def needs_extra(extra: str) -> Iterator[None]:
         raise MissingDependencyError(
             f"{error}; install what this needs with: pip install 'scan2albedo[{extra}]'"
         ) from error
+
+
+def one_line(error: BaseException | str) -> str:
+    """Return a message, or that of an error, on one line."""
+    return " ".join(str(error).split())

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from scan2albedo.batch.layout import Layout, folder_sha256
 from scan2albedo.batch.records import BatchScanRecord
-from scan2albedo.errors import BatchError, Scan2AlbedoError
+from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.input_hash import input_sha256
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class ScanTask:
 
     def failed(self, reason: str, **figures: Any) -> BatchScanRecord:
         """Return the record of this scan as one that failed."""
-        return self.record("failed", reason=" ".join(reason.split()), **figures)
+        return self.record("failed", reason=one_line(reason), **figures)
 
     def record(self, status: str, **figures: Any) -> BatchScanRecord:
         """Return a record of this scan, finished now."""
@@ -109,7 +109,7 @@ def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
         known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
         known |= _input(task)
         _remove_older_result(layout.out / task.name)
-    known["reason"] = " ".join(known.get("reason", "").split())
+    known["reason"] = one_line(known.get("reason", ""))
     return task.record(
         status,
         seconds=time.perf_counter() - start,

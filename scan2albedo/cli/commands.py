@@ -17,7 +17,6 @@ from scan2albedo.cli.common import (
     USAGE_ERROR,
     JsonOption,
     echo_json,
-    one_line,
     refuse_shared_folders,
     stop_cleanly_on_interrupt,
     with_process_flags,
@@ -26,7 +25,7 @@ from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.report import report
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.pipeline.options import ProcessOptions
 
 app = typer.Typer(

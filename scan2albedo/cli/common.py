@@ -44,11 +44,6 @@ def refuse_shared_folders(scans: list[Path]) -> None:
             )
 
 
-def one_line(error: BaseException | str) -> str:
-    """Return a message, or that of an error, on one line."""
-    return " ".join(str(error).split())
-
-
 def stop_cleanly_on_interrupt(out: Path | None) -> None:
     """Make Ctrl-C remove what is half-written in `out`, say so, and end the process at once.
 

@@ -12,10 +12,10 @@ from scan2albedo.cli.common import (
     USAGE_ERROR,
     JsonOption,
     echo_json,
-    one_line,
     refuse_shared_folders,
     stop_cleanly_on_interrupt,
 )
+from scan2albedo.errors import one_line
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines

@@ -15,7 +15,7 @@ from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.records import Content, parse_record
 
@@ -110,7 +110,7 @@ def read_npz(
                 there = [name for name in optional if name in stored.files]
                 return {name: stored[name] for name in (stored.files if names is None else (*names, *there))}
     except (OSError, *_DAMAGE) as cause:
-        reason = " ".join(str(cause).split())
+        reason = one_line(cause)
         raise error(f"{what} {path} cannot be read ({reason}); {advice}") from cause
 
 

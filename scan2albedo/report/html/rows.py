@@ -9,7 +9,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
-from scan2albedo.errors import Scan2AlbedoError, needs_extra
+from scan2albedo.errors import Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns
 
@@ -68,7 +68,7 @@ def rows_of_folders(folders: list[Path]) -> list[ScanRow]:
         try:
             record = read_record(folder / RESULT_FILE, ResultRecord)
         except Scan2AlbedoError as error:
-            rows.append(ScanRow(folder.name, FAILED, " ".join(str(error).split()), folder))
+            rows.append(ScanRow(folder.name, FAILED, one_line(error), folder))
         else:
             rows.append(row_of_record(record, folder))
     return rows
@@ -112,7 +112,7 @@ def _table(file: Path) -> Any:
     try:
         return parquet.read_table(file)
     except (OSError, pyarrow.ArrowException) as error:
-        first = " ".join(str(error).split())[:200]
+        first = one_line(error)[:200]
         raise Scan2AlbedoError(
             f"{file}: cannot be read as Parquet ({first}); run the batch again, or remove the file so that "
             "the table is made of the result.json files"

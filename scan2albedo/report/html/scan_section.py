@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.result_records import ResultRecord, flat_figures
 from scan2albedo.report.html.charts import StageChart, read_trace, stage_charts
 from scan2albedo.report.html.encoding import TextureStyle, Topologies, picture_url
@@ -144,14 +144,14 @@ def _viewer(
         residual = residual_of_result(folder, record, viewed.face.mesh) if style.residual else unknown
         return viewer_entry(viewed, record, topologies, style.texture, residual.distance_mm), "", residual
     except Scan2AlbedoError as error:
-        return None, " ".join(str(error).split()), unknown
+        return None, one_line(error), unknown
 
 
 def _trace(folder: Path) -> tuple[list[StageChart], str]:
     try:
         charts = stage_charts(read_trace(folder / "trace.csv"))
     except Scan2AlbedoError as error:
-        return [], " ".join(str(error).split())
+        return [], one_line(error)
     return charts, "" if charts else "no iterative stage ran"
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scan2albedo.applications.files import fitted_mesh, load_result
 from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
@@ -67,7 +67,7 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
             return Residual(None, "registration.json holds no pose of the fit")
         distance = _distances(file, str(record.options.get("unit", "auto")), np.array(pose), mesh)
     except Scan2AlbedoError as error:
-        return Residual(None, " ".join(str(error).split()))
+        return Residual(None, one_line(error))
     mean = float(np.nanmean(distance)) if np.isfinite(distance).any() else float("nan")
     return Residual(distance, f"measured again against {file.name}: {mean:.3f} mm in the mean")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
@@ -138,7 +138,7 @@ def _write_batch(
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
         except Scan2AlbedoError as error:
-            not_shown.append((rows[k].name, " ".join(str(error).split())))
+            not_shown.append((rows[k].name, one_line(error)))
             continue
         anchors[k] = f"scan-{k + 1}"
         sections.append(
