@@ -110,7 +110,7 @@ def _carrier(handles: str) -> Literal["turned", "translated"]:
 def _checked_budget(unit: str, budget: float | None) -> Budget:
     """Return the budget, or refuse what no library call takes."""
     from scan2albedo.core import Budget
-    from scan2albedo.eyeglasses.app.input import check_unit
+    from scan2albedo.io.units import check_unit
 
     try:
         check_unit(unit)
@@ -264,10 +264,10 @@ def lenses(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions
-    from scan2albedo.eyeglasses.app.input import check_unit
     from scan2albedo.eyeglasses.app.lens_files import run_lenses
     from scan2albedo.eyeglasses.app.lens_input import material_pair, read_lens_input
     from scan2albedo.io.atomic import check_writable
+    from scan2albedo.io.units import check_unit
 
     try:
         check_unit(unit)

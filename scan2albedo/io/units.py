@@ -23,6 +23,12 @@ _FINE_STEP, _COARSE_STEP = 1e-4, 1e-2
 """Rounding as a part of a scan's extent: no note up to the first, an error beyond the second."""
 
 
+def check_unit(unit: str) -> None:
+    """Raise ValueError unless it is auto, mm, cm or m."""
+    if unit != "auto" and unit not in MM_PER_UNIT:
+        raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
+
+
 def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64]) -> float:
     """Return how long the scan is along its longest principal axis, in file units.
 
@@ -119,8 +125,7 @@ def _decided(
                 f"(expected {low:g} to {high:g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
             )
         return MM_PER_UNIT[fitting[0]], _note(fitting[0], extent, "decided from the size")
-    if unit not in MM_PER_UNIT:
-        raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
+    check_unit(unit)
     low, high = plausible_mm
     plausible = low <= extent * MM_PER_UNIT[unit] < high
     doubt = "" if plausible else f", though a {kind} measures {low:g} to {high:g} mm"

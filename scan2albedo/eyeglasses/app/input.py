@@ -14,7 +14,7 @@ from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoint
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan_with
-from scan2albedo.io.units import MM_PER_UNIT, glasses_millimetres_per_unit
+from scan2albedo.io.units import MM_PER_UNIT, check_unit, glasses_millimetres_per_unit
 
 if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
@@ -46,12 +46,6 @@ class GlassesFrame:
     def name(self) -> str:
         """The mesh file's stem."""
         return self.scan.name
-
-
-def check_unit(unit: str) -> None:
-    """Raise ValueError unless it is auto, mm, cm or m."""
-    if unit != "auto" and unit not in MM_PER_UNIT:
-        raise ValueError(f"unit is {unit!r}, expected auto, {', '.join(MM_PER_UNIT)}")
 
 
 def keypoints_beside(mesh: Path) -> Path:
