@@ -143,12 +143,6 @@ class ProcessOptions:
 
         return quality_of(self.quality)
 
-    def asked(self, step: str, preset: bool | None = None) -> bool | None:
-        """Return False for a skipped step, True for a forced one, else the preset's: None is by evidence."""
-        if step in self.skip:
-            return False
-        return True if step in self.force else preset
-
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `process`."""
         return {option.name: getattr(self, option.name) for option in fields(self)}

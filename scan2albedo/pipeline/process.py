@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -192,20 +192,21 @@ def _processed(
 
 def _registration_options(options: ProcessOptions) -> RegistrationOptions:
     """Return the preset's options with the step that the caller skips or forces."""
-    preset, asked = options.stages.registration, options.asked("register.depth_annealing")
-    if asked is None:
-        return preset
-    return replace(preset, force_annealing=True) if asked else replace(preset, annealing_evaluations=0)
+    preset, step = options.stages.registration, "register.depth_annealing"
+    if step in options.skip:
+        return replace(preset, annealing_evaluations=0)
+    return replace(preset, force_annealing=True) if step in options.force else preset
 
 
 def _estimate_options(options: ProcessOptions) -> EstimateOptions:
     """Return the preset's options with the steps that the caller skips or forces."""
     preset, asked = options.stages.albedo, {*options.skip, *options.force}
-    skip, force = (
-        (*(step for step in preset_steps if step not in asked), *(s for s in steps if s in OPTIONAL_STEPS))
-        for preset_steps, steps in ((preset.skip, options.skip), (preset.force, options.force))
-    )
-    return replace(preset, skip=skip, force=force)
+
+    def steps(of_preset: Sequence[str], of_caller: Sequence[str]) -> tuple[str, ...]:
+        kept = (step for step in of_preset if step not in asked)
+        return (*kept, *(step for step in of_caller if step in OPTIONAL_STEPS))
+
+    return replace(preset, skip=steps(preset.skip, options.skip), force=steps(preset.force, options.force))
 
 
 def _plan(

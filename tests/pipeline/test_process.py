@@ -16,6 +16,7 @@ import pytest
 import trimesh
 
 import scan2albedo as s2a
+from scan2albedo.albedo.options import OPTIONAL_STEPS
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
@@ -280,6 +281,10 @@ def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
     result = s2a.process(scan, tmp_path / "out", model="none", size=48, pictures=False)
     record = json.loads((result.out / "result.json").read_text())
     assert record["input"]["sha256"] == result.input_sha256 == before != input_sha256(scan)
+
+
+def test_every_step_that_evidence_decides_on_can_be_forced():
+    assert (STEP, *OPTIONAL_STEPS) == FORCEABLE
 
 
 def test_its_options_are_its_parameters():
