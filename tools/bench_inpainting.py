@@ -3,7 +3,7 @@
     python tools/bench_inpainting.py [--sizes 256 512] [--seeds 3] [--out DIR]
 
 Glossy, over-exposed hemispheres and faces are divided by their *true* light, so that nothing but the clipped
-texels errs; then `finishing.inpainted` decides and fills. Printed for every scene, over the texels it filled:
+texels errs; `saturation.inpainted` decides and fills. Printed for every scene, over the texels it filled:
 
 - error: mean |A - A_true|, relative to that of leaving them as divided;
 - variance: median local variance of log V in windows of 7 x 7 texels, relative to the true texture's;
@@ -22,12 +22,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scan2albedo.albedo.finishing import inpainted
 from scipy.ndimage import binary_erosion, uniform_filter
 from skimage.restoration import inpaint_biharmonic
 
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
 
 FloatArray = NDArray[np.float64]
@@ -76,18 +76,17 @@ def divided_by_true_light(scene: SyntheticScene) -> FloatArray:
 
 
 def fill(scene: SyntheticScene, seed: int = 0) -> Filled | None:
-    """Return the region that `finishing.inpainted` chose, filled by every method; None without a region."""
+    """Return the region that `saturation.inpainted` chose, filled by every method; None without a region."""
     left = divided_by_true_light(scene)
     usable = usable_texels(scene.image, OPTIONS)
-    specular = scene.gain * scene.specular
-    finished, step = inpainted(left.astype(np.float32), scene.image, specular, usable, OPTIONS, seed)
+    finished, step = inpainted(left.astype(np.float32), scene.image, usable, OPTIONS, seed)
     if not step.ran:
         return None
     target = allowed_texels(scene) & ~(finished == left.astype(np.float32)).all(-1)
     clipped = scene.image.texture_linear >= OPTIONS.saturation_linear
     target |= allowed_texels(scene) & clipped.any(-1)
     start = time.perf_counter()
-    inpainted(left.astype(np.float32), scene.image, specular, usable, OPTIONS, seed)
+    inpainted(left.astype(np.float32), scene.image, usable, OPTIONS, seed)
     middle = time.perf_counter()
     biharmonic = inpaint_biharmonic(left, target, channel_axis=-1)
     return Filled(

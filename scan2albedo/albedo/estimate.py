@@ -92,8 +92,8 @@ def estimate_albedo(
 
     Notes
     -----
-    What no picture tells is told: the plan's row `albedo.limits` ran where the light found is at an end of
-    what is searched, such as the least intensity where there is no light, or one that is not modelled.
+    The plan's row `albedo.limits` ran where the light found is at an end of what is searched, such as the
+    least intensity where there is no light, or where light is left that is not modelled.
 
     References
     ----------
@@ -108,12 +108,12 @@ def estimate_albedo(
     image = with_every_normal(image)
     _warn_when_turned_away(toward_viewer(image, usable, view), view)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
-    if brdf == "spherical-harmonics":
-        return _divide_harmonics(image, usable, view, options, meter)
     scene = LitImage(image, usable, brdf, view, options, meter)
+    if brdf == "spherical-harmonics":
+        return _divide_harmonics(scene)
     paper = options.objective == "albedo-deviation"
     found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-    return _divide(image, found, usable, view, seed, options, meter)
+    return _divide(scene, found, seed)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
@@ -148,20 +148,13 @@ def _warn_when_turned_away(facing: float, view: tuple[float, float, float]) -> N
         )
 
 
-def _divide(
-    image: GeometryImage,
-    found: LightFound,
-    usable: NDArray[np.bool_],
-    view: tuple[float, float, float],
-    seed: int,
-    options: EstimateOptions,
-    meter: Meter,
-) -> AlbedoEstimate:
+def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     """Remove the light found from the full-size image."""
+    image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
     mask, deviation = image.mask, found.albedo_deviation
     lights, reflectance = physical_light(found.solution, found.unit)
-    lit = shade_image(image, lights, reflectance, view, found.caster, options.shadow_offset_mm)
+    lit = shade_image(image, lights, reflectance, scene.view, found.caster, options.shadow_offset_mm)
     light, specular, shadow, cast = (
         _on_grid(mask, field)
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
@@ -199,7 +192,7 @@ def _divide(
         iterations=meter.evaluations,
         residual=found.solution.cost,
         image=image,
-        view_direction=view,
+        view_direction=scene.view,
         reflectance=reflectance,
         casts_shadows=found.caster is not None,
         shadow_offset_mm=options.shadow_offset_mm,
@@ -217,7 +210,7 @@ def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | No
 
 
 def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:
-    """Return lights and reflectance with the highlight in the texture's unit (the search's times `unit`)."""
+    """Return lights and reflectance with the highlight in the texture's unit, `unit` of the search's."""
     found = solution.hypothesis
     strength = found.reflectance.specular_strength * unit
     return found.lights(), replace(found.reflectance, specular_strength=strength)
@@ -253,26 +246,15 @@ def _parameters(reflectance: Reflectance, lights: Sequence[PointLight]) -> dict[
     }
 
 
-def _divide_harmonics(
-    image: GeometryImage,
-    usable: NDArray[np.bool_],
-    view: tuple[float, float, float],
-    options: EstimateOptions,
-    meter: Meter,
-) -> AlbedoEstimate:
+def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
     """Fit spherical harmonics to each channel and divide by them."""
+    image, options, meter = scene.image, scene.options, scene.meter
     assert image.texture_linear is not None
-    coefficients = fit_harmonic_light(image, usable, options, meter)
+    coefficients = fit_harmonic_light(image, scene.usable, options, meter)
     shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
+    values = image.texture_linear.astype(np.float64)
     divisions = [
-        divide_light(
-            image.texture_linear[..., c].astype(np.float64),
-            shading[..., c],
-            none,
-            image.mask,
-            usable,
-            shrink=options.shrink,
-        )
+        divide_light(values[..., c], shading[..., c], none, image.mask, scene.usable, shrink=options.shrink)
         for c in range(3)
     ]
     step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
@@ -290,7 +272,7 @@ def _divide_harmonics(
         iterations=meter.evaluations,
         residual=meter.trace.rows[-1].error if len(meter.trace) else float("nan"),
         image=image,
-        view_direction=view,
+        view_direction=scene.view,
         reflectance=Reflectance("lambert"),
         casts_shadows=True,
         shadow_offset_mm=options.shadow_offset_mm,

@@ -198,15 +198,17 @@ def _row(part: Part, enters: bool, evidence: str) -> PlanStep:
     )
 
 
-def undecided(model: LightModel, options: EstimateOptions) -> list[PlanStep]:
-    """Return the plan's rows of parts without evidence: the caller, or the end of a budget, decides."""
+def undecided(
+    model: LightModel, options: EstimateOptions, why: str = "the budget ended before it was judged"
+) -> list[PlanStep]:
+    """Return the plan's rows of parts that no evidence decided on; `why` where the caller did not either."""
     rows = []
     for name, part in PARTS.items():
         choice = options.choice(part.stage)
         if choice is False:
             rows.append(PlanStep(part.stage, False, "left out by the caller"))
         elif not (name == "rough" and model.brdf == "lambert"):
-            reason = "asked for" if choice else "the budget ended before it was judged"
+            reason = "asked for" if choice else why
             rows.append(PlanStep(part.stage, getattr(model, name), reason, "not judged"))
     return rows
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, minimize
+from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_model import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
-from scan2albedo.albedo.model_selection import PARTS, allowed_parts
+from scan2albedo.albedo.model_selection import allowed_parts, undecided
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.asrm import shade_rows
-from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 from scan2albedo.optimization import AnnealingOptions, simulated_annealing
 
 FloatArray = NDArray[np.float64]
@@ -32,10 +33,9 @@ _LIGHT_GAIN, _LIGHT_SHARE = 0.04, 0.1
 
 @njit(cache=True, nogil=True)
 def albedo_deviation(value, weight, light, specular, blocks, block_count):  # type: ignore[no-untyped-def]
-    """Return sum w |A - mean_b A| / sum w A with A = (T - I_s) / I, over S partitions into blocks (S, N).
+    """Return sum w |A - mean_b A| / sum w A with A = (T - I_s) / I: the paper's objective, normalised.
 
-    This is the paper's objective, normalised: without the division by sum w A it falls as the lights grow
-    stronger.
+    Without the division by sum w A it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
     """
     mean, mass = np.zeros(block_count), np.zeros(block_count)
     cost, total = 0.0, 0.0
@@ -62,43 +62,43 @@ class DeviationProblem:
     """The objective over the cells of one level."""
 
     def __init__(self, scene: LitImage, level: Level) -> None:
-        self._level, self._view = level, np.asarray(scene.view)
+        self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
         self._blocks, self._count = level.blocks(_BLOCK_AREA)
-        offset_mm = scene.options.shadow_offset_mm
-        self._shadows = ShadowMap(scene.shadows[0], level.anchor, level.normal, offset_mm)
-        self._table = self._shadows.table(cone_directions(_DIRECTIONS, scene.view, CONE_RAD))
+        surface = scene.shadows[0], level.anchor, level.normal
+        self._shadows = ShadowMap(*surface, scene.options.shadow_offset_mm)
+
+    @cached_property
+    def _table(self) -> VisibilityTable:
+        return self._shadows.table(cone_directions(_DIRECTIONS, self._view, CONE_RAD))
 
     def cost(self, model: LightModel, x: FloatArray, *, rays: bool) -> float:
         """Return the objective at x, with shadow rays or with those of the nearest tabulated direction."""
         found, level = model.decode(x), self._level
-        visible = [self._visible(row) if rays else self._table.nearest(row[:3]) for row in found.rows]
-        where = level.position, level.normal, np.array(visible)
+        far = [1 / near if near > 0 else np.inf for near in found.rows[:, 3]]
+        toward = found.rows[:, :3]
+        seen = map(self._shadows.visible, toward, far) if rays else map(self._table.nearest, toward)
+        where = level.position, level.normal, np.array(list(seen))
         lit = shade_rows(*where, found.rows, self._view, found.reflectance, level.scale)
         known = level.value, level.weight, lit.light, lit.specular, self._blocks, self._count
         return float(albedo_deviation(*known))
 
-    def _visible(self, row: FloatArray) -> NDArray[np.uint8]:
-        return self._shadows.visible(row[:3], 1 / row[3] if row[3] > 0 else np.inf)
-
 
 def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
-    """Anneal the paper's objective; every part of the model that the caller does not skip is free.
-
-    `lights` None adds lights while each removes a part of the cost.
-    """
+    """Anneal the paper's objective, all parts of the model free; `lights` None adds lights while they pay."""
     meter, options = scene.meter, scene.options
     middle, largest = (DeviationProblem(scene, scene.level(size)) for size in options.sizes[1:])
     model = scene.model(1)
     for name in allowed_parts(scene.brdf, options):
         model = model.with_part(name)
-    best = _annealed(scene, middle, model, model.from_lights(scene.directions[:1], np.ones(1)), seed)
+    best = _annealed(middle, model, model.from_lights(scene.directions[:1], np.ones(1)), seed)
+    meter.record(largest.cost(best.model, best.x, rays=True))
     reason, evidence = "one light", "no second one tried"
     for count in range(2, (options.maximal_lights if lights is None else lights) + 1):
         if meter.exhausted:
             break
         more = replace(model, lights=count)
         x = np.insert(best.x, 3 * (count - 1), [0.0, 0.0, np.log(0.5)])
-        trial = _annealed(scene, middle, more, x, seed)
+        trial = _annealed(middle, more, x, seed)
         gain, intensity = cost_removed(trial.cost, best.cost), trial.hypothesis.rows[:, 4]
         accepted = gain >= _LIGHT_GAIN and intensity.min() >= _LIGHT_SHARE * intensity.max()
         reason = f"{count} lights" if accepted else f"{count - 1} light(s): one more does not pay"
@@ -106,21 +106,18 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
         if not accepted and lights is None:
             break
         best = trial
-    best = _polished(scene, largest, best, 2 * _POLISH)
+        meter.record(largest.cost(best.model, best.x, rays=True))
+    best = _polished(largest, best, 2 * _POLISH)
     asked = reason if lights is None else f"{lights} asked for"
     steps = [scene.shadows[1], PlanStep("albedo.lights", True, asked, evidence)]
-    for name, part in PARTS.items():
-        free, forced = getattr(model, name), options.choice(part.stage)
-        reason = "asked for" if forced else "part of the paper's model" if free else "left out by the caller"
-        steps.append(PlanStep(part.stage, free, reason, "not judged"))
+    steps += undecided(model, options, "part of the paper's model")
     meter.record(best.cost)
     return LightFound(best, scene.level(options.sizes[2]).unit, steps, scene.shadows[0])
 
 
-def _annealed(
-    scene: LitImage, problem: DeviationProblem, model: LightModel, x: FloatArray, seed: int
-) -> Solution:
+def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed: int) -> Solution:
     """Search globally from x, then locally with shadow rays."""
+    meter = problem.meter.untraced()
     found = simulated_annealing(
         lambda x: problem.cost(model, x, rays=False),
         x,
@@ -128,28 +125,25 @@ def _annealed(
         seed=seed,
         initial_step=4 * model.steps(),
         options=AnnealingOptions(evaluations=_ANNEALING * model.lights),
-        meter=scene.meter,
+        meter=meter,
     )
-    return _polished(scene, problem, Solution(model, found.x, found.cost), _POLISH * model.lights)
+    problem.meter.count(meter.evaluations)
+    return _polished(problem, Solution(model, found.x, found.cost), _POLISH * model.lights)
 
 
-def _polished(scene: LitImage, problem: DeviationProblem, start: Solution, evaluations: int) -> Solution:
+def _polished(problem: DeviationProblem, start: Solution, evaluations: int) -> Solution:
     """Go down by Nelder and Mead's simplex with shadow rays, as long as the budget lasts."""
-    model, meter = start.model, scene.meter
-    if meter.exhausted:
+    model, meter = start.model, problem.meter
+    left = min(evaluations, (meter.budget.evaluations or evaluations + meter.evaluations) - meter.evaluations)
+    if meter.exhausted or left <= model.size + 1:
         return start
-    (lower, upper), step = model.bounds, model.steps()
-    simplex = np.vstack([start.x, start.x + np.diag(np.where(start.x + step > upper, -step, step))])
+    bounds, step = np.stack(model.bounds, 1), model.steps()
+    simplex = np.vstack([start.x, start.x + np.diag(np.where(start.x + step > bounds[:, 1], -step, step))])
 
     def cost(x: FloatArray) -> float:
         meter.count()
-        return problem.cost(model, x, rays=True)
+        return np.inf if meter.out_of_time else problem.cost(model, x, rays=True)
 
-    def after_each(intermediate_result: OptimizeResult) -> None:
-        if meter.exhausted:
-            raise StopIteration
-
-    limits = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 1e-4, "fatol": 1e-7}
-    bounds = list(zip(lower, upper, strict=True))
-    found = minimize(cost, start.x, method="Nelder-Mead", bounds=bounds, callback=after_each, options=limits)
+    limits = {"initial_simplex": simplex, "maxfev": left, "xatol": 1e-4, "fatol": 1e-7}
+    found = minimize(cost, start.x, method="Nelder-Mead", bounds=bounds, options=limits)
     return Solution(model, np.asarray(found.x, float), float(found.fun))

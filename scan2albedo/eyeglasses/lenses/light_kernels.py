@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from scan2albedo.lighting.kernels import oren_nayar_coefficients
+
 DARK, WAITING, AWAY = 0, 254, 255
 """Ways of light: none, not known yet, from behind. All others are 1 + the sum of 2^j of lenses passed."""
 
@@ -138,8 +140,7 @@ def shade(  # type: ignore[no-untyped-def]
     matte, lost, glossy, lost_glossy = np.empty((4, 3))
     for i in range(normal.shape[0]):
         sigma, specular, exponent = gloss[surface[i]]
-        a = 1.0 - 0.5 * sigma * sigma / (sigma * sigma + 0.33)
-        b = 0.45 * sigma * sigma / (sigma * sigma + 0.09)
+        a, b = oren_nayar_coefficients(sigma)
         n_v = normal[i, 0] * viewer[i, 0] + normal[i, 1] * viewer[i, 1] + normal[i, 2] * viewer[i, 2]
         cos_r = max(n_v, 0.0)
         matte[:], lost[:], glossy[:], lost_glossy[:] = 0.0, 0.0, 0.0, 0.0
