@@ -1,6 +1,7 @@
 """Transferred expressions: exact on linear shapes, near on fitted faces."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,16 +10,25 @@ from typer.testing import CliRunner
 import scan2albedo as s2a
 from scan2albedo.applications import (
     FaceMesh,
+    ProcessedFace,
     TransferOptions,
     load_result,
     personal_model,
     transfer_expression,
 )
-from scan2albedo.applications.expression_transfer import expression_displacement, laid_on_what_is_still
+from scan2albedo.applications.expression_transfer import (
+    expression_displacement,
+    laid_on_what_is_still,
+    refined_expression,
+)
+from scan2albedo.applications.personal_model import limit_control_points, refinement_level
 from scan2albedo.cli.commands import app
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import chosen_model
+from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.synthetic import face_shape
 
 SMILE = "mouthSmile_L_mouthSmile_R"
 BAR_MM = 1.5
@@ -147,3 +157,153 @@ def test_a_personal_model_needs_the_model_of_the_fit(result, stored, person):
 def test_options_are_checked(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TransferOptions(**wrong)
+
+
+MODEL = s2a.AnnotatedFaceModel.default()
+LEVEL = 2
+AS_FITTED = TransferOptions(correspondence="as-fitted")
+
+
+def surface_of(control_points):
+    subdivision = MODEL.subdivision(LEVEL)
+    return FaceMesh(
+        subdivision.matrix @ control_points, subdivision.faces, np.zeros((subdivision.matrix.shape[0], 2))
+    )
+
+
+def synthetic(seed, expression="neutral"):
+    made = face_shape.person(MODEL, np.random.default_rng(seed), expression=expression)
+    return surface_of(made)
+
+
+def slid(mesh, mm):
+    """The same surface with its vertices moved along it, up to `mm` sideways and downward."""
+    x, y, _ = mesh.vertices.T
+    off = mm * np.stack([np.sin(y / 25), np.cos(x / 25), np.zeros(len(x))], 1)
+    return surface_query(mesh.vertices, mesh.faces).query(mesh.vertices + off).points
+
+
+def test_control_points_come_back_from_their_surface():
+    control = face_shape.person(MODEL, np.random.default_rng(3))
+    found = limit_control_points(surface_of(control).vertices, MODEL.subdivision(LEVEL))
+    np.testing.assert_allclose(found, control, atol=1e-6)
+
+
+def test_the_level_of_a_mesh_is_found(person):
+    for level in (0, 2):
+        vertices, faces = MODEL.surface(level)
+        assert refinement_level(FaceMesh(vertices, faces, vertices[:, :2]), MODEL) == level
+    vertices, faces = MODEL.surface(1)
+    assert refinement_level(FaceMesh(vertices, faces[:, [1, 2, 0]], vertices[:, :2]), MODEL) is None
+    assert refinement_level(person(0).mesh, MODEL) is None
+
+
+def test_faces_from_files_are_on_their_models_mesh(result, stored):
+    assert refinement_level(load_result(stored).mesh, result.fitted.model) == result.fitted.levels
+
+
+def test_what_slid_is_set_right():
+    rest, truth = synthetic(1), synthetic(1, "surprise").vertices
+    moved = slid(synthetic(1, "surprise"), 3.0)
+    found = refined_expression(rest, moved, MODEL, LEVEL)
+    before, after = (np.linalg.norm(points - truth, axis=1).mean() for points in (moved, found))
+    assert before > 1.5
+    assert after < 0.35 * before
+    skin = ~MODEL.in_region("between_lips")[MODEL.subdivision(LEVEL).parent]
+    used = np.unique(rest.faces[skin])
+    assert surface_query(truth, rest.faces).query(found[used]).distance.mean() < 0.05
+
+
+@pytest.mark.parametrize("align", [True, False])
+def test_no_expression_stays_none(align):
+    a = synthetic(1)
+    moved = expression_displacement(a, a, options=TransferOptions(align=align, correspondence="refined"))
+    assert np.abs(moved).max() < 1e-6
+
+
+def test_what_cannot_be_refined_is_told_and_left_by_default(person):
+    a, smiling, b = person(0), person(0, "smile"), person(1)
+    with pytest.raises(ApplicationError, match=r"not on the mesh of 'default.*give the model"):
+        transfer_expression(a, smiling, b, options=TransferOptions(correspondence="refined"))
+    by_default, left = (
+        transfer_expression(a, smiling, b, options=options) for options in (TransferOptions(), AS_FITTED)
+    )
+    np.testing.assert_array_equal(by_default.image.position, left.image.position)
+
+
+class Transfers:
+    """Scans of light-stage shapes through registration, fit and geometry image, and to another person."""
+
+    def __init__(self, path):
+        with np.load(path) as data:
+            self.faces, self.inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
+            shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
+        rest = shapes["generic_neutral"]
+        smile = shapes["generic_mouthSmile_L_mouthSmile_R"] - rest
+        self.moves = {
+            "": np.zeros_like(rest),
+            "smile": smile,
+            "left smile": smile / (1 + np.exp(-rest[:, :1] / 6.0)),
+            "jaw": shapes["generic_jawOpen0.7"] - rest,
+        }
+        self.people = {"generic": rest, "person1": shapes["person1"], "person2": shapes["person2"]}
+        self.processed = cache(self._processed)
+
+    def shape(self, name, move):
+        return self.people[name] + self.moves[move]
+
+    def _processed(self, name, move="", unseen_below=None):
+        vertices, faces = self.shape(name, move), self.faces
+        if unseen_below is not None:
+            faces = faces[~(vertices[faces].mean(1)[:, 1] < unseen_below)]
+        scan = s2a.RawScan(vertices, faces, name=f"{name} {move}")
+        fitted = s2a.fit(scan, MODEL, s2a.register(scan, MODEL))
+        image = s2a.geometry_image(fitted, scan, size=128)
+        mesh = FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
+        face = ProcessedFace(
+            scan.name, image, np.ones((128, 128, 3)), Reflectance("lambert"), (), mesh, MODEL.name
+        )
+        return face, fitted.model_from_scan
+
+    def error_mm(self, a, move, b, options=TransferOptions(), unseen_below=None):
+        """Mean distance of the measured points of B, carried by the new face, to where they belong."""
+        rest_a, expression = self.processed(a)[0], self.processed(a, move, unseen_below)[0]
+        rest_b, pose = self.processed(b)
+        made = transfer_expression(rest_a, expression, rest_b, options=options)
+        assert np.isfinite(made.image.position).all()
+        rest, truth = (transform_points(pose, self.shape(b, m)[: self.inner]) for m in ("", move))
+        hits = surface_query(rest_b.mesh.vertices, rest_b.mesh.faces).query(rest)
+        near = hits.distance < 2
+        assert near.mean() > 0.7
+        corners = made.mesh.vertices[made.mesh.faces[hits.face]]
+        carried = np.einsum("nk,nkc->nc", hits.barycentric, corners)
+        return np.linalg.norm(carried - truth, axis=1)[near].mean()
+
+
+@pytest.fixture(scope="module")
+def transfers(shared_data):
+    return Transfers(shared_data / "ict_faces.npz")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("a", "move", "b", "bar_mm"),
+    [
+        ("generic", "smile", "person2", 1.2),
+        ("person2", "smile", "generic", 1.2),
+        ("generic", "left smile", "person2", 0.8),
+        ("generic", "jaw", "person2", 1.5),
+    ],
+)
+def test_expressions_from_scans(transfers, a, move, b, bar_mm):
+    found = transfers.error_mm(a, move, b)
+    assert found < bar_mm
+    assert found < 0.75 * transfers.error_mm(a, move, b, AS_FITTED)
+
+
+@pytest.mark.slow
+def test_a_smile_whose_chin_was_not_scanned(transfers):
+    chin = {"unseen_below": -60.0}
+    found = transfers.error_mm("generic", "smile", "person2", **chin)
+    assert found < 1.2
+    assert found < 0.75 * transfers.error_mm("generic", "smile", "person2", AS_FITTED, **chin)
