@@ -74,7 +74,12 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 
 
 def read_geometry_image(path: str | Path) -> GeometryImage:
-    """Read a geometry image written by `write_geometry_image` or `write_geometry_image_exr`.
+    """Return the geometry image that `write_geometry_image` or `write_geometry_image_exr` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz or .exr.
 
     Raises
     ------
