@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.albedo import judged as judged_albedo
+from benchmarks.albedo import albedo_errors
 from benchmarks.fitting import mesh_peers
 from benchmarks.glasses import WornGlasses, rms_mm
 from benchmarks.run import STAGES, run_benchmarks, write_benchmarks
@@ -46,7 +46,7 @@ def albedo_peers() -> list[Peer]:
     def peer(name: str, method: Any) -> Peer:
         def run(scene: SyntheticScene) -> Outcome:
             answer, cost = timed(lambda: method(scene.image, len(scene.lights)))
-            return judged_albedo(scene, answer.albedo_value, cost, answer.evaluations)
+            return albedo_errors(scene, answer.albedo_value, cost, answer.evaluations)
 
         return Peer(MITSUBA, run, missing_mitsuba()) if name == MITSUBA else Peer(f"SciPy {name}", run)
 

@@ -2,12 +2,12 @@
 
     python tools/experiment_recognition.py [-o recognition_out] [--persons 60] [--probes 3] [--size 256]
         [--individuality 0.5] [--lamp-colors 0] [--brdf NAME ...] [--budget SECONDS] [--jobs N] [--seed 0]
-        [--choices] [--json]
+        [--other-templates] [--json]
 
 Scans and processes 60 persons, four times each (an hour on two cores), writes the report, and prints pairs of
 reflectances beside each other. A run that was stopped goes on where it was, and one with more persons begins
-with those that are done. --choices repeats the identification, on the same scans, with templates of other
-sizes, windows and masks.
+with those that are done. --other-templates repeats the identification, on the same scans, with templates of
+other sizes, windows and masks.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from scan2albedo.io.atomic import check_writable, removed_if_empty
 from scan2albedo.io.records import plain_json
 from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
 
-CHOICES = {
+OTHER_TEMPLATES = {
     "as it is": (TemplateOptions(), IDENTIFICATION),
     "window 5": (TemplateOptions(), SimilarityOptions(window=5)),
     "window 7": (TemplateOptions(), SimilarityOptions(window=7)),
@@ -52,9 +52,9 @@ def print_pairs(report: RecognitionReport) -> None:
         print(f"  {a.method:28} {only_a:4} : {only_b:<4} {b.method:28} p {p:.2g}")
 
 
-def print_choices(cache: Path, options: RecognitionExperimentOptions) -> None:
+def print_other_templates(cache: Path, options: RecognitionExperimentOptions) -> None:
     print("\nrank 1 by other templates on the same scans:")
-    for number, (name, (templates, similarity)) in enumerate(CHOICES.items()):
+    for number, (name, (templates, similarity)) in enumerate(OTHER_TEMPLATES.items()):
         chosen = replace(options, templates=templates, similarity=similarity)
         results = run_recognition_experiment(cache, options=chosen).results
         if number == 0:
@@ -83,7 +83,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--budget", type=float, help="seconds; then report who is complete")
     made.add_argument("--jobs", type=int, default=0, help="processes; 0 for one a core")
     made.add_argument("--seed", type=int, default=0, help="of the population")
-    made.add_argument("--choices", action="store_true", help="identify with other templates, too")
+    made.add_argument("--other-templates", action="store_true", help="identify with other templates, too")
     made.add_argument("--json", action="store_true", help="print all figures as JSON on stdout")
     return made
 
@@ -120,8 +120,8 @@ def main(words: list[str] | None = None) -> None:
         return
     print(report.table())
     print_pairs(report)
-    if arguments.choices:
-        print_choices(cache, options)
+    if arguments.other_templates:
+        print_other_templates(cache, options)
 
 
 if __name__ == "__main__":

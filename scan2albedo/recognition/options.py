@@ -96,4 +96,4 @@ class SimilarityOptions:
 IDENTIFICATION = SimilarityOptions(window=3)
 """For persons. Charts of fitted faces are misaligned unevenly, and within a small window the phases still
 turn alike: 3 separates persons better than 5, and 5 better than the usual 7
-(`tools/experiment_recognition.py --choices`)."""
+(`tools/experiment_recognition.py --other-templates`)."""

@@ -119,7 +119,7 @@ def population_scan(
     paint = _painter(template, own, tone, options, [seed, 12])
     now = np.random.default_rng([seed, person, session, 13])
     lights = _random_lights(now, options)
-    finish = Material(0.3, float(now.uniform(*options.highlight)), 14.0)
+    material = Material(0.3, float(now.uniform(*options.highlight)), 14.0)
     sitter = sit_down(
         shape_seed,
         expression=get_args(Expression)[now.integers(len(get_args(Expression)))],
@@ -130,7 +130,7 @@ def population_scan(
     )
     name = f"person-{person}-session-{session}"
     colors = _random_colors(1 + len(lights), now, options.lamp_colors) if options.lamp_colors else None
-    return scan_of(sitter, lights, finish, options.capture, now, name, colors)
+    return scan_of(sitter, lights, material, options.capture, now, name, colors)
 
 
 def _painter(

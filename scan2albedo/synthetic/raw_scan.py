@@ -134,14 +134,14 @@ def raw_scan(
     settings, rng = options or RawScanOptions(), np.random.default_rng([seed, 7])
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
     flashes = _flashes(seed) if lights is None else tuple(lights)
-    finish = material or Material(0.3, 0.12, 14.0)
-    return scan_of(sitter, flashes, finish, settings, rng, f"synthetic-{seed}")
+    material = material or Material(0.3, 0.12, 14.0)
+    return scan_of(sitter, flashes, material, settings, rng, f"synthetic-{seed}")
 
 
 def scan_of(
     sitter: Sitter,
     flashes: tuple[PointLight, ...],
-    finish: Material,
+    material: Material,
     settings: RawScanOptions,
     rng: np.random.Generator,
     name: str,
@@ -166,14 +166,14 @@ def scan_of(
         sitter,
         pods,
         flashes,
-        finish,
+        material,
         size=settings.picture_size,
         noise=_PICTURE_NOISE,
         rng=rng,
         colors=colors,
     )
     scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, name)
-    return scan, _truth(sitter, scan_from_model, flashes, finish, exposure, settings.size)
+    return scan, _truth(sitter, scan_from_model, flashes, material, exposure, settings.size)
 
 
 def _flashes(seed: int) -> tuple[PointLight, ...]:

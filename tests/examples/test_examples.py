@@ -26,7 +26,6 @@ def size_of(path):
         return picture.size
 
 
-@pytest.mark.slow
 def test_a_raw_scan_is_processed(tmp_path, capsys):
     folder = run("process_scan", tmp_path, "--size", 96) / "synthetic-0"
     assert load_result(folder).image.shape == (96, 96)
@@ -34,7 +33,6 @@ def test_a_raw_scan_is_processed(tmp_path, capsys):
     assert "nose tip at" in capsys.readouterr().out
 
 
-@pytest.mark.slow
 def test_a_face_is_relit(tmp_path):
     run("relight_sweep", tmp_path, "--frames", 2, "--size", 48)
     assert size_of(tmp_path / "portrait.png") == size_of(tmp_path / "sky.png") == (48, 48)
@@ -47,7 +45,6 @@ def test_a_face_is_relit(tmp_path):
     assert sky[:, 24:][face[:, 24:]].mean() > 1.2 * sky[:, :24][face[:, :24]].mean()
 
 
-@pytest.mark.slow
 def test_faces_are_swapped_and_blended(tmp_path):
     run("swap_and_blend", tmp_path, "--size", 48)
     assert size_of(tmp_path / "swaps.png") == (4 * 48, 48)
@@ -57,7 +54,6 @@ def test_faces_are_swapped_and_blended(tmp_path):
     assert (again / "middle" / "application.json").is_file()
 
 
-@pytest.mark.slow
 def test_a_smile_is_transferred(tmp_path, capsys):
     run("transfer_expression", tmp_path, "--size", 48)
     assert size_of(tmp_path / "expressions.png") == (5 * 48, 48)
@@ -66,7 +62,6 @@ def test_a_smile_is_transferred(tmp_path, capsys):
     assert 2 < moved < 20
 
 
-@pytest.mark.slow
 def test_persons_are_identified(tmp_path, capsys):
     run("identify_gallery", tmp_path, "--persons", 2, "--size", 64)
     assert read_templates(tmp_path / "gallery.npz").names == ("person-0", "person-1")
@@ -90,7 +85,6 @@ def test_examples_stand_on_public_names(path):
     assert f'run("{path.stem}"' in Path(__file__).read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 def test_reflectance_is_found_from_flashes(tmp_path, capsys):
     run("reflectance_from_flashes", tmp_path)
     assert read_reflectance(tmp_path / "reflectance.npz").reflectance.known.sum() > 2500

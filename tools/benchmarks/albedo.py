@@ -81,10 +81,12 @@ def _run(scene: SyntheticScene, setting: Setting) -> Outcome:
 
     found, cost = timed(work)
     right = 100.0 * (len(found.lights) == len(scene.lights))
-    return judged(scene, value_of(found.albedo_linear), cost, found.iterations, {"lights right %": right})
+    return albedo_errors(
+        scene, value_of(found.albedo_linear), cost, found.iterations, {"lights right %": right}
+    )
 
 
-def judged(
+def albedo_errors(
     scene: SyntheticScene,
     albedo_value: FloatArray,
     cost: Cost,
@@ -103,7 +105,7 @@ def _filter(
         assert scene.image.texture_linear is not None
         value = value_of(scene.image.texture_linear)
         albedo, cost = timed(lambda: method(scene, value))
-        return judged(scene, albedo, cost)
+        return albedo_errors(scene, albedo, cost)
 
     return run
 

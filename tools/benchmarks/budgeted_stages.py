@@ -63,7 +63,7 @@ def budget_rows(
 
 
 def _register(quick: bool) -> BudgetedStage:
-    from benchmarks.registration import judged
+    from benchmarks.registration import pose_errors
     from benchmarks.registration_peers import Surface, centered
     from benchmarks.scan_scenes import scan_scenes
     from benchmarks.sweep import Cost
@@ -73,7 +73,7 @@ def _register(quick: bool) -> BudgetedStage:
     scene = scan_scenes(1, 4.0 if quick else 2.2)[0]
 
     def error(pose: FloatArray) -> float:
-        return judged(scene, pose, Cost(0, 0)).errors[0]
+        return pose_errors(scene, pose, Cost(0, 0)).errors[0]
 
     def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
         return register(scene.scan, scene.model, budget, on_progress=on_progress).model_from_scan
@@ -83,7 +83,7 @@ def _register(quick: bool) -> BudgetedStage:
 
 
 def _fit(quick: bool) -> BudgetedStage:
-    from benchmarks.fitting import judged, rigid_only
+    from benchmarks.fitting import rigid_only, surface_errors
     from benchmarks.scan_scenes import scan_scenes
     from benchmarks.sweep import Cost
     from scan2albedo.fitting import FittedFace, fit
@@ -98,7 +98,9 @@ def _fit(quick: bool) -> BudgetedStage:
 
     def error(found: FittedFace) -> float:
         surface = found.vertices, found.faces
-        outcome = judged(scene, surface, points @ found.control_points, 2, found.model_from_scan, Cost(0, 0))
+        outcome = surface_errors(
+            scene, surface, points @ found.control_points, 2, found.model_from_scan, Cost(0, 0)
+        )
         return outcome.errors[0]
 
     return BudgetedStage("fit", "mm", run, error, rigid_only(scene).errors[0])
@@ -137,7 +139,7 @@ def _with_light_occluder(image: GeometryImage) -> GeometryImage:
 
 def _weights(quick: bool) -> BudgetedStage:
     from benchmarks.sweep import Cost
-    from benchmarks.weights import WeightedFrame, judged
+    from benchmarks.weights import WeightedFrame, weight_errors
     from scan2albedo.eyeglasses import solve_weights
     from scan2albedo.synthetic import GlassesBend, eyeglasses
 
@@ -150,7 +152,7 @@ def _weights(quick: bool) -> BudgetedStage:
         return solve_weights(*mesh, spacing, budget, on_progress=on_progress).weights
 
     def error(weights: FloatArray) -> float:
-        return judged(scene, weights, Cost(0, 0), 0, 0.0).errors[1]
+        return weight_errors(scene, weights, Cost(0, 0), 0, 0.0).errors[1]
 
     nearest = np.linalg.norm(mesh[0][:, None] - mesh[2], axis=2).argmin(1)
     rigid = np.eye(len(mesh[2]))[nearest]

@@ -128,12 +128,12 @@ def budget_table(rows: Sequence[BudgetRow]) -> str:
 
 
 def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAIN_OF_TRACE) -> float:
-    """Return when the logarithm of a trace's last yardstick had gained `share` of all that it gained.
+    """Return when the logarithm of a trace's last error measure had gained `share` of all that it gained.
 
     Parameters
     ----------
     rows : sequence of (float, TraceRow)
-        Seconds since the stage began, and the row. Errors of another stage or unit are another yardstick; the
+        Seconds since the stage began, and the row. Errors of another stage or unit are another measure; the
         last one with three rows or more counts, or the last one at all.
     share : float
 
@@ -142,13 +142,13 @@ def time_of_gain(rows: Sequence[tuple[float, TraceRow]], share: float = _GAIN_OF
     float
         inf without rows of finite errors.
     """
-    yardsticks: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    measures: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for seconds, row in rows:
         if math.isfinite(row.error):
-            yardsticks.setdefault((row.stage, row.unit), []).append((seconds, row.error))
-    if not yardsticks:
+            measures.setdefault((row.stage, row.unit), []).append((seconds, row.error))
+    if not measures:
         return math.inf
-    every = list(yardsticks.values())
+    every = list(measures.values())
     chosen = next((points for points in reversed(every) if len(points) >= _FEWEST_ROWS), every[-1])
     heights = [math.log(max(error, _LEAST_ERROR)) for _, error in chosen]
     enough = heights[0] - share * (heights[0] - min(heights))

@@ -79,7 +79,7 @@ def _run(scene: ScanScene, setting: Setting) -> Outcome:
     except FitError:
         return Outcome(Cost(float("nan"), float("nan")), (float("nan"), float("nan")))
     points = scene.model.subdivision(_LEVEL).matrix @ fitted.control_points
-    return judged(
+    return surface_errors(
         scene,
         (fitted.vertices, fitted.faces),
         points,
@@ -90,7 +90,7 @@ def _run(scene: ScanScene, setting: Setting) -> Outcome:
     )
 
 
-def judged(
+def surface_errors(
     scene: ScanScene,
     surface: tuple[FloatArray, IntArray],
     points: FloatArray,
@@ -112,7 +112,7 @@ def judged(
 def rigid_only(scene: ScanScene) -> Outcome:
     """Return the errors of the model as it is, in the pose given."""
     surface = scene.model.surface(_PEER_LEVEL)
-    return judged(scene, surface, surface[0], _PEER_LEVEL, scene.found_pose, Cost(1e-3, 1e-3))
+    return surface_errors(scene, surface, surface[0], _PEER_LEVEL, scene.found_pose, Cost(1e-3, 1e-3))
 
 
 def _peers(quick: bool) -> list[Peer]:
@@ -149,7 +149,7 @@ def _mesh_peer(name: str, python: str) -> Callable[[ScanScene], Outcome]:
             with np.load(target) as found:
                 vertices, cost = found["vertices"].astype(float), Cost(float(found["cpu_s"]), float("nan"))
         faces = scene.model.surface(_PEER_LEVEL)[1]
-        return judged(scene, (vertices, faces), vertices, _PEER_LEVEL, scene.found_pose, cost)
+        return surface_errors(scene, (vertices, faces), vertices, _PEER_LEVEL, scene.found_pose, cost)
 
     return run
 

@@ -91,10 +91,10 @@ def _run(scene: ScanScene, setting: Setting) -> Outcome:
         return found.model_from_scan, found.iterations
 
     (pose, evaluations), cost = timed(work)
-    return judged(scene, pose, cost, evaluations)
+    return pose_errors(scene, pose, cost, evaluations)
 
 
-def judged(scene: ScanScene, pose: FloatArray | None, cost: Cost, evaluations: int = 0) -> Outcome:
+def pose_errors(scene: ScanScene, pose: FloatArray | None, cost: Cost, evaluations: int = 0) -> Outcome:
     """Return the errors of a `model_from_scan` (4, 4), None where it was refused.
 
     The error is the mean distance between the true face's points where the pose found and the true one put
@@ -116,7 +116,7 @@ def _peer(method: Callable[[Surface, RawScan], FloatArray]) -> Callable[[ScanSce
     def run(scene: ScanScene) -> Outcome:
         surface = Surface(*scene.model.surface(1))
         pose, cost = timed(lambda: method(surface, scene.scan))
-        return judged(scene, invert_rigid(pose), cost)
+        return pose_errors(scene, invert_rigid(pose), cost)
 
     return run
 

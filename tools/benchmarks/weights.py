@@ -66,10 +66,12 @@ def _run(scene: WeightedFrame, setting: Setting) -> Outcome:
     glasses, made = scene.glasses, setting.options
     mesh = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
     found, cost = timed(lambda: solve_weights(*mesh, made.spacing, setting.budget, options=made.options))
-    return judged(scene, found.weights, cost, int(found.iterations.sum()), float(found.node_count))
+    return weight_errors(scene, found.weights, cost, int(found.iterations.sum()), float(found.node_count))
 
 
-def judged(scene: WeightedFrame, weights: FloatArray, cost: Cost, evaluations: int, nodes: float) -> Outcome:
+def weight_errors(
+    scene: WeightedFrame, weights: FloatArray, cost: Cost, evaluations: int, nodes: float
+) -> Outcome:
     """Return the error of weights (V, K), and in mm that of a bend that they carry to the vertices.
 
     The bend shifts the key points of the frame at rest to those of the bent one.
@@ -95,7 +97,7 @@ def _igl(spacing: float):  # type: ignore[no-untyped-def]
             return weights / weights.sum(1, keepdims=True), len(embedding.lattice.nodes)
 
         (weights, nodes), cost = timed(work)
-        return judged(scene, weights, cost, 0, float(nodes))
+        return weight_errors(scene, weights, cost, 0, float(nodes))
 
     return run
 

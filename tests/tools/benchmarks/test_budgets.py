@@ -19,11 +19,11 @@ def rows(*points, stage="fit", unit="mm"):
     return [(t, TraceRow(stage, t, t, k, error, unit)) for k, (t, error) in enumerate(points)]
 
 
-def test_gain_of_one_yardstick():
+def test_gain_of_one_measure():
     assert time_of_gain(rows((0.1, 10.0), (0.2, 5.0), (0.3, 1.1), (0.9, 1.0))) == 0.3
 
 
-def test_the_last_yardstick_of_some_rows_decides():
+def test_the_last_measure_of_some_rows_decides():
     trace = [*rows((0.1, 9), (0.2, 1), (0.3, 1), stage="icp"), *rows((0.5, 4), (0.6, 3), stage="tight_icp")]
     assert time_of_gain(trace) == 0.2
     assert time_of_gain(rows((1, 1e-2), (2, 1e-3), (3, 1e-6), (4, 1e-7))) == 4
