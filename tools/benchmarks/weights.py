@@ -48,10 +48,7 @@ def _settings(quick: bool) -> list[Setting]:
     spacings = [Setting("spacing", f"{s:g} mm", SpacingOptions(s)) for s in _SPACINGS_MM]
     loose = [
         Setting(s.knob, s.value, SpacingOptions(options=s.options))
-        for s in (
-            *varied("tolerance", WeightOptions(), (1e-3, 1e-4, 1e-5), "{:g}".format),
-            *varied("coarse_nodes", WeightOptions(), (400, 100_000)),
-        )
+        for s in varied("tolerance", WeightOptions(), (1e-3, 1e-4, 1e-5), "{:g}".format)
     ]
     return [
         Setting("default", "", plain),
