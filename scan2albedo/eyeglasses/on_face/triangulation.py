@@ -16,8 +16,8 @@ BoolArray = NDArray[np.bool_]
 
 _STEPS = 50
 """Most steps a point."""
-_DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=0.0, largest=1e12)
-"""It begins low: the linear start is nearly right."""
+_DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
+"""It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 _ENOUGH = 1e-12
 """Step over distance from the origin below which a point is done."""
 _FAR = 1e300
