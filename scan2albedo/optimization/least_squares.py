@@ -179,7 +179,11 @@ def damped_step(model: NormalEquations, damping: float) -> FloatArray:
     matrix = model.matrix[np.ix_(free, free)]
     diagonal = np.diag(matrix)
     diagonal = np.maximum(diagonal, _SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
-    step[free] = -np.linalg.solve(matrix + damping * np.diag(diagonal), model.gradient[free])
+    damped = matrix + damping * np.diag(diagonal)
+    try:
+        step[free] = -np.linalg.solve(damped, model.gradient[free])
+    except np.linalg.LinAlgError:  # damping below the rounding of a singular matrix
+        step[free] = -np.linalg.lstsq(damped, model.gradient[free], rcond=None)[0]
     if model.lower is not None or model.upper is not None:
         step = np.clip(step, model.lower, model.upper)
     return step

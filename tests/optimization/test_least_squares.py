@@ -159,3 +159,8 @@ def test_weights_settled_at_a_step_hold_for_both_costs_it_compares():
 
     found = minimize(Reweighted(None, np.array([3.0])), trials=100, tolerance=1e-12)
     assert abs(found.best.x[0]) < 0.06  # the median, not the mean
+
+
+def test_a_singular_matrix_gives_the_shortest_step():
+    step = damped_step(NormalEquations(np.ones((2, 2)), np.array([-1.0, -1.0])), 0.0)
+    np.testing.assert_allclose(step, [0.5, 0.5])
