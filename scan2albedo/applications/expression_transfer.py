@@ -110,20 +110,10 @@ def expression_displacement(
     options: TransferOptions = TransferOptions(),
     model: AnnotatedFaceModel | None = None,
 ) -> FloatArray:
-    """Return (V, 3) mm by which each vertex of a face on these triangles moves.
+    """Return (V, 3) mm by which each vertex moves between two meshes of the same triangles.
 
-    Parameters
-    ----------
-    neutral_a, expression_a : FaceMesh
-        The same triangles.
-    options : TransferOptions
-    model : AnnotatedFaceModel, optional
-        Whose mesh it is; the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the correspondence is to be refined and the mesh is not the model's.
+    ApplicationError when the correspondence is to be refined and the mesh is not that of `model`, the default
+    model when None.
     """
     lay = laid_on_what_is_still if options.align else _as_it_lies
     rest, moved = neutral_a.vertices, lay(expression_a.vertices, neutral_a.vertices)
@@ -139,10 +129,7 @@ def level_to_refine(
 ) -> int | None:
     """Return the refinement of the model that the mesh is; None where A's fits are taken as they are.
 
-    Raises
-    ------
-    ApplicationError
-        When the correspondence is to be refined and the mesh is not the model's.
+    ApplicationError when the correspondence is to be refined and the mesh is not the model's.
     """
     if options.correspondence == "as-fitted":
         return None
@@ -157,7 +144,7 @@ def level_to_refine(
 
 
 def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return `moved` (V, 3) rigidly laid on `rest` by the vertices that did not move.
+    """Return `moved` (V, 3) rigidly aligned to `rest` by the vertices that did not move.
 
     Iteratively reweighted least squares with Geman and McClure's weights 1 / (1 + (r / s)^2)^2, s the lower
     quartile of the distances of the round before.
@@ -184,22 +171,9 @@ def refined_expression(
 
     Two fits of one person slide along the skin each in its own way. So the face at rest itself becomes the
     model, its jaw turned by the angle between the two fits, and is fitted to the surface that the
-    expression's fit found; the film that spans an open mouth there is left out.
-
-    Parameters
-    ----------
-    rest : FaceMesh
-    moved : (V, 3) float64
-        The same mesh fitted to the expression, in the frame of `rest`.
-    model : AnnotatedFaceModel
-        That both were fitted with.
-    level : int
-        `refinement_level` of the mesh.
-
-    Raises
-    ------
-    FitError
-        When the two surfaces do not lie together.
+    expression's fit found; the film that spans an open mouth there is left out. `moved` (V, 3) is the same
+    mesh fitted to the expression, in the frame of `rest`; `level` its `refinement_level`. FitError when the
+    two surfaces do not lie together.
 
     Notes
     -----

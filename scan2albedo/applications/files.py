@@ -192,10 +192,7 @@ def _present(folder: Path, name: str) -> Path:
 def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
     """Return the fitted surface: triangles and chart from the GLB, vertices from the image where it has them.
 
-    Raises
-    ------
-    ApplicationError
-        When fitted.glb is missing, damaged, or of another result; the message names it.
+    ApplicationError when fitted.glb is missing, damaged, or of another result; the message names it.
     """
     import trimesh
 
@@ -222,13 +219,7 @@ def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
 
 
 def check_face_folder(folder: Path) -> None:
-    """Refuse the folder of a processed scan, which a new face would overwrite.
-
-    Raises
-    ------
-    OutputError
-        Naming it.
-    """
+    """Raise OutputError for the folder of a processed scan, which a new face would overwrite."""
     if (folder / RESULT_FILE).exists():
         raise OutputError(f"{folder}: is the folder of a processed scan; choose another for the new face")
 

@@ -135,22 +135,9 @@ def photograph(
 ) -> Picture:
     """Return the picture of a face under light: every sample is shaded for its own line of sight.
 
-    Parameters
-    ----------
-    face : ProcessedFace
-    light : SceneLight
-    camera : (3, 4) array_like of float, optional
-        As in `geometry.pinhole`; `default_camera` when omitted.
-    shape : (H, W)
-    samples : int
-        On each side of a pixel; their mean is the pixel.
-    shadows : bool
-        Cast shadows, beside attached ones.
-
-    Raises
-    ------
-    ValueError
-        For a camera that is none, a shape below 2 pixels, or no sample.
+    `camera` (3, 4) is as in `geometry.pinhole`, `default_camera` when None. A pixel is the mean of `samples`
+    by `samples`. Without `shadows` only attached shadows are left. ValueError for an invalid camera, a shape
+    below 2 pixels, or no sample.
     """
     if min(shape) < 2 or samples < 1:
         raise ValueError(f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more")

@@ -219,11 +219,8 @@ _LEAST_OVERLAP = 0.9
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
     """Return the faces on the texels that all of them have.
 
-    Raises
-    ------
-    ApplicationError
-        When sizes, models, meshes or charts differ, or a face has a chart of its own; the message names both
-        faces and what differs.
+    ApplicationError when sizes, models, meshes or charts differ, or a face has a chart of its own; the
+    message names both faces and what differs.
     """
     first = faces[0]
     for other in faces[1:]:

@@ -21,17 +21,10 @@ FloatArray = NDArray[np.float64]
 class SceneLight:
     """K lamps and ambient light, each with a strength a channel.
 
-    Parameters
-    ----------
-    directions : (K, 3) float64
-        Unit, from the model's origin toward the lamps.
-    distances_mm : (K,) float64
-        From the origin; inf for distant lamps.
-    intensity : (K, 3) float64
-        In the unit of `PointLight.intensity`: a matte white surface at the origin that faces the lamp gets
-        this colour.
-    ambient : (3,) float64
-        The colour that light without direction gives a white surface.
+    Unit `directions` (K, 3) point from the model's origin toward the lamps, `distances_mm` (K,) from there,
+    inf for distant lamps. `intensity` (K, 3) is in the unit of `PointLight.intensity`: the colour of a matte
+    white surface at the origin that faces the lamp. `ambient` (3,) is the colour that light without direction
+    gives a white surface.
     """
 
     directions: FloatArray
@@ -50,9 +43,9 @@ class SceneLight:
     ) -> SceneLight:
         """Return lamps and an environment map (H, W, 3), cut into `environment_lights` distant ones.
 
-        A cell of the sphere over which the map's radiance L integrates to w lights a facing surface by the
-        irradiance w, so a matte white one shines with w / pi: that is the lamp's intensity. Under L = 1 from
-        everywhere a matte surface that nothing hides shows its albedo, as under ambient light 1.
+        A cell of the sphere over which the map's radiance L integrates to w gives a facing surface the
+        irradiance w. A matte white one then shines with w / pi, which is the lamp's intensity. Under L = 1
+        from everywhere a matte surface that nothing hides shows its albedo, as under ambient light 1.
         """
         directions = [light.direction for light in lights]
         distances = [light.distance_mm for light in lights]
@@ -89,22 +82,9 @@ def shade(
 
         diffuse = ambient + sum_k V_k E_k f(n, l_k, v),  specular = k_s sum_k V_k E_k phong(n, l_k, v)
 
-    as in `lighting.asrm`, with a colour a lamp and a viewer a point. Both are linear in the lamps.
-
-    Parameters
-    ----------
-    shadows : ShadowMap
-        Points, normals, and what hides them.
-    light : SceneLight
-    reflectance : Reflectance
-    view : (3,) or (N, 3) array_like of float
-        Unit, toward the viewer.
-    specular_scale : (N,) float64, optional
-        Multiplies the highlights.
-
-    Notes
-    -----
-    Cost: a shadow ray and a reflectance for each lamp and point that faces it.
+    as in `lighting.asrm`, with a colour a lamp and a viewer a point: `view`, (3,) or (N, 3), unit. Both are
+    linear in the lamps. `specular_scale` (N,) multiplies the highlights. A shadow ray and a reflectance are
+    computed for each lamp and point that faces it.
     """
     position, normal = shadows.position, shadows.normal
     toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))

@@ -1,7 +1,7 @@
-"""Find the axes, the regions and the landmarks of anyone's face template, with the default model.
+"""Find the axes, regions and landmarks of anyone's face template, with the default model.
 
-The template is treated as a scan: the default model is registered and fitted to it, and what it knows is
-carried over. This needs the stages, so it stands above `face_model`.
+The default model is registered and fitted to the template as to a scan, and its annotation carried over. This
+needs the stages, so the module stands above `face_model`.
 """
 
 from __future__ import annotations
@@ -40,12 +40,8 @@ LIPS = ("upper_lip", "lower_lip")
 def annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
     """Make a model in the convention's axes, with the default model's annotation where none is given.
 
-    `surface` is that of `given`, in any pose; about `control_size` control vertices are aimed at.
-
-    Raises
-    ------
-    ModelError
-        When the template, the regions or the landmarks cannot be used; the message says why.
+    `surface` is that of `given`, in any pose; the model gets about `control_size` control vertices.
+    ModelError when the template, the regions or the landmarks cannot be used; the message says why.
     """
     found = _recognized(surface, given.name)
     if isinstance(found, str):

@@ -93,20 +93,13 @@ def trusted(face: ProcessedFace) -> BoolArray:
 
 
 def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
-    """Return (H, W, 3) `albedo` with the texels that are not `known` continued by the other face's gradients.
+    """Return (H, W, 3) `albedo` with the texels not `known` (H, W) continued by the other face's gradients.
 
     Gradients of log albedo are integrated from the border of the known texels, so that no seam is left [1]_;
-    they are 0 where one of their texels is outside `guide`. A feature of one face alone at the border, such
-    as the end of a brow, would continue as a bright or dark stain: its difference from its surroundings fades
-    out within a few texels instead. Where `albedo` is the other face's own it is returned as it is.
-
-    Parameters
-    ----------
-    albedo : (H, W, 3) float64
-    known : (H, W) bool
-    other : ProcessedFace
-    guide : (H, W) bool
-        Where the other face's albedo is known.
+    they are 0 where one of their texels is outside `guide` (H, W), where the other's albedo is known. A
+    feature of one face alone at the border, such as the end of a brow, would continue as a bright or dark
+    stain: its difference from its surroundings fades out within a few texels instead. Where `albedo` is the
+    other face's own it is returned as it is.
 
     References
     ----------
@@ -127,7 +120,7 @@ def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide:
 
 
 def _features(difference: FloatArray, both: BoolArray) -> FloatArray:
-    """Return (H, W, 3) by how much the faces' difference departs from its robust local mean; 0 beside `both`.
+    """Return (H, W, 3) the faces' difference less its robust local mean; 0 outside `both`.
 
     The mean is that of a box taken twice, reweighted by Geman and McClure's 1 / (1 + (r / s)^2)^2.
     """

@@ -101,7 +101,7 @@ def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatA
 def mirrored(image: FloatArray, multiple: int) -> FloatArray:
     """Return the image followed by its mirror image on both axes, with sides a multiple of `multiple`.
 
-    The pyramid's filters wrap around; so they meet the image's own edge instead of the opposite one.
+    The pyramid's filters wrap around, so they meet the image's own edge instead of the opposite one.
     """
     after = [n + -2 * n % multiple for n in image.shape]
     return np.pad(image, [(0, a) for a in after], mode="symmetric")

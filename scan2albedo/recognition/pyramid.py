@@ -82,12 +82,8 @@ def coarsest_bands(image: FloatArray, *, scales: int = 3, orientations: int = 10
     """Return `steerable_pyramid(image).bands[-1]` (O, H / s, W / s), s = 2^(scales - 1), without the rest.
 
     A band is the inverse transform of X_k H_k over the low frequencies k that its size can hold, with the
-    image's transform X and a filter H that is read off the pyramid of a point once for each size.
-
-    Raises
-    ------
-    ValueError
-        As `steerable_pyramid`.
+    image's transform X and a filter H that is read off the pyramid of a point once for each size. ValueError
+    as `steerable_pyramid`.
     """
     filters = _coarsest_filters(image.shape, scales, orientations)
     rows, columns = (np.fft.fftfreq(n, 1 / n).astype(int) for n in filters.shape[1:])

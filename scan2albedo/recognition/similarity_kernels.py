@@ -25,19 +25,10 @@ def add_window_similarities(  # type: ignore[no-untyped-def]
 ):
     """Add to total (A, LANES) the similarity of one orientation, summed over windows valid in both.
 
-    Products are summed down columns of `window` coefficients, then along rows of these, both by adding what
-    comes in and taking away what goes out.
-
-    Parameters
-    ----------
-    real, imaginary : (A, h, w) float32
-    energy, valid : (A, h - window + 1, w - window + 1) float32, bool
-        Sum of squared magnitudes of a window, and whether it lies inside the mask.
-    lane_real, lane_imaginary : (h, w, LANES) float32
-    lane_energy, lane_valid : (h - window + 1, w - window + 1, LANES) float32
-    window : int
-    stabilizer : float32
-    total : (A, LANES) float64
+    `real`, `imaginary` (A, h, w) float32 are the coefficients of A templates, and (h, w, LANES) those of the
+    lanes. `energy` is a window's sum of squared magnitudes, float32, and `valid` whether it lies inside the
+    mask: (A, h - window + 1, w - window + 1), lanes last. Sums run down columns of `window` coefficients,
+    then along rows of these, both by adding what comes in and subtracting what goes out.
     """
     count, height, width = real.shape
     column_real = np.empty((width, LANES), np.float32)

@@ -45,13 +45,8 @@ class Chart:
 def common_chart(a: Chart | None, b: Chart | None, what_a: str, what_b: str) -> Chart | None:
     """Return the chart of two sets of images, with the model of either.
 
-    Raises
-    ------
-    RecognitionError
-        When sizes or models differ; names both sets and both charts.
+    RecognitionError when sizes or models differ; it names both sets and both charts.
 
-    Examples
-    --------
     >>> common_chart(Chart(None, (256, 256)), Chart("mine", (256, 256)), "a", "b").model
     'mine'
     """

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figure:
     """Return a figure of identification rate against rank, a curve for each name.
 
-    Raises
-    ------
-    ValueError
-        When there is no curve, or their confidences differ.
+    ValueError when there is no curve, or their confidences differ.
     """
     figure, axis = _figure(curves)
     for name, curve in curves.items():
@@ -44,10 +41,7 @@ def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figur
 def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
     """Return a figure of true against false accept rate, the latter logarithmic, a curve for each name.
 
-    Raises
-    ------
-    ValueError
-        When there is no curve, or their confidences differ.
+    ValueError when there is no curve, or their confidences differ.
     """
     figure, axis = _figure(curves)
     for name, curve in curves.items():

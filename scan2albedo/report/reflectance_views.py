@@ -28,10 +28,7 @@ _MARGIN_PX = 8
 
 
 def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None) -> list[Panel]:
-    """Return panels of the albedo and the three weights and, of a fit, of what is identified.
-
-    The mesh is seen from +z; vertices that are not known are grey.
-    """
+    """Return panels of albedo and weights and, of a fit, of what is identified; from +z, unknown grey."""
     view = View.around(mesh.vertices)
     one = mesh.reflectance
     weights = one.weights[one.known]

@@ -60,27 +60,12 @@ def render_mesh(
     size: int = 512,
     shaded: bool = True,
 ) -> NDArray[np.uint8]:
-    """Render a mesh orthographically.
+    """Render a mesh orthographically as (size, size, 3) uint8 sRGB before white.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-        +x to the right of the picture, +y up, +z to the viewer.
-    faces : (F, 3) array_like of int
-    vertex_color_srgb : (V, 3) array_like of float in [0, 1], optional
-        Grey when omitted.
-    texture_srgb : (uv of each face's corners (F, 3, 2), image (H, W, 3) uint8), optional
-        Used instead of vertex colours.
-    view : View, optional
-        What to show; all of the mesh, turned by `yaw_deg` and `pitch_deg`, when omitted.
-    size : int
-        Height and width in pixels.
-    shaded : bool
-        Multiply colours by a headlight's shading.
-
-    Returns
-    -------
-    (size, size, 3) uint8, sRGB, white background.
+    `vertices` (V, 3): +x to the right, +y up, +z to the viewer. `vertex_color_srgb` (V, 3) is within [0, 1],
+    grey when None; `texture_srgb`, the uv of each face's corners (F, 3, 2) and an image (H, W, 3), goes
+    before it. Without `view` all of the mesh is shown, turned by `yaw_deg` and `pitch_deg`. `shaded`
+    multiplies colours by a headlight's shading.
     """
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
     view = view if view is not None else View.around(xyz, yaw_deg=yaw_deg, pitch_deg=pitch_deg)

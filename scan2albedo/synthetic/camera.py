@@ -26,20 +26,10 @@ def auto_exposure(radiance_linear: ArrayLike) -> float:
 def photograph(
     radiance_linear: ArrayLike, *, exposure: float, noise: float, bits: int | None, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the linear picture decoded from what the camera stored.
+    """Return the linear picture decoded from what the camera stored of radiance of any shape.
 
-    Parameters
-    ----------
-    radiance_linear : array_like of float
-        Any shape.
-    exposure : float
-        Factor from radiance to the sensor's scale, where 1 is white.
-    noise : float
-        Standard deviation of Gaussian noise on the sensor's linear scale.
-    bits : int or None
-        Quantise the sRGB-encoded picture to 2^bits levels; None keeps it as it is (still clipped).
-    rng : numpy.random.Generator
-        Of the noise.
+    The sensor sees `exposure` times the radiance, 1 being white, with Gaussian noise of standard deviation
+    `noise`. The sRGB-encoded picture is rounded to 2^bits levels; None leaves it unrounded, but clipped.
     """
     sensor = np.asarray(radiance_linear, np.float32) * np.float32(exposure)
     if noise > 0:
@@ -88,17 +78,9 @@ def exposure_for(brightest: FloatArray, saturated_part: float) -> float:
 def stored_values(
     linear: NDArray[np.float32], *, gamma: float, noise: float, bits: int | None, rng: np.random.Generator
 ) -> NDArray[np.generic]:
-    """Return the values light^(1 / gamma) with noise; clipped and rounded to 8 or 16 bits, or as they are.
+    """Return the values light^(1 / gamma) of a picture (H, W, 3), white = 1, with noise on the values.
 
-    Parameters
-    ----------
-    linear : (H, W, 3) float32
-        Light, white = 1.
-    gamma : float
-    noise : float
-        Standard deviation of the values.
-    bits : {8, 16, None}
-    rng : numpy.random.Generator
+    They are clipped and rounded to 8 or 16 bits; None leaves them as they are.
     """
     values = linear ** np.float32(1 / gamma)
     values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)

@@ -24,16 +24,9 @@ _IRISES = np.array([[0.12, 0.16, 0.20], [0.10, 0.055, 0.03], [0.13, 0.12, 0.06]]
 class PaintedFeatures:
     """How brows and lips differ from those that the landmarks give; lengths in chart units (1 = 200 mm).
 
-    Parameters
-    ----------
-    brow_thickness : float
-        Factor.
-    brow_lift, brow_arch : float
-        Upward, of the whole brow and of its middle.
-    brow_reach : float
-        Share of the brow that has hair, from its inner end.
-    lip_fullness : float
-        By which the lips' outline moves outward.
+    `brow_thickness` is a factor; `brow_lift` and `brow_arch` move the brow and its middle upward;
+    `brow_reach` is the share of the brow, from its inner end, that has hair; `lip_fullness` moves the lips'
+    outline outward.
     """
 
     brow_thickness: float = 1.0
@@ -53,10 +46,7 @@ def paint_face(
     marks: bool = True,
     features: PaintedFeatures = PaintedFeatures(),
 ) -> FloatArray:
-    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2).
-
-    `grain`, `tone` and `marks` as in `skin`.
-    """
+    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); other arguments as in `skin`."""
     landmarks = landmark_uv(model)
     albedo = skin(uv, rng, grain=grain, tone=tone, marks=marks)
     pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))

@@ -27,18 +27,10 @@ STRETCH_SD = np.array([0.035, 0.035, 0.045])
 
 @dataclass(frozen=True)
 class Bump:
-    """A Gaussian displacement field around the mean of some landmarks.
+    """A Gaussian displacement around the mean of some landmarks (iBUG-68 numbers, right half or midline).
 
-    Parameters
-    ----------
-    landmarks : tuple of int
-        iBUG-68 indices on the right half of the face or the midline.
-    radius_mm : float
-        Standard deviation of the Gaussian.
-    direction : (x, y, z)
-        Millimetres at the centre for amount 1; x > 0 points away from the midline.
-    paired : bool
-        Repeat it mirrored on the left half.
+    `radius_mm` is the Gaussian's standard deviation, `direction` its displacement in mm at the centre for
+    amount 1, x > 0 away from the midline; `paired` repeats it mirrored on the left half.
     """
 
     landmarks: tuple[int, ...]
@@ -110,17 +102,8 @@ def person(
 ) -> FloatArray:
     """Return control points (C, 3) in mm of a random person, rigidly aligned to the model at rest.
 
-    Parameters
-    ----------
-    model : AnnotatedFaceModel
-        Needs landmarks: the modes are placed by them.
-    rng : numpy.random.Generator
-    expression : str
-        One of neutral, smile, frown, pout, puff, surprise (the lips stay closed).
-    strength : float
-        Factor of the identity; 0 keeps the model's own.
-    expression_strength : float
-        Factor of the expression; 1 is a plain one.
+    `strength` scales the identity (0 keeps the model's own) and `expression_strength` the expression; lips
+    stay closed. ModelError when the model has no landmarks, which place the bumps.
     """
     if expression not in get_args(Expression):
         raise ValueError(f"expression is {expression!r}, expected one of {sorted(EXPRESSION_BUMPS)}")
@@ -157,18 +140,10 @@ def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> Float
 
 @dataclass(frozen=True)
 class FaceSurface:
-    """The limit surface of a person.
+    """The limit surface of a person, mm in the model's frame.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Millimetres in the model's frame.
-    faces : (F, 3) int64
-    normals : (V, 3) float64
-    corner_uv : (F, 3, 2) float64
-        Chart coordinates of each face's corners.
-    region : (F,) uint8
-    landmarks : (68, 3) float64
+    `vertices` and `normals` (V, 3), `faces` (F, 3), chart coordinates `corner_uv` (F, 3, 2) of the faces'
+    corners, `region` (F,), `landmarks` (68, 3).
     """
 
     vertices: FloatArray
@@ -200,14 +175,7 @@ def with_relief(
 ) -> FaceSurface:
     """Return the surface with fine relief along its normals that no control mesh of the model can follow.
 
-    Parameters
-    ----------
-    surface : FaceSurface
-    rng : numpy.random.Generator
-    height_mm : float
-        Standard deviation of the relief.
-    bumps : int
-        About so many across the chart: 40 make wrinkles of 5 mm.
+    Its standard deviation is `height_mm`; about `bumps` bumps lie across the chart (40 are wrinkles of 5 mm).
     """
     uv = np.zeros((len(surface.vertices), 2))
     uv[surface.faces.ravel()] = surface.corner_uv.reshape(-1, 2)

@@ -81,7 +81,7 @@ class GlassesShape:
 def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
     """Return the left rim's middle line (72, 3) and its outward normals (72, 3) in the xy-plane.
 
-    Points are equally far apart, counterclockwise as seen from in front, from the temple's side on.
+    Points are equally spaced, counterclockwise seen from the front, and begin at the temple.
     """
     angle = np.linspace(0, 2 * np.pi, _DENSE + 1)
     half = np.array([shape.lens_width, shape.lens_height]) / 2 + shape.rim_width / 2
@@ -140,22 +140,12 @@ class GlassesBend:
 def bend_points(
     points: FloatArray, bend: GlassesBend, hinge: FloatArray, temple_depth: float, bridge_width: float
 ) -> FloatArray:
-    """Return points (..., 3) moved by the bend.
+    """Return points (..., 3) moved by the bend; the left temple begins at `hinge` (3,).
 
-    A temple's section at a way t from the hinge turns outward by theta(t), tan theta the slope of a
-    cantilever loaded at its end, s u^2 (3 - u) / 2 with u = t / temple_depth; the front's middle line turns
-    by phi(x) about y, which rises within the bridge as a sine. Both lines keep their lengths and what lies
-    off them its distance, as thin rods do; volumes change to second order only.
-
-    Parameters
-    ----------
-    points : (..., 3) float64
-    bend : GlassesBend
-    hinge : (3,) float64
-        Where the left temple begins.
-    temple_depth : float
-        How far back the temples reach.
-    bridge_width : float
+    The section of a temple at distance t behind the hinge turns outward by theta(t), where tan theta is the
+    slope of a cantilever loaded at its end, s u^2 (3 - u) / 2 with u = t / temple_depth. The front's middle
+    line turns by phi(x) about y, which rises within the bridge as a sine. Both lines keep their lengths, and
+    points keep their distances from them, as in thin rods; volumes change to second order only.
     """
     if bend == GlassesBend():
         return np.array(points, np.float64)

@@ -1,6 +1,6 @@
 """A synthetic person whose skin reflects as three Blinn-Phong lobes over Lambert, and how flashes light it.
 
-Radiance is written out here apart from `reflectance`, so that a fit is not judged by its own equation.
+The radiance is computed here without `reflectance`, so that its fits are tested against independent code.
 """
 
 from __future__ import annotations
@@ -62,17 +62,9 @@ class SeenSurface:
 
 @dataclass(frozen=True)
 class GlossyPerson:
-    """A person and the reflectance of the face's vertices.
+    """A sitter with `diffuse_linear` and lobe `weights` (V, 3) at the face's vertices, linear between them.
 
-    Parameters
-    ----------
-    sitter : Sitter
-    diffuse_linear, weights : (V, 3) float64
-        At the vertices of ``sitter.face``, linear between them.
-    shown : (F,) int64
-        Faces of the sitter that are there.
-    scene : RayScene
-        Of these.
+    `shown` (F,) are the sitter's faces in the picture (hair may be left out); `scene` is made of these.
     """
 
     sitter: Sitter

@@ -23,10 +23,7 @@ IntArray = NDArray[np.int64]
 
 
 def ring_faces(rings: IntArray) -> IntArray:
-    """Return the (F, 3) triangles between consecutive rings of vertex numbers (R, S).
-
-    Seen along the tube, rings run clockwise when the normals are to point outward.
-    """
+    """Return triangles (F, 3), outward where rings of vertex numbers (R, S) run clockwise along the tube."""
     a, c = rings[:-1], rings[1:]
     b, d = np.roll(a, -1, 1), np.roll(c, -1, 1)
     return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])

@@ -55,16 +55,9 @@ def hair_shell(
 ) -> Mesh:
     """Return a bumpy cap of hair that hugs a head (or continues a bare face) down to a ragged hairline.
 
-    Parameters
-    ----------
-    vertices, faces : (V, 3) mm, (F, 3)
-        A face or head looking along +z, +y up.
-    rng : numpy.random.Generator
-    thickness_mm : float
-        Of the hair at the crown; it thins out toward the hairline.
-    side_drop_deg : float
-        How much lower the hair hangs at the sides than a short cut; 25 covers the ears.
-    size : (rows from crown to hairline, columns around it)
+    The head, `vertices` (V, 3) mm and `faces` (F, 3), looks along +z with +y up. `thickness_mm` is that at
+    the crown. The hair hangs `side_drop_deg` lower at the sides than a short cut (25 covers the ears). `size`
+    counts rows from crown to hairline and columns around.
     """
     center = nose_tip(vertices) + SKULL_CENTER_FROM_NOSE_MM
     directions, share = _cap_directions(size, side_drop_deg, rng)
@@ -163,20 +156,10 @@ _COLLAR_RINGS = 60
 def head_around(
     vertices: FloatArray, faces: IntArray, normals: FloatArray
 ) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return skull and neck as one collar around a face's rim.
+    """Return skull and neck as a collar of 60 rings around the rim of a disc-shaped face that looks along +z.
 
-    Parameters
-    ----------
-    vertices, faces, normals : (V, 3) mm, (F, 3), (V, 3)
-        A disc-shaped face looking along +z.
-
-    Returns
-    -------
-    vertices : (60 B, 3) float64
-        Ring by ring, ring 0 on the rim's B vertices.
-    faces : (F', 3) int64
-    uv : (60 B, 2) float64
-        Around and along, in units of the face's chart (about 1 for 200 mm).
+    For B rim vertices these are vertices (60 B, 3) mm, ring 0 on the rim; faces (F', 3); and uv (60 B, 2)
+    around and along, in units of the face's chart (about 1 for 200 mm).
     """
     loop = boundary_loop(faces)
     rim, tip = vertices[loop], nose_tip(vertices)

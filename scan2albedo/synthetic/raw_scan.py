@@ -147,10 +147,7 @@ def scan_of(
     name: str,
     colors: FloatArray | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
-    """Scan a sitter as `raw_scan` does; `rng` is that of noise, damage and pose.
-
-    Ambient light and lamps have `colors` (1 + L, 3), white when omitted.
-    """
+    """Scan a sitter as `raw_scan` does; `colors` (1 + L, 3) of ambient light and lamps, white when None."""
     tip = nose_tip(sitter.face.vertices)
     pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=_PICTURE_REACH_MM)
     measured = capture(

@@ -29,18 +29,9 @@ class SceneHits:
 
 
 class RayScene:
-    """Shoot rays at one mesh with Open3D's `RaycastingScene` (float32, so the mesh is centred first).
+    """Shoot rays at one mesh, in mm, with Open3D's `RaycastingScene` (float32, so the mesh is centred first).
 
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-        Millimetres.
-    faces : (F, 3) array_like of int
-
-    Raises
-    ------
-    MissingDependencyError
-        When Open3D or a system library it needs is not there.
+    MissingDependencyError when Open3D or a system library that it needs is missing.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
@@ -118,18 +109,10 @@ class Material:
 
 @dataclass(frozen=True)
 class Rendered:
-    """A rendering of N surface points; ambient light is 1.
+    """A rendering of N surface points under ambient light 1: ``radiance = albedo * shading + specular``.
 
-    Parameters
-    ----------
-    radiance_linear : (N, 3) float64
-        ``albedo * shading + specular``.
-    shading : (N,) float64
-        ``1 + sum of the lights' diffuse shading``, shadows included.
-    specular : (N,) float64
-        Highlights, the same in all channels.
-    visible : (N, L) bool
-        Whether light l reaches the point: in front of the surface and not behind anything.
+    `radiance_linear` (N, 3); `shading` (N,), 1 + the lights' diffuse shading with shadows; `specular` (N,),
+    the same in all channels; `visible` (N, L), whether the point faces light l and nothing hides it.
     """
 
     radiance_linear: FloatArray
@@ -149,24 +132,12 @@ def render(
     view_direction: ArrayLike = (0.0, 0.0, 1.0),
     specular_scale: ArrayLike = 1.0,
 ) -> Rendered:
-    """Shade surface points under ambient light 1 and `lights`.
+    """Shade surface points (N, 3) in mm, the model's frame, under ambient light 1 and `lights`.
 
-    ``T = A (1 + sum_l s_l E_l D_l) + sum_l s_l E_l S_l`` with albedo A, shadow s in {0, 1}, irradiance
-    factor E = intensity (distance / r)^2, Oren-Nayar's D and Phong's S.
-
-    Parameters
-    ----------
-    position, normal : (N, 3) array_like
-        Millimetres in the model's frame; unit normals.
-    albedo_linear : (N, 3) array_like
-    lights : sequence of PointLight
-    material : Material
-    occluder : RayScene, optional
-        What casts shadows; nothing when None.
-    view_direction : (3,) or (N, 3) array_like
-        Unit vectors toward the viewer.
-    specular_scale : float or (N,) array_like
-        Factor of the highlights, from the annotation.
+    ``T = A (1 + sum_l s_l E_l D_l) + sum_l s_l E_l S_l`` with albedo A, shadow s in {0, 1}, irradiance factor
+    E = intensity (distance / r)^2, Oren-Nayar's D and Phong's S. Without `occluder` nothing casts shadows.
+    Unit vectors `view_direction`, (3,) or (N, 3), point toward the viewer; `specular_scale`, a float or (N,),
+    multiplies the highlights.
     """
     xyz, n = np.asarray(position, float), np.asarray(normal, float)
     v = np.broadcast_to(np.asarray(view_direction, float), xyz.shape)

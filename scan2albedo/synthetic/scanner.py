@@ -22,16 +22,9 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Pod:
-    """A pinhole camera.
+    """A pinhole camera at `position_mm` (3,) that looks at `target_mm` (3,), +y up in its square picture.
 
-    Parameters
-    ----------
-    position_mm : (3,) float64
-        Where it stands.
-    target_mm : (3,) float64
-        What it looks at; +y is up in its picture.
-    half_angle_rad : float
-        Half the angle its square picture spans.
+    `half_angle_rad` is half the angle that the picture spans.
     """
 
     position_mm: FloatArray
@@ -78,19 +71,10 @@ def two_pods(
 
 @dataclass(frozen=True)
 class RangeMesh:
-    """What the pods measured.
+    """The mesh that the pods measured: `vertices` (V, 3) mm, exactly on the scene, `faces` (F, 3) outward.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Millimetres, exactly on the scene.
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
-    face_pod : (F,) int64
-        0 or 1: the pod that sees the face better; its picture colours the face.
-    scene_face : (V,) int64
-        Face of the scene the vertex lies on.
-    scene_barycentric : (V, 3) float64
+    `face_pod` (F,) is the pod, 0 or 1, that sees the face better and colours it. Vertices lie on the scene's
+    faces `scene_face` (V,) at `scene_barycentric` (V, 3).
     """
 
     vertices: FloatArray
@@ -202,22 +186,9 @@ def flash_pictures(
 ) -> tuple[NDArray[np.float32], float]:
     """Return both pods' pictures side by side (size, 2 size, 3), linear from 8 bits, and their exposure.
 
-    The exposure keeps the face's brightest pixel just below white; white clothes may clip.
-
-    Parameters
-    ----------
-    sitter : Sitter
-    pods : (left, right)
-    lights : tuple of PointLight
-    material : Material
-        Of everything but the clothes, which have no highlight.
-    size : int
-        Pixels of each picture's side.
-    noise : float
-        Standard deviation, white = 1.
-    rng : numpy.random.Generator
-    colors : (1 + L, 3) float64, optional
-        Of the ambient light and of each lamp; all white when omitted.
+    The exposure keeps the face's brightest pixel just below white; clothes may clip, and have no highlight.
+    `noise` is a standard deviation, white = 1; `colors` (1 + L, 3) are those of the ambient light and of each
+    lamp, all white when None.
     """
     scene = RayScene(sitter.vertices, sitter.faces)
     seen = [_radiance(sitter, scene, pod, lights, material, size, colors) for pod in pods]

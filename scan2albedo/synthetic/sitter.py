@@ -29,27 +29,12 @@ _CLOTH_COLORS = np.array([[0.62, 0.66, 0.64], [0.08, 0.11, 0.20], [0.30, 0.06, 0
 
 @dataclass(frozen=True)
 class Sitter:
-    """A person's surface, part by part, and how to colour any point of it.
+    """A person's surface, part by part, and how to colour any point of it; frame: the model's, mm.
 
-    Parameters
-    ----------
-    model : AnnotatedFaceModel
-    control_points : (C, 3) float64
-        Of the face without its fine relief, in the model's frame, mm.
-    face : FaceSurface
-    vertices : (V, 3) float64
-        All parts.
-    faces : (F, 3) int64
-    normals : (V, 3) float64
-    part : (F,) int64
-        FACE, HEAD, HAIR or CLOTHES.
-    corner_uv : (F, 3, 2) float64
-        Coordinates each part's texture is painted at; the model's chart on the face.
-    tone, hair_color, cloth_color : float, (3,), (3,)
-    seed : int
-        Of the textures.
-    face_albedo : callable
-        Linear albedo (N, 3) of the face at chart coordinates (N, 2).
+    `control_points` (C, 3) are those of the face without its fine relief. `vertices` and `normals` (V, 3) and
+    `faces` (F, 3) hold all parts; `part` (F,) is FACE, HEAD, HAIR or CLOTHES; `corner_uv` (F, 3, 2) are the
+    coordinates at which a part's texture is painted, on the face the model's chart. `face_albedo` gives
+    linear albedo (N, 3) at chart coordinates (N, 2); `seed` is that of the textures.
     """
 
     model: AnnotatedFaceModel
@@ -110,17 +95,8 @@ def sit_down(
 ) -> Sitter:
     """Return a random person, head upright in the model's frame.
 
-    Parameters
-    ----------
-    seed : int
-        Of shape and textures.
-    expression, expression_strength
-        As in `identity.person`.
-    model : AnnotatedFaceModel
-    tone : float, optional
-        Of the skin, 0 lightest ... 1 darkest; random when None.
-    face_albedo : callable, optional
-        What the face is painted with, see `Sitter`; `paint_face` at random when None.
+    `seed` draws shape and textures. The skin's `tone`, 0 lightest ... 1 darkest, and `face_albedo`, see
+    `Sitter`, are random when None.
     """
     rng = np.random.default_rng([seed, 6])
     control_points = person(

@@ -21,7 +21,7 @@ HEMOGLOBIN = np.array([0.12, 1.0, 0.85])
 def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Generator) -> FloatArray:
     """Return (N,) smooth noise of unit variance over the unit square, about `cells` bumps across u and v.
 
-    A lattice of Gaussian numbers interpolated by cubic splines and wrapped around.
+    A lattice of Gaussian numbers is interpolated by cubic splines and wrapped around.
     """
     xy = np.asarray(uv, float)
     shape = tuple(max(4, int(np.ceil(c))) for c in cells)
@@ -33,15 +33,7 @@ def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Gener
 
 
 def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
-    """Return (N, 3) linear albedo of a plank: year rings, warped, with fine fibres along v.
-
-    Parameters
-    ----------
-    uv : (N, 2) array_like of float
-    rng : numpy.random.Generator
-    grain : float
-        Size of the pattern, 1 = about 14 rings across the unit square.
-    """
+    """Return (N, 3) linear albedo of a plank: about 14 / `grain` warped year rings and fibres along v."""
     xy = np.asarray(uv, float) / grain
     warp = 0.035 * smooth_noise(xy, (3, 2), rng) + 0.008 * smooth_noise(xy, (11, 4), rng)
     heart = np.array([0.35, -0.9]) + rng.uniform(-0.1, 0.1, 2)
@@ -61,20 +53,10 @@ def skin(
     tone: float | None = None,
     marks: bool = True,
 ) -> FloatArray:
-    """Return (N, 3) linear albedo of bare skin: tone, blotches, pores, freckles and moles.
+    """Return (N, 3) linear albedo of bare skin: tone, blotches, pores, and with `marks` freckles and moles.
 
-    Pigments absorb exponentially: ``tone exp(-melanin m - hemoglobin h)``.
-
-    Parameters
-    ----------
-    uv : (N, 2) array_like of float
-    rng : numpy.random.Generator
-    grain : float
-        Size of the pattern, 1 = pores of 1/160 of the unit square.
-    tone : float, optional
-        0 lightest ... 1 darkest; drawn when None.
-    marks : bool
-        Whether there are freckles and moles.
+    Pigments absorb exponentially: ``tone exp(-melanin m - hemoglobin h)``. Pores are `grain` / 160 of the
+    unit square wide; `tone` runs from 0, lightest, to 1, darkest, and is random when None.
     """
     xy = np.asarray(uv, float)
     depth = rng.uniform(0, 0.75) if tone is None else tone

@@ -33,17 +33,10 @@ _WIDEST_SPREAD_MM = 16.0
 
 
 def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatArray) -> GlassesBend:
-    """Return the bend that spreads the temples of a frame around a head, and a little else at random.
+    """Return the bend that spreads a frame's temples around a head that looks along +z, in mm.
 
-    Parameters
-    ----------
-    shape : GlassesShape
-    seed : int
-        Of what is bent besides: the bridge by up to 3 degrees, the halves against each other by 2.
-    head : RayScene
-        Looking along +z, mm.
-    nose_top : (3,) float64
-        Where the frame will sit.
+    `seed` adds random bends: the bridge by up to 3 degrees, the halves against each other by up to 2. The
+    frame will sit at `nose_top` (3,).
     """
     rng = np.random.default_rng([seed, 8])
     bend = GlassesBend(0.0, bridge_deg=rng.uniform(-3, 3), twist_deg=rng.uniform(-2, 2))
@@ -64,15 +57,9 @@ def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatA
 
 
 def seat(glasses: SyntheticEyeglasses, head: RayScene, eyes: FloatArray) -> FloatArray:
-    """Return the rigid `world_from_glasses` (4, 4) of a frame that just touches the face at one point.
+    """Return the rigid `world_from_glasses` (4, 4) of a frame that just touches a face that looks along +z.
 
-    Parameters
-    ----------
-    glasses : SyntheticEyeglasses
-    head : RayScene
-        Looking along +z, mm.
-    eyes : (3,) float64
-        Middle between the eyes, about.
+    `eyes` (3,) is about the middle between the eyes, mm.
     """
     tilt = rotation_from_vector([np.deg2rad(_TILT_DEG), 0, 0])
     start = compose(tilt, eyes + [0.0, -_BELOW_EYES_MM, _FAR_MM])

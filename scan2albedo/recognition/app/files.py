@@ -102,13 +102,8 @@ def _curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | No
 def write_identification(found: ResultIdentification, folder: str | Path) -> IdentificationRecord:
     """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
 
-    The curves are those of the probes whose person is known; without such probes there are none. Returns the
-    record.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
+    Return the record. The curves are those of the probes whose person is known; without such probes there are
+    none. OutputError when the folder cannot be written.
     """
     target, (cmc, roc) = Path(folder), _curves(found)
     with result_folder(target, IDENTIFICATION_FILE, obsolete=FILES) as staging:

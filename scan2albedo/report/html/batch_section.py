@@ -102,14 +102,8 @@ def batch_section(
 ) -> BatchSection:
     """Return the section about a batch for the page at `page`.
 
-    Parameters
-    ----------
-    rows : sequence of ScanRow
-    anchors : mapping of int to str
-        Position of the rows that have a section, and its anchor.
-    page : Path
-    most_rows : int
-        Of the table; scans that failed go first when there are more.
+    `anchors` maps the positions of rows with a section to its anchor. The table has at most `most_rows`;
+    scans that failed go first when there are more.
     """
     columns = _columns(rows)
     shown = range(len(rows))

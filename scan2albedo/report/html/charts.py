@@ -254,10 +254,7 @@ class StageChart:
 def read_trace(file: Path) -> list[TraceRow]:
     """Return the rows of a `trace.csv`; those without a finite error are left out.
 
-    Raises
-    ------
-    Scan2AlbedoError
-        When it cannot be read; the message names the file and the line.
+    Scan2AlbedoError when it cannot be read; the message names the file and the line.
     """
     try:
         with file.open(encoding="utf-8", newline="") as opened:

@@ -70,7 +70,7 @@ def quantized(values: FloatArray, low: FloatArray, span: FloatArray) -> NDArray[
 
 
 def octahedral(normals: FloatArray) -> NDArray[np.int16]:
-    """Return (V, 2) 16-bit octahedral coordinates of unit vectors (V, 3), off by 0.005 degrees at most.
+    """Return (V, 2) 16-bit octahedral coordinates of unit vectors (V, 3), off by 0.005 degrees at most [1]_.
 
     References
     ----------
@@ -98,8 +98,8 @@ def mesh_entry(mesh: ViewMesh, topologies: Topologies) -> dict[str, Any]:
 def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     """Return the texel grid as a mesh of about `most` vertices or fewer.
 
-    Blocks that lie whole inside the mask become two triangles; those at the rim and at seams keep all of
-    theirs, so that no gap opens.
+    Blocks inside the mask become two triangles; those at the rim and at seams keep all their triangles, so
+    that no gap opens.
     """
     full = FaceMesh.of_chart(image)
     step = 1
@@ -159,16 +159,10 @@ class TextureStyle:
 def texture_entry(
     linear: NDArray[np.floating], mask: NDArray[np.bool_], style: TextureStyle, *, factor: float | None = None
 ) -> dict[str, Any]:
-    """Return a linear texture as 8-bit sRGB for the viewer, carried on beyond the mask.
+    """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
-    Parameters
-    ----------
-    linear : (H, W, 3) float
-    mask : (H, W) bool
-    style : TextureStyle
-    factor : float, optional
-        By which it is multiplied before it is encoded; when omitted the one that uses the 8 bits well. The
-        viewer divides by it.
+    The texture is multiplied by `factor`, by which the viewer divides; when None, by the one that uses the 8
+    bits well.
     """
     if factor is None:
         bright = float(np.percentile(linear[mask].max(-1), _BRIGHT_PERCENTILE)) if mask.any() else 0.0

@@ -23,19 +23,10 @@ UNCERTAINTY = "metrics_albedo_uncertainty_albedo_deviation"
 
 @dataclass(frozen=True)
 class ScanRow:
-    """One scan of a batch.
+    """One scan of a batch: its `status` is "done", "failed" or "not run", `reason` why it is not done.
 
-    Parameters
-    ----------
-    name : str
-    status : str
-        "done", "failed" or "not run".
-    reason : str
-        Why it is not done.
-    folder : Path or None
-        Of its files.
-    values : mapping of str to object
-        Further columns, named as in `catalogue.parquet`: numbers, text, or None.
+    `folder` holds its files; `values` are further columns, named as in `catalogue.parquet`: numbers, text,
+    None.
     """
 
     name: str
@@ -89,12 +80,8 @@ def row_of_record(record: ResultRecord, folder: Path) -> ScanRow:
 def rows_of_catalogue(file: Path) -> list[ScanRow]:
     """Return a row for each scan of a batch, in the order of its catalogue.
 
-    Raises
-    ------
-    MissingDependencyError
-        Without pyarrow.
-    Scan2AlbedoError
-        When the file cannot be read or has no names or no states; the message names it.
+    MissingDependencyError without pyarrow; Scan2AlbedoError when the file cannot be read or has no names or
+    no states, and names it.
     """
     table = _table(file)
     missing = [name for name in ("name", "status") if name not in table.column_names]
@@ -161,8 +148,7 @@ def selected_rows(rows: Sequence[ScanRow], count: int) -> Selection:
     """Return the scans a person wants to see first: the worst, and two to compare them with.
 
     Of the scans that are done and have files, the worst by fit residual (by the albedo's uncertainty for
-    objects without a fit), and the median and the best one. Failed scans have nothing to show; their
-    reasons are in the table.
+    objects without a fit), and the median and the best one. Failed scans have nothing to show.
     """
     there = [k for k, row in enumerate(rows) if row.status == DONE and row.folder is not None]
     if count >= len(there):

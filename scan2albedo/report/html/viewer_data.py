@@ -97,10 +97,7 @@ class ViewedFace:
 def viewed_face(folder: Path, record: ResultRecord) -> ViewedFace:
     """Return the face of a result; of one without an albedo, its shape in grey.
 
-    Raises
-    ------
-    Scan2AlbedoError
-        When a file is missing or damaged; the message names it.
+    Scan2AlbedoError when a file is missing or damaged; the message names it.
     """
     if record.parameters:
         return ViewedFace(load_result(folder), True)
@@ -120,17 +117,9 @@ def viewer_entry(
     style: TextureStyle,
     residual_mm: NDArray[np.float64] | None = None,
 ) -> dict[str, Any]:
-    """Return all of a scan's viewer as JSON can hold it.
+    """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
-    Parameters
-    ----------
-    viewed : ViewedFace
-    record : ResultRecord
-    topologies : Topologies
-        Gets the triangles.
-    style : TextureStyle
-    residual_mm : (V,) float64, optional
-        Of the mesh's vertices; NaN where there is no scan.
+    `residual_mm` (V,) is that of the mesh's vertices, NaN where there is no scan.
     """
     face, image = viewed.face, viewed.face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
