@@ -182,10 +182,7 @@ class GeometryImage:
 def check_size(size: int) -> None:
     """Refuse what is no number of texels a side.
 
-    Raises
-    ------
-    GeometryImageError
-        For less than `SMALLEST_SIZE` or more than `LARGEST_SIZE`, or no whole number.
+    Raises GeometryImageError for less than `SMALLEST_SIZE` or more than `LARGEST_SIZE`, or no whole number.
     """
     if isinstance(size, Integral) and SMALLEST_SIZE <= size <= LARGEST_SIZE:
         return

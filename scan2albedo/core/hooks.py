@@ -10,13 +10,7 @@ from typing import Any
 
 
 class Hook:
-    """A function to be provided from above.
-
-    Parameters
-    ----------
-    name : str
-        What it is, for the error where nobody provided it.
-    """
+    """A function to be provided from above; `name` says what it is where nobody provided it."""
 
     def __init__(self, name: str) -> None:
         self._name, self._load = name, None
@@ -28,13 +22,7 @@ class Hook:
         self._load = load
 
     def provided(self) -> Callable[..., Any]:
-        """Return the function.
-
-        Raises
-        ------
-        RuntimeError
-            When nothing provided it.
-        """
+        """Return the function. Raises RuntimeError when nothing provided it."""
         if self._load is None:
             raise RuntimeError(f"{self._name} is not provided; import scan2albedo, which does it")
         return self._load()

@@ -27,19 +27,9 @@ class ClosestHits:
 
 
 class ClosestPointQuery:
-    """Closest-point queries against one mesh; build once, ask often.
+    """Closest-point queries against one mesh in any unit; build once, ask often.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-        Any unit.
-    faces : (F, 3) array_like of int
-        At least one face.
-
-    Raises
-    ------
-    ValueError
-        When there is no face.
+    Raises ValueError when there is no face.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
@@ -48,13 +38,7 @@ class ClosestPointQuery:
         self._tree = TriangleTree(self._vertices, self._faces)
 
     def query(self, points: ArrayLike) -> ClosestHits:
-        """Return the closest surface point of each of the (N, 3) points; O(log F) each.
-
-        Raises
-        ------
-        ValueError
-            When points are NaN or infinite.
-        """
+        """Return the closest hits to points (N, 3), O(log F) each; raises ValueError for NaN or infinity."""
         return ClosestHits(*self._tree.query(checked_points(points)))
 
     def query_facing(
@@ -62,19 +46,10 @@ class ClosestPointQuery:
     ) -> ClosestHits:
         """Return the closest surface point whose face looks the way of each point's normal.
 
-        Where surfaces lie against each other (closed lips, lids) the plain closest point may be on the
-        wrong one. Such points take the nearest compatible face among the `neighbours` nearest face
-        centres; the plain answer stays where none of these is compatible.
-
-        Parameters
-        ----------
-        points : (N, 3) array_like of float
-        normals : (N, 3) array_like of float
-            Unit normals; a zero normal is incompatible with nothing.
-        min_cosine : float
-            Least cosine between the normal and the face's normal.
-        neighbours : int
-            Faces looked at for the points that need it.
+        Where surfaces lie against each other (closed lips, lids) the closest point may be on the wrong one.
+        Where the cosine of unit `normals` (N, 3) and the face's normal is below `min_cosine`, the nearest
+        compatible face among those of the `neighbours` nearest face centres is taken; the closest point stays
+        where none is compatible, or the normal is zero.
         """
         from scipy.spatial import cKDTree
 
@@ -97,10 +72,7 @@ class ClosestPointQuery:
 def checked_points(points: ArrayLike) -> FloatArray:
     """Return points (N, 3) as contiguous float64.
 
-    Raises
-    ------
-    ValueError
-        When some are NaN, infinite, or so far away that squared distances overflow.
+    Raises ValueError when some are NaN, infinite, or so far away that squared distances overflow.
     """
     targets = np.ascontiguousarray(points, np.float64)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
@@ -112,13 +84,7 @@ def checked_points(points: ArrayLike) -> FloatArray:
 
 
 def checked_faces(faces: ArrayLike) -> IntArray:
-    """Return faces (F, 3) as contiguous int64.
-
-    Raises
-    ------
-    ValueError
-        When there is none.
-    """
+    """Return faces (F, 3) as contiguous int64. Raises ValueError when there is none."""
     index = np.ascontiguousarray(faces, np.int64)
     if len(index) == 0:
         raise ValueError("a surface without faces has no closest points")

@@ -15,19 +15,10 @@ _ON_EDGE = 1e-9
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """The square that a depth image shows.
+    """The square of side `width`, `size` pixels a side, that a depth image shows, in the mesh's unit.
 
-    Pixel (row r, column c) looks at x = center_x + (c - (size - 1) / 2) pixel, y = center_y - (r -
-    (size - 1) / 2) pixel: row 0 is the top.
-
-    Parameters
-    ----------
-    center : (float, float)
-        x and y of the image's centre, in the mesh's unit.
-    width : float
-        Side of the square, > 0.
-    size : int
-        Pixels a side.
+    Pixel (row r, column c) looks at x = center_x + (c - (size - 1) / 2) pixel, y = center_y - (r - (size - 1)
+    / 2) pixel: row 0 is the top.
     """
 
     center: tuple[float, float]
@@ -60,16 +51,8 @@ def depth_image(
 ) -> FloatArray:
     """Return (size, size) greatest z at each pixel centre, -inf where the mesh is not seen.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-    faces : (F, 3) array_like of int
-        Both sides of a face are seen.
-    frame : DepthFrame
-    view_from_mesh : (4, 4) array_like, optional
-        Rigid transform applied to the vertices first.
-    z_limit : float
-        Surface above this z is looked through (a hand or a lock of hair before the face).
+    Both sides of `faces` (F, 3) are seen, after the rigid `view_from_mesh` (4, 4) of the vertices (V, 3).
+    Surface above `z_limit` is ignored (a hand or a lock of hair before the face).
     """
     pose = np.eye(4) if view_from_mesh is None else np.asarray(view_from_mesh, np.float64)
     image = np.empty((frame.size, frame.size))

@@ -16,15 +16,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points on a triangle mesh (or on the limit surface above it), one a row.
-
-    Parameters
-    ----------
-    face : (N,) int64
-        Face of the control mesh.
-    barycentric : (N, 3) float64
-        Weights of that face's corners; rows sum to 1.
-    """
+    """Points on a mesh or its limit surface: control faces (N,) and weights (N, 3) of their corners."""
 
     face: IntArray
     barycentric: FloatArray
@@ -37,18 +29,9 @@ class SurfacePoints:
 class LoopSubdivision:
     """`levels` Loop refinements of a control mesh, the result pushed to the limit surface.
 
-    For control positions P (C, 3), ``matrix @ P`` (V, 3) lies exactly on the limit surface.
-
-    Parameters
-    ----------
-    faces : (F 4^levels, 3) int64
-        Refined faces; children of control face f are rows f 4^levels ... (f + 1) 4^levels - 1.
-    matrix : (V, C) csr_matrix
-        Limit positions from control positions; rows sum to 1.
-    parent : (F 4^levels,) int64
-        Control face of each refined face.
-    levels : int
-        Number of refinements.
+    For control positions P (C, 3), ``matrix @ P`` (V, 3) lies exactly on the limit surface; rows of `matrix`
+    sum to 1. Children of control face f are rows f 4^levels ... (f + 1) 4^levels - 1 of `faces` (F 4^levels,
+    3); `parent` (F 4^levels,) is the control face of each.
     """
 
     faces: IntArray
@@ -114,20 +97,16 @@ def _descend(face: IntArray, barycentric: FloatArray) -> tuple[IntArray, FloatAr
 
 
 def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntArray]:
-    """Return one Loop refinement: the (V', V) matrix and the (4F, 3) faces.
+    """Return one Loop refinement [1]_: the (V', V) matrix and the (4F, 3) faces.
 
-    Old vertices come first, then one vertex per edge. Face f has children 4f + k: corner k for
-    k = 0, 1, 2 (corner k stays at position k, the edge midpoints stand at the other corners), and the
-    middle one for k = 3 with corners (mid 01, mid 12, mid 20).
+    Old vertices come first, then one vertex per edge. Face f has children 4f + k: corner k for k = 0, 1, 2
+    (corner k stays at position k, the edge midpoints stand at the other corners), and the middle one for k =
+    3 with corners (mid 01, mid 12, mid 20).
 
-    Notes
-    -----
-    Interior edge: 3/8 of its ends, 1/8 of the opposite corners. Interior vertex of valence n:
-    (1 - n beta) v + beta sum, beta = (5/8 - (3/8 + cos(2 pi / n) / 4)^2) / n. Boundary: the cubic
-    B-spline rules (1/2, 1/2) and (1/8, 3/4, 1/8). Edges of three and more faces are treated as boundary.
+    Interior edge: 3/8 of its ends, 1/8 of the opposite corners. Interior vertex of valence n: (1 - n beta) v
+    + beta sum, beta = (5/8 - (3/8 + cos(2 pi / n) / 4)^2) / n. Boundary: the cubic B-spline rules (1/2, 1/2)
+    and (1/8, 3/4, 1/8). Edges of three and more faces are treated as boundary.
 
-    References
-    ----------
     .. [1] C. Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
     """
     corner_edges = np.stack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]], 1)
@@ -170,10 +149,8 @@ def _vertex_rule(vertex_count: int, faces: IntArray, boundary: IntArray) -> spar
 def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     """Return the (V, V) matrix that moves vertices to their limit positions.
 
-    Notes
-    -----
-    Interior vertex of valence n: (1 - n chi) v + chi sum, 1 / chi = 3 / (8 beta) + n with `refine`'s
-    beta; boundary: (1/6, 2/3, 1/6) (the cubic B-spline's limit).
+    Interior vertex of valence n: (1 - n chi) v + chi sum, 1 / chi = 3 / (8 beta) + n with `refine`'s beta;
+    boundary: (1/6, 2/3, 1/6) (the cubic B-spline's limit).
     """
 
     def chi(valence: FloatArray) -> FloatArray:

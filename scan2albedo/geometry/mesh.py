@@ -211,10 +211,9 @@ def without_far_vertices(vertices: FloatArray, faces: IntArray) -> IntArray:
 
 
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the vertices joined to each by an edge, ascending, each once, as rows of one list.
+    """Return begins (V + 1,) and neighbours (N,): rows of the vertices joined to each by an edge, ascending.
 
-    The neighbours of vertex v are ``neighbours[begins[v]:begins[v + 1]]`` of `begins` (V + 1,) and
-    `neighbours` (N,).
+    The neighbours of vertex v are ``neighbours[begins[v]:begins[v + 1]]``.
     """
     index = np.ascontiguousarray(faces, np.int64)
     require_vertices(index, vertex_count)
@@ -263,10 +262,7 @@ def _sort_rows_once(ends, every, begins):  # type: ignore[no-untyped-def]
 
 
 def face_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the faces around each vertex, ascending, as rows of one list.
-
-    Those of vertex v are ``around[begins[v]:begins[v + 1]]`` of `begins` (V + 1,) and `around` (3 F,).
-    """
+    """Return (begins (V + 1,), around (3 F,)): vertex v is in faces ``around[begins[v]:begins[v + 1]]``."""
     index = np.ascontiguousarray(faces, np.int64)
     require_vertices(index, vertex_count)
     begins = np.zeros(vertex_count + 1, np.int64)

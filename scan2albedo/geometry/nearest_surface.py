@@ -40,18 +40,12 @@ def surface_query(vertices: FloatArray, faces: IntArray) -> ClosestPointQuery | 
 
 
 class NearestSurface:
-    """Closest points among the faces around the nearest vertex.
+    """Closest points among the faces around the nearest vertex; vertices without a face are never returned.
 
-    The nearest vertex comes from a k-d tree or, given the answer for the points' last places, from a
-    walk downhill over the edges. For meshes whose triangles are not much longer than the query
-    distance the answer is the exact closest point but for rare ties (`ClosestPointQuery` is exact
-    always, and some times slower).
-
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-        Every vertex should be in a face; others are never returned.
+    The nearest vertex comes from a k-d tree or, given the answer for the points' last places, from a walk
+    downhill over the edges. For meshes whose triangles are not much longer than the query distance the answer
+    is the exact closest point but for rare ties (`ClosestPointQuery` is always exact, but several times
+    slower).
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
@@ -78,13 +72,9 @@ class NearestSurface:
         return np.asarray(self._used[self._tree.query(points)[1]], np.int64)
 
     def query(self, points: FloatArray, start: IntArray | None = None) -> NearestHits:
-        """Return the closest surface points of (N, 3) points.
+        """Return the closest surface points of points (N, 3).
 
-        Parameters
-        ----------
-        points : (N, 3) float64
-        start : (N,) int64, optional
-            `vertex` of an earlier answer for nearby points; walks from there instead of searching.
+        `start` (N,) is `vertex` of an earlier answer for nearby points; the search walks from there.
         """
         targets = checked_points(points)
         if start is None:
@@ -122,10 +112,7 @@ def _closest_around(p, vertex, xyz, faces, ring, ring_start, near, near_start, c
 
 @njit(cache=True, nogil=True)
 def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
-    """Return where the triangles around vertex v are nearest to (x, y, z).
-
-    The squared distance, the triangle, the three weights of its corners, and the way there from (x, y, z).
-    """
+    """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
     best, nearest = np.inf, 0
     k0, k1, k2 = 1.0, 0.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0

@@ -37,20 +37,11 @@ def corner_cotangents(vertices: FloatArray, faces: IntArray) -> FloatArray:
 def laplacian(
     vertices: FloatArray, faces: IntArray, face_weight: FloatArray | None = None
 ) -> sparse.csr_matrix:
-    """Return the symmetric positive semi-definite (V, V) cotangent Laplacian L.
+    """Return the symmetric positive semi-definite (V, V) cotangent Laplacian L [1]_.
 
-    u^T L u = sum over faces of w_f times the integral of |grad u|^2 (up to clipping): the membrane
-    energy of a displacement u for the face stiffness w.
+    u^T L u = sum over faces of w_f times the integral of |grad u|^2 (up to clipping): the membrane energy of
+    a displacement u for the face stiffness w (F,) >= 0, 1 when omitted.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-    face_weight : (F,) float64, optional
-        Non-negative; 1 when omitted.
-
-    References
-    ----------
     .. [1] U. Pinkall, K. Polthier, "Computing Discrete Minimal Surfaces and Their Conjugates", 1993.
     """
     weights = 0.5 * corner_cotangents(vertices, faces)
@@ -119,36 +110,20 @@ def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse
 def surface_diffusion(
     vertices: FloatArray, faces: IntArray, deviation_mm: float
 ) -> Callable[[ArrayLike], FloatArray]:
-    """Return a function that spreads values (V, ...) over the surface: one implicit step of heat diffusion.
+    """Return a function that spreads values (V, ...) over the surface by one implicit step of diffusion [1]_.
 
-        (M + t L) y = M x,   t = deviation^2 / 2,
+        (M + t L) y = M x,   t = deviation_mm^2 / 2,
 
-    with M the vertices' areas and L the cotangent Laplacian. A peak spreads to a bump that has this standard
-    deviation along each direction of the surface. The integral over the surface stays, constants do too, and
-    no value leaves the range of those given.
+    with M the vertices' areas and L the cotangent Laplacian. A peak spreads to a bump of this standard
+    deviation along each direction of the surface, 0 or more. The integral over the surface stays, constants
+    do too, and no value leaves the range of those given. Vertices without area around them keep their values.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Millimetres.
-    faces : (F, 3) int64
-        Vertices without area around them keep their values.
-    deviation_mm : float
-        0 or more; 0 returns the values given.
+    Raises ValueError when `deviation_mm` is negative or not finite, values have another length than V, or
+    vertices or values are not finite.
 
-    Raises
-    ------
-    ValueError
-        When `deviation_mm` is negative or not finite, values have another length than V, or vertices or
-        values are not finite.
+    .. [1] M. Desbrun, M. Meyer, P. Schroeder, A. Barr, "Implicit fairing of irregular meshes using diffusion
+       and curvature flow", SIGGRAPH 1999, section 2.3.
 
-    References
-    ----------
-    M. Desbrun, M. Meyer, P. Schroeder, A. Barr, "Implicit fairing of irregular meshes using diffusion and
-    curvature flow", SIGGRAPH 1999, section 2.3.
-
-    Examples
-    --------
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     >>> spread = surface_diffusion(corners, np.array([[0, 1, 2], [2, 1, 3]]), 50.0)
     >>> spread([[0.0], [3.0], [0.0], [0.0]]).round(2).ravel().tolist()
@@ -185,21 +160,14 @@ def surface_diffusion(
 
 
 def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_matrix:
-    """Return the derivatives of `vertex_normals` by all coordinates, blocks of 3 x 3.
+    """Return the derivatives of `vertex_normals` by all coordinates, (3V, 3V) in blocks of 3 x 3.
 
     With N the sum of cross products around vertex v and e_fj the edge of face f opposite to its corner j,
 
         dn_v / dx_j = (I - n n^T) / |N| [sum over faces f of v and j of e_fj]_x.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-
-    Returns
-    -------
-    (3V, 3V) block sparse matrix with a block for each vertex and itself, and each pair that shares a face;
-    zeros where a vertex has no area around it.
+    There is a block for each vertex and itself, and each pair that shares a face; zeros where a vertex has no
+    area around it.
     """
     count = len(vertices)
     corners = vertices[faces]

@@ -42,29 +42,13 @@ def parametrize_disc(
 ) -> FloatArray:
     """Return the (V, 2) flip-free chart of a surface with disc topology, in the unit square.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Any unit; the chart is turned so that u grows with +x and v with +y.
-    faces : (F, 3) int64
-        One component, one boundary loop, no handle, counter-clockwise from outside.
-    mirror : (V,) int64, optional
-        Mirror image of each vertex (itself on the midline): the chart is then exactly symmetric about
-        u = 0.5.
-    options : ChartOptions, optional
+    The faces (F, 3) are one component with one boundary loop and no handle, counter-clockwise from outside;
+    the chart is turned so that u grows with +x and v with +y. With the mirror image of each vertex (itself on
+    the midline) in `mirror` (V,) the chart is exactly symmetric about u = 0.5. It starts from uniform
+    weights, flip-free on a convex boundary [1]_, and is improved by SLIM [2]_. Raises ModelError when the
+    surface is no disc, or the chart has flipped faces (faces without area).
 
-    Returns
-    -------
-    (V, 2) float64 in [0, 1].
-
-    Raises
-    ------
-    ModelError
-        When the surface is no disc, or the chart has flipped faces (faces without area).
-
-    References
-    ----------
-    .. [1] W. T. Tutte, "How to draw a graph", 1963 (uniform weights: flip-free on a convex boundary).
+    .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
     """
     chosen = ChartOptions() if options is None else options
@@ -106,10 +90,7 @@ def flatten_disc(
 def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
     """Return the (B,) vertices of the one boundary loop, counter-clockwise with the faces.
 
-    Raises
-    ------
-    ModelError
-        When the faces do not form one manifold disc.
+    Raises ModelError when the faces do not form one manifold disc.
 
     >>> boundary_loop(4, np.array([[0, 1, 2], [0, 2, 3]]))
     array([0, 1, 2, 3])

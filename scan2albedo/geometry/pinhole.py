@@ -14,11 +14,7 @@ def normalized_cameras(cameras: ArrayLike) -> FloatArray:
     """Return (C, 3, 4) projection matrices of any scale and sign so that depth is the third coordinate.
 
     The third row's direction becomes a unit vector, and points in front of the camera get positive depth.
-
-    Raises
-    ------
-    ValueError
-        When the shape is another, numbers are not finite, or a left 3x3 part is singular.
+    Raises ValueError when the shape is another, numbers are not finite, or a left 3x3 part is singular.
     """
     matrices = np.asarray(cameras, np.float64)
     if matrices.ndim != 3 or matrices.shape[1:] != (3, 4):
@@ -32,10 +28,7 @@ def normalized_cameras(cameras: ArrayLike) -> FloatArray:
 
 
 def project(camera: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return pixels (N, 2) and depths (N,) of points (N, 3) in one normalised camera (3, 4).
-
-    Pixels of points at or behind the camera's plane are NaN.
-    """
+    """Return pixels (N, 2), NaN where depth <= 0, and depths (N,) in a normalised camera (3, 4)."""
     image = points @ camera[:, :3].T + camera[:, 3]
     depth = image[:, 2]
     front = depth > 0
@@ -64,21 +57,10 @@ def pixel_grid(shape: tuple[int, int]) -> FloatArray:
 def look_at(
     position: ArrayLike, target: ArrayLike, *, focal_px: float, shape: tuple[int, int], roll_rad: float = 0.0
 ) -> FloatArray:
-    """Return the (3, 4) camera at `position` that sees `target` in the middle of its picture, +y up.
+    """Return the (3, 4) camera at `position` that sees `target` in the middle of its picture (H, W), +y up.
 
-    Parameters
-    ----------
-    position, target : (3,) array_like of float
-        Not one above the other.
-    focal_px : float
-        Focal length in pixels.
-    shape : (H, W)
-        Of the picture.
-    roll_rad : float
-        Turn of the camera around its line of sight.
+    The two points are not one above the other; `roll_rad` turns the camera around its line of sight.
 
-    Examples
-    --------
     >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1800, shape=(1025, 1025))
     >>> project(camera, np.array([[10.0, 20.0, 0.0]]))
     (array([[542., 452.]]), array([600.]))

@@ -23,17 +23,10 @@ class Raster:
 
 
 def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -> Raster:
-    """Rasterise a chart over the unit square.
+    """Rasterise a chart (V, 2) over the unit square to (size, size) or (H, W) texels.
 
     Texel (row r, column c) has its centre at u = (c + 1/2) / W, v = 1 - (r + 1/2) / H: row 0 is the top.
-
-    Parameters
-    ----------
-    uv : (V, 2) array_like of float
-    faces : (F, 3) array_like of int
-        Indices into `uv`.
-    size : int or (int, int)
-        H = W, or (H, W).
+    `faces` (F, 3) are indices into `uv`.
     """
     height, width = size if isinstance(size, tuple) else (int(size), int(size))
     pixels = pixels_from_uv(uv, (height, width))
@@ -47,16 +40,9 @@ def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]
 
 
 def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]) -> Raster:
-    """Rasterise triangles with a z-buffer; the largest depth wins, whatever the winding.
+    """Rasterise triangles with a z-buffer; the largest depth (V,) wins, whatever the winding.
 
-    Parameters
-    ----------
-    pixels : (V, 2) array_like of float
-        Column and row of each vertex; pixel centres lie at integers.
-    depth : (V,) array_like of float
-        Larger is nearer to the viewer.
-    faces : (F, 3) array_like of int
-    shape : (H, W)
+    `pixels` (V, 2) are column and row of each vertex; pixel centres lie at integers.
     """
     face, barycentric = np.full(shape, -1, np.int64), np.zeros((*shape, 3))
     _rasterize(*_contiguous(pixels, depth, faces), face, barycentric)

@@ -29,18 +29,9 @@ class RayHits:
 class RayCaster:
     """Shoot rays at one mesh.
 
-    Embree computes in float32, so the mesh is centred on its bounding box and scaled to unit size
-    first: what matters is the mesh's size against its detail, not where it lies or in which unit.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-    faces : (F, 3) array_like of int
-
-    Raises
-    ------
-    ValueError
-        For a mesh without a vertex, vertices that are not finite, or faces that refer to none.
+    Embree computes in float32, so the mesh is centred on its bounding box and scaled to unit size first:
+    accuracy depends on the mesh's size against its detail, not on its place or unit. Raises ValueError for a
+    mesh without a vertex, vertices that are not finite, or faces that refer to none.
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
@@ -75,11 +66,7 @@ class RayCaster:
     def occluded(self, origins: ArrayLike, directions: ArrayLike) -> NDArray[np.bool_]:
         """Return (N,) True where the ray from `origins` (N, 3) along `directions` hits anything.
 
-        Parameters
-        ----------
-        origins : (N, 3) array_like of float
-        directions : (N, 3) or (3,) array_like of float
-            Of any length; one for all rays is the faster.
+        Directions (N, 3) are of any length; one direction (3,) for all rays is faster.
         """
         start = np.asarray(origins, np.float64)
         return self._occluded(len(start), lambda block: self.to_local(start[block]), directions)

@@ -100,10 +100,8 @@ def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
 
 
 def super_fibonacci_rotations(count: int) -> Matrix:
-    """Return `count` well-spread rotations (count, 3, 3) over SO(3).
+    """Return `count` well-spread rotations (count, 3, 3) over SO(3) [1]_.
 
-    References
-    ----------
     .. [1] M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
     """
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
@@ -131,29 +129,14 @@ def random_rotation(rng: np.random.Generator) -> Matrix:
 def procrustes(
     source: ArrayLike, target: ArrayLike, *, weights: ArrayLike | None = None, scale: bool = False
 ) -> Matrix:
-    """Return the least-squares transform `target_from_source` (4, 4) between corresponding points.
+    """Return the least-squares transform `target_from_source` (4, 4) between points (N, 3) [1]_.
 
-    Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0.
+    Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0, with
+    `weights` w (N,) >= 0. Raises ValueError when shapes do not agree, points are not finite, all weights are
+    0, or `scale` is asked for of points that coincide.
 
-    Parameters
-    ----------
-    source, target : (N, 3) array_like
-        Corresponding points, same unit.
-    weights : (N,) array_like, optional
-        Non-negative weights.
-    scale : bool
-        Estimate a similarity instead of a rigid transform.
-
-    Raises
-    ------
-    ValueError
-        When shapes do not agree, points are not finite, nothing weighs anything, or `scale` is asked for of
-        points that coincide.
-
-    References
-    ----------
-    .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point
-       patterns", IEEE PAMI 13(4), 1991.
+    .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
+       IEEE PAMI 13(4), 1991.
     """
     x, y = np.asarray(source, float), np.asarray(target, float)
     if x.shape != y.shape or x.ndim != 2 or x.shape[1] != 3:
@@ -188,10 +171,7 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
     coordinates, up to rounding. Where a moment is ambiguous (a ball) any of the frames will do: the search
     covers every rotation from each.
 
-    References
-    ----------
-    .. [1] M. Elad, A. Tal, S. Ar, "Content based retrieval of VRML objects", 2001 (pose normalisation by
-       first, second and third moments).
+    .. [1] M. Elad, A. Tal, S. Ar, "Content based retrieval of VRML objects", 2001 (pose normalisation).
     """
     # Differences to a vertex of the scan lose no digits however far away the origin is.
     anchor = vertices[faces[0, 0]]

@@ -18,16 +18,10 @@ _MOST_CELLS = 2**20
 
 @dataclass(frozen=True)
 class ThinnedSurface:
-    """What is left of a triangle mesh when all vertices of a cell are one.
+    """A triangle mesh whose vertices in one grid cell were joined.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Means of the vertices joined.
-    faces : (F, 3) int64
-        Those with corners in three cells.
-    count : (V,) float64
-        How many vertices were joined.
+    `vertices` (V, 3) are means of the `count` (V,) vertices joined; `faces` (F, 3) had corners in three
+    cells.
     """
 
     vertices: FloatArray
@@ -41,14 +35,9 @@ class ThinnedSurface:
 
 
 def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurface:
-    """Join the vertices that lie in the same cell of a grid; seams close by it.
+    """Join the vertices that lie in the same cell of a grid; this closes seams.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-    cell : float
-        Side of the grid's cells, in the mesh's unit; at least a millionth of the mesh's size.
+    `cell` is the side of the grid's cells in the mesh's unit, at least a millionth of the mesh's size.
     """
     # Beyond that cells could not be numbered in 64 bits.
     cell = max(cell, float(np.ptp(vertices, axis=0).max()) / _MOST_CELLS)

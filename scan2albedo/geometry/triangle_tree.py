@@ -15,17 +15,11 @@ _DEPTH = 64
 
 
 class TriangleTree:
-    """A binary tree of axis-aligned boxes around the triangles of one mesh.
+    """A binary tree of axis-aligned boxes around the triangles of one mesh with at least one.
 
-    Boxes are divided at the median centre along their longest side, so the tree of F triangles is
-    log2(F / LEAF_FACES) deep whatever their shape. A query starts with the distance to the triangle that
-    the query before it found: neighbours in a list of texels or samples find their answers in a few boxes.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-        At least one.
+    Boxes are divided at the median centre along their longest side, so the tree of F triangles is log2(F /
+    LEAF_FACES) deep whatever their shape. A query starts with the distance to the triangle that the query
+    before it found: neighbours in a list of texels or samples find their answers in a few boxes.
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
@@ -38,10 +32,7 @@ class TriangleTree:
     def query(self, points: FloatArray) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
         """Return closest points (N, 3), faces (N,), barycentric weights (N, 3) and distances (N,).
 
-        Parameters
-        ----------
-        points : (N, 3) float64
-            Finite; those near each other should follow each other.
+        Points (N, 3) are finite; the search is fast when points near each other follow each other.
         """
         closest, weights = np.empty_like(points), np.empty_like(points)
         face, distance = np.empty(len(points), np.int64), np.empty(len(points))
@@ -62,7 +53,7 @@ class TriangleTree:
 
 @njit(cache=True, nogil=True)
 def _divided(centre):  # type: ignore[no-untyped-def]
-    """Return the order (F,) of the triangles in the leaves, and per node its first, count, right child.
+    """Return the order (F,) of the triangles in the leaves; of each node its first, count and right child.
 
     The left child of node n is n + 1; leaves have no right child (-1).
     """

@@ -17,22 +17,10 @@ from scan2albedo.errors import OutputError
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to; rename it to `path` when the block ends well.
 
-    The temporary name keeps the extension (libraries choose the format by it) and the folder (a rename
-    is atomic only within a file system). Whatever interrupts the block, the temporary file is removed
-    and an older `path` stays as it was.
+    The temporary name keeps the extension (libraries choose the format by it) and the folder (a rename is
+    atomic only within a file system). Whatever interrupts the block, the temporary file is removed and an
+    older `path` stays as it was. Raises OutputError when the folder is missing, read-only or full.
 
-    Parameters
-    ----------
-    path : str or Path
-        Of the file that is to be written.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written: missing, read-only, or full.
-
-    Examples
-    --------
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
     >>> with atomic_path(folder / "a.txt") as temporary:
@@ -57,13 +45,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def make_folder(path: str | Path) -> Path:
-    """Create a folder with its parents unless it exists, and return it.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be created; the message names the folder and the cause.
-    """
+    """Create a folder with its parents unless it exists, and return it. Raises OutputError with the cause."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,27 +72,12 @@ def result_folder(
 ) -> Iterator[Path]:
     """Give a hidden folder whose files, also those in its folders, go to `out` when the block ends well.
 
-    An error or a kill while files are made leaves `out` as it was, without half-files. An older record is
-    removed before any other file changes and the new one comes last: a folder that has a record is whole.
+    An error or a kill while files are made leaves `out` as it was. An older one of the `records`, such as
+    "result.json", is removed before any other file changes and the new one comes last: a folder that has a
+    record is whole. Files in `out` that are named in `obsolete` and were not made anew are removed. The
+    hidden folder is made in `staged_in`, on the file system of `out`; in `out` itself when omitted. Raises
+    OutputError, naming `out` and the cause, when it cannot be written.
 
-    Parameters
-    ----------
-    out : Path
-        Made when it is not there.
-    *records : str
-        Names of the files that mark a whole folder, such as "result.json".
-    obsolete : collection of str
-        Names that an older result may have left in `out`; those that the new one has not are removed.
-    staged_in : Path, optional
-        Where the hidden folder stands, on the file system of `out`; in `out` itself when omitted.
-
-    Raises
-    ------
-    OutputError
-        When `out` cannot be written; names it and the cause.
-
-    Examples
-    --------
     >>> out = Path(tempfile.mkdtemp())
     >>> with result_folder(out, "result.json") as folder:
     ...     _ = (folder / "result.json").write_text("{}")
@@ -153,13 +120,7 @@ def remove_unfinished(out: Path) -> None:
 
 
 def check_writable(out: Path) -> None:
-    """Create `out` and prove that a file can be written there.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
-    """
+    """Prove that a file can be written in `out`, made if missing. Raises OutputError with the cause."""
     make_folder(out)
     try:
         with tempfile.NamedTemporaryFile(dir=out, prefix=".probe-"):

@@ -13,8 +13,6 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
     Negative values are mirrored, so the curve is odd and defined everywhere.
 
-    Examples
-    --------
     >>> srgb_to_linear([0.0, 0.5, 1.0]).round(4).tolist()
     [0.0, 0.214, 1.0]
     """
@@ -26,10 +24,6 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above.
 
-    The inverse of `srgb_to_linear`.
-
-    Examples
-    --------
     >>> linear_to_srgb([0.0, 0.214, 1.0]).round(3).tolist()
     [0.0, 0.5, 1.0]
     """

@@ -34,12 +34,7 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
 
     Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``occluder_vertices_mm`` and
-    ``occluder_faces``; ``format_version`` is 1.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
+    ``occluder_faces``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
     for field, stored in _NAME_IN_FILE.items():
@@ -54,14 +49,9 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
 def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
     """Write a geometry image as a 32-bit float EXR with one layer a field, atomically.
 
-    Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G``
-    ``.B``, and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The
-    occluder does not fit into an image and is left out.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
+    Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G`` ``.B``,
+    and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The occluder does
+    not fit into an image and is left out. Raises OutputError when the folder cannot be written.
     """
     channels: dict[str, NDArray[np.float32]] = {}
     for field, stored in _NAME_IN_FILE.items():
@@ -113,10 +103,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
 def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
     """Return the geometry image and the albedo (H, W, 3) of a result folder.
 
-    Raises
-    ------
-    GeometryImageError, ScanError
-        When a file is missing or damaged, or the files come from different runs; the message names the file.
+    Raises GeometryImageError or ScanError when a file is missing or damaged, or the files come from different
+    runs; the message names the file.
     """
     files = folder / "geometry_image.npz", folder / "albedo.exr"
     for file in files:

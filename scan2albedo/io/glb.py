@@ -116,25 +116,10 @@ def write_glb(
 ) -> None:
     """Write a mesh with its base colour, atomically.
 
-    Parameters
-    ----------
-    path : str or Path
-    vertices : (V, 3) array_like of float
-        Millimetres; stored as metres, glTF's unit.
-    faces : (F, 3) array_like of int
-    uv : (V, 2) array_like of float, optional
-        v = 0 is the bottom row of the texture (glTF counts from the top; it is turned here).
-    texture_srgb : (H, W, 3) uint8, optional
-        Base colour; grey when omitted.
-    emissive : bool
-        The texture shines by itself instead: light is in it already, and no viewer adds to it.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        For a texture without `uv`, or wrong shapes.
+    `vertices` (V, 3) in mm are stored as metres, glTF's unit. In `uv` (V, 2), v = 0 is the bottom row of
+    `texture_srgb` (H, W, 3); glTF counts from the top, and v is flipped here. Without a texture the mesh is
+    grey. An `emissive` texture already contains its light, and viewers add none. Raises OutputError when the
+    folder cannot be written; ValueError for a texture without `uv`, or wrong shapes.
     """
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
@@ -180,12 +165,8 @@ class GlbPart:
 def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
     """Write meshes of one colour each, opaque or not, atomically; lengths as metres, glTF's unit.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        When there is no part, a part has no faces, or numbers are not finite.
+    Raises OutputError when the folder cannot be written; ValueError when there is no part, a part has no
+    faces, or numbers are not finite.
     """
     if not parts:
         raise ValueError("a GLB file needs a mesh")

@@ -53,12 +53,7 @@ def read_gltf(path: Path) -> ParsedMesh:
     Skinned meshes come as their joints hold them in the file, without animation.
 
     Base colour textures are sRGB; base colour factors and vertex colours are linear (glTF 2.0, 3.7.2 and
-    3.9.2).
-
-    Raises
-    ------
-    ScanError
-        When the file is damaged; the message names it.
+    3.9.2). Raises ScanError when the file is damaged; the message names it.
     """
     try:
         return _read_parts(path)
@@ -97,7 +92,7 @@ def _read_parts(path: Path) -> ParsedMesh:
 def _load_scene(path: Path, data: bytes | None) -> trimesh.Scene:
     """Load a file, or `data` in its place, through trimesh; its warnings become errors.
 
-    It warns of a compression that it cannot decode, and goes on with zeros.
+    It only warns of a compression that it cannot decode, and goes on with zeros.
     """
     import trimesh
 

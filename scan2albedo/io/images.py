@@ -17,25 +17,12 @@ SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", "
 
 
 def read_image_linear(path: str | Path) -> NDArray[np.float32]:
-    """Read an image as linear colour.
+    """Read an image as linear colour (H, W, 3), row 0 the top.
 
-    Integer samples (8 or 16 bit) are sRGB and are decoded; float samples (EXR, HDR, float TIFF) are
-    linear already. Grey is repeated over three channels, alpha is dropped. An EXIF orientation is
-    ignored: texture coordinates refer to the pixels as stored.
-
-    Parameters
-    ----------
-    path : str or Path
-        Any of `SUPPORTED_IMAGES`; the content decides, not the extension.
-
-    Returns
-    -------
-    (H, W, 3) float32, row 0 the top.
-
-    Raises
-    ------
-    ScanError
-        When the file is missing, unreadable, damaged or holds NaN; the message names it.
+    The content decides which of `SUPPORTED_IMAGES` it is, not the extension. Integer samples (8 or 16 bit)
+    are sRGB and are decoded; float samples (EXR, HDR, float TIFF) are linear already. Grey is repeated over
+    three channels, alpha is dropped. An EXIF orientation is ignored: texture coordinates refer to the pixels
+    as stored. Raises ScanError, naming the file, when it is missing, unreadable, damaged or holds NaN.
     """
     samples = read_image_values(path)
     if samples.dtype in (np.uint8, np.uint16):
@@ -48,10 +35,7 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
 def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
     """Read the samples of an image as they are stored, (H, W, 3) RGB, nothing decoded; floats may be NaN.
 
-    Raises
-    ------
-    ScanError
-        When the file is missing, unreadable or damaged; the message names it.
+    Raises ScanError when the file is missing, unreadable or damaged; the message names it.
     """
     file = Path(path)
     try:
@@ -97,10 +81,7 @@ def _exr_rgb(file: Path) -> NDArray[np.float32]:
 def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
     """Return every channel of the first part of an EXR file as (H, W) float32, by its full name.
 
-    Raises
-    ------
-    ScanError
-        When the file is missing or no complete EXR.
+    Raises ScanError when the file is missing or no complete EXR.
     """
     import OpenEXR
 
@@ -114,12 +95,7 @@ def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
 def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:
     """Write (H, W) channels by their full names as 32-bit floats, ZIP compressed, atomically.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        For values that are not finite in 32 bits.
+    Raises OutputError when the folder cannot be written; ValueError for values not finite in 32 bits.
     """
     import OpenEXR
 
@@ -138,12 +114,8 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 def write_exr(path: str | Path, linear: ArrayLike) -> None:
     """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        For another shape, or values that are not finite in 32 bits.
+    Raises OutputError when the folder cannot be written; ValueError for another shape, or values that are not
+    finite in 32 bits.
     """
     image = np.asarray(linear, np.float32)
     if image.ndim == 2:
@@ -156,12 +128,7 @@ def write_exr(path: str | Path, linear: ArrayLike) -> None:
 def write_png(path: str | Path, image: ArrayLike) -> None:
     """Write a PNG atomically; see `encode_image` for what each dtype means.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        For another shape, another dtype, or NaN.
+    Raises OutputError when the folder cannot be written; ValueError for another shape, another dtype, or NaN.
     """
     write_bytes(path, encode_image(image, ".png"))
 
@@ -169,12 +136,8 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
 def write_image(path: str | Path, image: ArrayLike) -> None:
     """Write an image in the format its extension names: `write_exr`, or 8-bit sRGB as `write_png` does.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written, or the extension is not supported.
-    ValueError
-        For another shape, another dtype, or NaN.
+    Raises OutputError when the folder cannot be written, or the extension is not supported; ValueError for
+    another shape, another dtype, or NaN.
     """
     extension = Path(path).suffix.lower()
     if extension == ".exr":

@@ -20,17 +20,8 @@ if TYPE_CHECKING:
 def input_sha256(source: str | Path | RawScan) -> str:
     """Return the SHA-256 of a scan file with its material libraries and textures, or of a `RawScan`'s arrays.
 
-    Take it when the file is read, not when results are written: what changes in between is not what they
-    were made from.
-
-    Parameters
-    ----------
-    source : path or RawScan
-
-    Raises
-    ------
-    ScanError
-        When the file cannot be read.
+    Take it when the file is read: the file may change before results are written. Raises ScanError when the
+    file cannot be read.
     """
     if not isinstance(source, str | Path):
         return _arrays_sha256(source)

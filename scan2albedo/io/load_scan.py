@@ -108,10 +108,7 @@ def load_scan_with(
 def read_mesh_file(file: Path) -> ParsedMesh:
     """Return what stands in a file: vertices in its own order and unit, nothing repaired.
 
-    Raises
-    ------
-    ScanError
-        When the file is missing, of an unsupported kind or damaged.
+    Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """
     if file.is_dir():
         raise ScanError(f"{file}: is a folder; name the scan file in it ({', '.join(SUPPORTED_SCANS)})")

@@ -29,8 +29,6 @@ class MaterialText:
 def parse_mtl(text: str) -> dict[str, MaterialText]:
     """Return the materials of an MTL text by name; `map_Kd` options are skipped, spaces in names kept.
 
-    Examples
-    --------
     >>> parse_mtl("newmtl skin\\nKd 1 0 0\\nmap_Kd -s 1 1 1 -clamp on my face.png")["skin"].texture_file
     'my face.png'
     """
@@ -66,9 +64,9 @@ def _file_name(text: str) -> str:
 
 
 def find_beside(folder: Path, name: str) -> Path | None:
-    """Find a file that a scan refers to: as written, else its last part beside the scan, in any case.
+    """Find a file that a scan refers to, in any case, by its path as written or by its name beside the scan.
 
-    Absolute and Windows paths of another machine are common in MTL files, and so is another case.
+    MTL files often hold absolute or Windows paths of another machine, and names in another case.
     """
     relative = Path(name.replace("\\", "/"))
     for candidate in (folder / relative, folder / relative.name):

@@ -40,25 +40,11 @@ _DAMAGE = (
 def write_npz(
     path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str, compression: int = 0
 ) -> None:
-    """Write arrays as an .npz file, whole or not at all; same content, same bytes.
+    """Write arrays, by name, as an .npz file, whole or not at all; same content, same bytes.
 
-    Parameters
-    ----------
-    path : str or Path
-    arrays : mapping of str to array
-        By the names they get in the file.
-    what : str
-        The thing that is written, for messages, such as "reflectance model".
-    compression : int
-        Level of zlib, 0 for none. 6 is worth its time where values repeat, as in masks and indices; measured
-        floats hardly shrink.
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    OutputError
-        When the file cannot be written.
+    Messages call the content `what`, such as "reflectance model". `compression` is the level of zlib, 0 for
+    none: 6 is worth its time where values repeat, as in masks and indices; measured floats hardly shrink.
+    Raises ValueError when the name does not end in .npz, OutputError when the file cannot be written.
     """
     if Path(path).suffix != ".npz":
         raise ValueError(f"{what}s are written as .npz, got {Path(path).name}")
@@ -81,24 +67,10 @@ def read_npz(
     advice: str,
     error: type[Scan2AlbedoError],
 ) -> Arrays:
-    """Return arrays of an .npz file by name.
+    """Return arrays of an .npz file by `names` (all when omitted), and those of `optional` that it has.
 
-    Parameters
-    ----------
-    path : str or Path
-    names : collection of str, optional
-        Of the arrays that must be there; all are read when omitted.
-    optional : collection of str
-        Of further ones that are read when they are there.
-    what, advice : str
-        The thing in the file and what to do about a wrong one, for messages.
-    error : type of Scan2AlbedoError
-        To raise.
-
-    Raises
-    ------
-    Scan2AlbedoError
-        Of the given type, when the file is missing, damaged, something else, or lacks an array.
+    Raises `error` when the file is missing, damaged, something else, or lacks an array of `names`; its
+    message calls the content `what` and ends with `advice`.
     """
     try:
         # A stream of our own: NumPy leaves the file open where it is damaged.

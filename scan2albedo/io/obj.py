@@ -67,14 +67,10 @@ class _Lines:
 def read_obj(path: Path) -> ParsedMesh:
     """Read an OBJ file with its materials.
 
-    Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after
-    the position) are sRGB. Only `map_Kd` and `Kd` of the materials are used; without any material an image
-    of the same name is taken for the texture.
-
-    Raises
-    ------
-    ScanError
-        When a line is damaged or an index points outside the file; the message names file and line.
+    Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after the
+    position) are sRGB. Only `map_Kd` and `Kd` of the materials are used; without any material an image of the
+    same name is taken for the texture. Raises ScanError, naming file and line, when a line is damaged or an
+    index points outside the file.
     """
     lines = _Lines(path.read_bytes(), path.name)
     positions, tokens = lines.numbers(tables.VERTEX, 6, least=3)

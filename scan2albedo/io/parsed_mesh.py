@@ -13,15 +13,9 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Material:
-    """One surface material.
+    """One surface material; `base_color_linear` shows where there is no texture.
 
-    Parameters
-    ----------
-    name : str
-    texture_linear : (H, W, 3) float32, optional
-        None when the material has no texture, or its file is missing.
-    base_color_linear : (float, float, float)
-        Colour where there is no texture.
+    `texture_linear` (H, W, 3) is None when the material has none, or its file is missing.
     """
 
     name: str
@@ -33,18 +27,9 @@ class Material:
 class ParsedMesh:
     """Geometry and appearance as they stand in a file, in file units.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64
-        Not yet checked against `vertices`.
-    uv : (F, 3, 2) float64, optional
-        NaN at corners without texture coordinates; v = 0 is the bottom row.
-    material : (F,) int64, optional
-        Index into `materials`; -1 = none. All 0 when omitted and there are materials.
-    materials : tuple of Material
-    vertex_color_linear : (V, 3) float32, optional
-    notes : tuple of str
+    `vertices` (V, 3); `faces` (F, 3), not yet checked against them; `uv` (F, 3, 2), NaN at corners without
+    texture coordinates, v = 0 the bottom row; `material` (F,) indices into `materials`, -1 for none, all 0
+    when omitted and there are materials; `vertex_color_linear` (V, 3).
     """
 
     vertices: NDArray[np.float64]
@@ -68,8 +53,6 @@ class Fans(NamedTuple):
 def fan_triangles(counts: IntArray) -> Fans:
     """Cut polygons of `counts` (P,) >= 3 corners into fans around their first corner.
 
-    Examples
-    --------
     >>> fan_triangles(np.array([3, 4])).corners.tolist()
     [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
     """

@@ -70,13 +70,9 @@ class _PlyFile:
 def read_ply(path: Path) -> ParsedMesh:
     """Read a PLY file.
 
-    Vertex colours are sRGB, 8 or 16 bits or floats in [0, 1]. Texture coordinates stand with the corners
-    (the ``texcoord`` list) or with the vertices, textures in ``TextureFile`` comments.
-
-    Raises
-    ------
-    ScanError
-        When the file is damaged or holds triangle strips; the message names it.
+    Vertex colours are sRGB, 8 or 16 bits or floats in [0, 1]. Texture coordinates stand with the corners (the
+    ``texcoord`` list) or with the vertices, textures in ``TextureFile`` comments. Raises ScanError when the
+    file is damaged or holds triangle strips; the message names it.
     """
     file = _read_elements(path)
     columns, face = file.elements.get("vertex", {}), file.elements.get("face", {})
@@ -157,10 +153,7 @@ def _linear(colors: NDArray[Any]) -> NDArray[np.float32]:
 def _read_elements(path: Path) -> _PlyFile:
     """Read all elements of a PLY file.
 
-    Raises
-    ------
-    ScanError
-        When the header is damaged or the body is shorter than it declares; the message names the file.
+    Raises ScanError, naming the file, when the header is damaged or the body is shorter than it declares.
     """
     data = path.read_bytes()
     end = _HEADER_END.search(data[: 1 << 20])

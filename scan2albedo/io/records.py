@@ -22,8 +22,6 @@ Content = TypeVar("Content", bound=BaseModel)
 def plain_json(value: Any) -> Any:
     """Return a value in JSON's own types: numpy unwrapped, paths as text, NaN and infinity as null.
 
-    Examples
-    --------
     >>> plain_json({"sigma": np.float64(0.3), "distance": math.inf, "size": (2, 3)})
     {'sigma': 0.3, 'distance': None, 'size': [2, 3]}
     """
@@ -65,13 +63,7 @@ def installed_versions() -> dict[str, str]:
 
 
 def write_record(path: str | Path, record: BaseModel, *, indent: int = 2) -> None:
-    """Write a record as indented JSON, atomically.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    """
+    """Write a record as indented JSON, atomically. Raises OutputError when the folder cannot be written."""
     write_text(path, record.model_dump_json(indent=indent) + "\n")
 
 
@@ -85,27 +77,9 @@ def read_record(
 ) -> Content:
     """Read and check a record, for example ``read_record("out/james/result.json", ResultRecord)``.
 
-    Parameters
-    ----------
-    path : str or Path
-    kind : type of BaseModel
-        Such as `ResultRecord`.
-    what : str
-        The thing in the file, for messages, such as "key points".
-    advice : str
-        What to do about a file that does not fit, for messages.
-    error : type of Scan2AlbedoError
-        To raise.
-
-    Returns
-    -------
-    the record, of type `kind`
-
-    Raises
-    ------
-    Scan2AlbedoError
-        Of the given type, when the file is missing, no JSON, or does not fit; the message names the file and
-        the first fault.
+    Messages call the content `what`, such as "key points"; `advice` says what to do about a file that does
+    not fit. Raises `error`, naming the file and the first fault, when it is missing, no JSON, or does not
+    fit.
     """
     place = f"{what} {path}".lstrip()
     try:

@@ -56,11 +56,8 @@ def require_valid_indices(faces: IntArray, vertex_count: int, name: str) -> None
 def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
     """Return (N,) the index of the first row equal to each row of (N, K) numbers.
 
-    Only rows whose hash occurs twice are compared, so the usual case of few equal rows costs one sort of
-    N integers.
+    Only rows whose hash occurs twice are compared: few equal rows cost one sort of N integers.
 
-    Examples
-    --------
     >>> first_equal_row(np.array([[1.0, 2], [3, 4], [1, 2]])).tolist()
     [0, 1, 0]
     """

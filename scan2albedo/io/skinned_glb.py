@@ -53,48 +53,20 @@ def write_skinned_glb(
 ) -> SkinWritten:
     """Write a mesh with a node at each key point and the weights that tie it to them, as binary glTF 2.0.
 
-    A viewer that moves the nodes moves the mesh: v' = sum over k of w_k J_k B_k v, J_k the joint's place in
-    the world and B_k its inverse when the file was written [1]_.
+    A viewer that moves the nodes moves the mesh: v' = sum over k of w_k J_k B_k v, J_k the joint's transform
+    to the world and B_k its inverse when the file was written (Khronos Group, "glTF 2.0 Specification",
+    section 3.7.3).
 
-    Parameters
-    ----------
-    path, vertices, faces
-        As `write_glb` takes them.
-    keypoints : (K, 3) array_like of float
-        Places of the joints in millimetres; NaN for one that is missing and gets no node.
-    weights : (V, K) array_like of float
-        Not negative, rows sum to 1; 0 for missing key points.
-    names : sequence of K str
-        Of the nodes.
-    parents : sequence of K int
-        Joint that carries each joint along, -1 for none. What hangs on a missing one hangs on that one's own.
-    influences : int or None
-        Joints a vertex keeps; the other weights are cut off and those left divided by their sum. None keeps
-        all that are not 0 in 32 bits. Most viewers read only a file's first four, which are the largest.
+    `vertices` and `faces` as in `write_glb`; `keypoints` (K, 3) in mm, NaN for a missing one, which gets no
+    node; `weights` (V, K) not negative, rows sum to 1, 0 for missing key points; `parents` (K,) the joint
+    that carries each along, -1 for none (children of a missing joint are attached to its parent). Each vertex
+    keeps its `influences` largest weights, divided by their sum, as most viewers read only a file's first
+    four; None keeps all that are not 0 in 32 bits. The cut moves a vertex by at most `SkinWritten.cut` times
+    the greatest distance between any two of the places to which its joints, each by itself, would take it.
 
-    Returns
-    -------
-    SkinWritten
+    Raises OutputError when the folder cannot be written; ValueError for wrong shapes, numbers that are not
+    finite, negative weights, weights of missing joints or parents that form a cycle.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        For wrong shapes, numbers that are not finite, negative weights, weights of missing joints or parents
-        that go round in a circle.
-
-    Notes
-    -----
-    The cut moves a vertex by at most `SkinWritten.cut` times the greatest distance between any two of the
-    places to which its joints, each by itself, would take it.
-
-    References
-    ----------
-    .. [1] Khronos Group, "glTF 2.0 Specification", section 3.7.3.
-
-    Examples
-    --------
     >>> import tempfile
     >>> file = Path(tempfile.mkdtemp()) / "bar.glb"
     >>> written = write_skinned_glb(

@@ -26,13 +26,7 @@ _LARGEST_INDEX = 2.0**53
 
 
 def read_stl(path: Path) -> ParsedMesh:
-    """Read an STL file, binary or ASCII.
-
-    Raises
-    ------
-    ScanError
-        When the file is damaged, cut short or empty; the message names it.
-    """
+    """Read a binary or ASCII STL file. Raises ScanError, naming it, when it is damaged, cut or empty."""
     from trimesh.exchange.stl import load_stl_ascii, load_stl_binary
 
     data = path.read_bytes()
@@ -60,10 +54,7 @@ def read_stl(path: Path) -> ParsedMesh:
 def read_off(path: Path) -> ParsedMesh:
     """Read an ASCII OFF file.
 
-    Raises
-    ------
-    ScanError
-        When the file is damaged, binary, or shorter than its header declares; the message names it.
+    Raises ScanError, naming it, when it is damaged, binary, or shorter than its header declares.
     """
     data = path.read_bytes()
     header = _HEADER.match(data)

@@ -139,8 +139,8 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
 def parse_float_lines(text, starts, ends, width):  # type: ignore[no-untyped-def]
     """Return (values (N, width) float64, number of tokens of each line (N,), -1 = not numbers).
 
-    Values are NaN where a line is shorter than `width`.
-    Tokens past `width` are counted, not kept; a token starting with # ends the line.
+    Values are NaN where a line is shorter than `width`. Tokens past `width` are counted, not kept; a token
+    starting with # ends the line.
     """
     values = np.full((starts.size, width), np.nan)
     counts = np.zeros(starts.size, np.int64)
@@ -191,14 +191,10 @@ def _parse_integer(text, position, end):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
-    """Read face corners written v, v/vt, v//vn or v/vt/vn.
+    """Read face corners written v, v/vt, v//vn or v/vt/vn; also return the first bad line, -1 for none.
 
-    Returns
-    -------
-    corners : (sum of counts, 2) int64
-        Vertex and texture indices as written (1-based, negative = from the end); 0 = not given.
-    bad_line : int
-        First line that does not hold such corners, -1 when all do.
+    Corners (sum of counts, 2) int64 are vertex and texture indices as written: 1-based, negative = from the
+    end, 0 = not given.
     """
     corners = np.zeros((counts.sum(), 2), np.int64)
     row = 0
@@ -221,24 +217,11 @@ def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: ignore[no-untyped-def]
-    """Find the properties of `count` binary rows with lists of any length.
+    """Find the properties of `count` binary rows with lists of any length in `body` (N,) uint8.
 
-    Parameters
-    ----------
-    body : (N,) uint8
-    count : int
-    item_sizes, counter_sizes : (P,) int64
-        Bytes of an item and of a list's counter, 0 for a property that is no list.
-    big_endian : bool
-
-    Returns
-    -------
-    offsets : (count, P) int64
-        Where the first item stands.
-    counts : (count, P) int64
-        How many items there are, 1 for a property that is no list.
-    size : int
-        Bytes of all rows, -1 when `body` ends before.
+    `item_sizes` and `counter_sizes` (P,) are bytes of an item and of a list's counter, 0 for a property that
+    is no list. Returns where the first item stands (count, P), how many items there are (count, P), 1 for a
+    property that is no list, and the bytes of all rows, -1 when `body` ends before.
     """
     offsets = np.zeros((count, item_sizes.size), np.int64)
     counts = np.ones((count, item_sizes.size), np.int64)

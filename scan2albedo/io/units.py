@@ -53,12 +53,8 @@ def millimetres_per_unit(
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note on unit and size).
 
-    Raises
-    ------
-    ScanError
-        With ``unit="auto"`` when the size fits a head in none of mm, cm and m.
-    ValueError
-        For an unknown unit.
+    Raises ScanError when `unit` is "auto" and the size fits a head in none of mm, cm and m; ValueError for an
+    unknown unit.
     """
     return _decided(largest_extent(vertices, components), unit, name, "scan", "head", PLAUSIBLE_EXTENT_MM)
 
@@ -66,10 +62,7 @@ def millimetres_per_unit(
 def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: float, name: str) -> str:
     """Return a note on how single precision rounds a scan far from the origin, "" when it hardly does.
 
-    Raises
-    ------
-    ScanError
-        When positions are rounded to more than a hundredth of the scan's `extent` (file units).
+    Raises ScanError when positions are rounded to more than a hundredth of the scan's `extent` (file units).
     """
     if not (vertices == vertices.astype(np.float32)).all():
         return ""
@@ -87,17 +80,11 @@ def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: flo
 
 
 def glasses_millimetres_per_unit(keypoints: NDArray[np.float64], unit: str, name: str) -> tuple[float, str]:
-    """Return (factor to millimetres, note on unit and size) of a pair of glasses.
+    """Return (factor to millimetres, note on unit and size) of a pair of glasses with key points (K, 3).
 
-    The size is that of its key points (K, 3), NaN for missing ones: of a mesh of many parts, a screw may hold
-    most of the vertices.
-
-    Raises
-    ------
-    ScanError
-        When the size is that of no glasses in mm, cm or m, or in the unit that is given.
-    ValueError
-        For an unknown unit.
+    Key points, NaN for missing ones, give the size: a screw may hold most of a mesh's vertices. Raises
+    ScanError when it is the size of no glasses in the unit given, or for "auto" in mm, cm or m; ValueError
+    for an unknown unit.
     """
     known = keypoints[np.isfinite(keypoints).all(axis=1)]
     apart = np.linalg.norm(known[:, None] - known, axis=2)

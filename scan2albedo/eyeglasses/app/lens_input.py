@@ -125,8 +125,6 @@ def material_pair(
     Raises ValueError when a text is no number or as many as it takes, EyeglassesError when one is out of
     range.
 
-    Examples
-    --------
     >>> plain = {"tint": None, "alpha": None, "beta": None, "sunglasses": False}
     >>> left, right = material_pair("-4,-2.5", fresnel=True, **plain)
     >>> left.dioptres, right.dioptres, left.beta

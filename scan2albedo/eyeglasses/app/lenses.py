@@ -49,8 +49,6 @@ def soft_environment(camera: ArrayLike, shape: tuple[int, int], *, rows: int = 1
 
     The top of the camera's picture (H, W) is up, and the main lamp stands on its left.
 
-    Examples
-    --------
     >>> from scan2albedo.geometry.pinhole import look_at
     >>> room = soft_environment(look_at([0, 0, 600], [0, 0, 0], focal_px=100, shape=(9, 9)), (9, 9), rows=16)
     >>> room.shape, bool(room[:8].mean() > room[8:].mean())
@@ -139,20 +137,12 @@ def render_lenses(
 ) -> RenderedLenses:
     """Put lenses into a frame that sits on a head, and show them to one camera or more.
 
-    Frame, key points (20, 3) and head are in one world, in mm, such as
-    ``Surface(registered.vertices, faces)`` of a `RegisteredEyeglasses`. Lenses, photographs (one a camera)
-    and environment are those of `insert_lenses`; drawn views without an environment get `soft_environment` of
-    the first camera. `on_view` is called with each view when it is done.
+    Frame, key points (20, 3) and head are in one world, in mm, such as ``Surface(registered.vertices,
+    faces)`` of a `RegisteredEyeglasses`. Lenses, photographs (one a camera) and environment are those of
+    `insert_lenses`; drawn views without an environment get `soft_environment` of the first camera. `on_view`
+    is called with each view when it is done. Raises EyeglassesError as from `insert_lenses`, and when frame
+    and head lie apart; ValueError when there is no camera, or not a picture for each of the camera's shape.
 
-    Raises
-    ------
-    EyeglassesError
-        As from `insert_lenses`, and when frame and head lie apart.
-    ValueError
-        When there is no camera, or not a picture for each of the camera's shape.
-
-    Examples
-    --------
     >>> from scan2albedo.geometry.pinhole import look_at
     >>> from scan2albedo.synthetic import eyeglasses
     >>> glasses = eyeglasses(seed=1)

@@ -41,12 +41,8 @@ def starting_poses(
 ) -> list[FrameState]:
     """Return unbent states worth starting from, one at least, of a frame with key points (K, 3) at rest.
 
-    Poses come from triangulated key points, from each view alone, and from the caller (`given`).
-
-    Raises
-    ------
-    EyeglassesError
-        When the labels fix no pose and none was given, or the units of frame and cameras differ.
+    Poses come from triangulated key points, from each view alone, and from the caller (`given`). Raises
+    EyeglassesError when the labels fix no pose and none was given, or the units of frame and cameras differ.
     """
     poses = [] if given is None else [given]
     poses += _triangulated(keypoints, views, noise_px)
