@@ -1,4 +1,4 @@
-"""Texture told from colour: pigment changes hue and brightness together, white light only brightness."""
+"""Texture predicted from colour: pigment changes hue and brightness together, white light only brightness."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ColorGuide:
 
 
 def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
-    """Return what the hues of the cells tell about V of their albedo.
+    """Predict V of the albedo from the hues of the cells.
 
     Within a few cells the light is nearly the same, so there log V changes with the albedo alone. Its
     dependence on the two log ratios of the channels (linear: exact where one pigment of varying density

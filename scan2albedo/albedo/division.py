@@ -18,7 +18,7 @@ _WINDOW = 3
 _STATISTICS_WINDOW = 17
 """Side, in texels, over which variances are estimated: some 300 texels give them to a tenth."""
 _NOISE_GROUPS = 12
-"""Groups of equal light over which noise is told from texture."""
+"""Groups of equal light over which noise is separated from texture."""
 _DIM = 0.15
 """Light, as a part of its median, below which it is not trusted."""
 _SHARP, _BESIDE = 0.3, 9
@@ -122,7 +122,7 @@ def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArra
 
 
 def noise_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:
-    """Return the standard deviation of additive noise in V, told from texture by how each depends on light.
+    """Return the standard deviation of additive noise in V: texture depends on the light, noise does not.
 
     The variance of the second difference of V is k (s^2 + t I^2): noise s^2 does not know the light I,
     texture t is multiplied by it. Both are fitted, not negative, to the medians over texels grouped by I.

@@ -1,4 +1,4 @@
-"""How far an albedo is from the truth, up to the one scale that no image can tell."""
+"""How far an albedo is from the truth, up to one scale, which no image contains."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _LIGHT_EFFECT = 0.02
 _LIGHT_SHARE = 0.1
 """Intensity that every light has to have, as a part of the strongest one's."""
 _LIGHT_ANGLE_RAD = 0.26
-"""Angle between two lights below which they may be one broad light: the picture does not tell."""
+"""Angle between two lights below which they may be one broad light: an image fits both."""
 _LIGHT_DIRECTION_RAD = 0.12
 """Standard deviation that the direction of one more light may have: what is no lamp has none."""
 
@@ -276,11 +276,11 @@ def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> floa
 
 
 def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
-    """Return the plan's row that tells which parameters of the light are at an end of their range.
+    """Return the plan's row that names parameters of the light at an end of their range.
 
-    There a better light may lie beyond: an ambient light too weak to be seen, a lamp that touches the skin,
-    no light at all. Light that is no part of the model stays in the albedo: where the brightest 0.2 % of
-    it is many times its median, that is told as well.
+    A better light may lie beyond: an ambient light too weak to be seen, a lamp that touches the skin, no
+    light at all. Light that the model lacks stays in the albedo: the row also says where the brightest
+    0.2 % of it is many times its median.
 
     Parameters
     ----------

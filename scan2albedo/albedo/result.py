@@ -58,7 +58,7 @@ class AlbedoEstimate:
     shadow_offset_mm : float
         Of the shadow rays.
     uncertainty : LightUncertainty or None
-        How sure the light is; None for spherical harmonics, other refiners, and where the budget ended first.
+        How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended.
     albedo_deviation : (H, W) float32 or None
         Relative standard deviation of the albedo that follows from it, best scale removed.
     """
