@@ -25,8 +25,9 @@ texture's grain, which colour helps to divide out."""
 _SHIFTS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 _SOFTNESS = 0.02
 """Residuals, as parts of the local brightness, beyond which they count as outliers do."""
-_SWEEPS, _FIRST_SWEEPS = 3, 5
-"""Reweighted estimates of the block albedos, from the weights of a point near by, and from equal weights."""
+_SWEEPS, _FIRST_SWEEPS = 3, 8
+"""Reweighted estimates of the block albedos, from the weights of a point near by and from equal ones: after
+5 of the latter the order of the starts was not settled yet."""
 _DARK = 0.3
 """Brightness, as a part of the median, below which cells count less: noise, hair and light from the
 surroundings matter more there than the texture."""
