@@ -56,10 +56,7 @@ class Picture:
     def srgb(self, exposure: float | None = None, background: float = 1.0) -> NDArray[np.uint8]:
         """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None.
 
-        Raises
-        ------
-        ValueError
-            For an exposure that is not finite and above 0.
+        ValueError for an exposure that is not finite and above 0.
         """
         factor = self.auto_exposure() if exposure is None else checked_exposure(exposure)
         shown = np.clip(factor * self.linear, 0, self.alpha[..., None])

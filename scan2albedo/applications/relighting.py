@@ -72,12 +72,8 @@ class RelitFace:
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face with its relit texture as a GLB that shines by itself, so no viewer lights it again.
 
-        Raises
-        ------
-        OutputError
-            When the folder cannot be written.
-        ValueError
-            For an exposure that is not finite and above 0.
+        OutputError when the folder cannot be written, ValueError for an exposure that is not finite and above
+        0.
         """
         mask = self.face.mask
         factor = auto_exposure(self.texture_linear[mask]) if exposure is None else checked_exposure(exposure)
@@ -112,10 +108,6 @@ def relight(
         Light without direction. When omitted 1, as `AlbedoEstimate.relit` has it, or 0 with an environment,
         which is all the light there is.
     options : RelightOptions
-
-    Returns
-    -------
-    RelitFace
 
     Raises
     ------

@@ -21,20 +21,10 @@ _BRDFS = {"oren-nayar": kernels.OREN_NAYAR, "lambert": kernels.OREN_NAYAR, "minn
 class Reflectance:
     """How the surface reflects; the albedo is not part of it.
 
-    Parameters
-    ----------
-    brdf : {"oren-nayar", "lambert", "minnaert"}
-    roughness : float
-        Oren-Nayar's sigma in radians (0 is Lambert), or Minnaert's exponent (1 is Lambert).
-    specular_strength : float
-        Phong's k_s for a light of intensity 1, in the unit of the texture.
-    exponent : float
-        Phong's m.
-
-    Raises
-    ------
-    ValueError
-        For an unknown `brdf`, rough Lambert, or a number that is negative or not finite.
+    `brdf` is "oren-nayar", "lambert" or "minnaert"; `roughness` is Oren-Nayar's sigma in radians (0 is
+    Lambert) or Minnaert's exponent (1 is Lambert). `specular_strength` is Phong's k_s for a light of
+    intensity 1, in the unit of the texture; `exponent` is Phong's m. ValueError for an unknown `brdf`, rough
+    Lambert, or a number that is negative or not finite.
     """
 
     brdf: str = "oren-nayar"
@@ -95,32 +85,13 @@ def shade_points(
 ) -> Shading:
     """Evaluate the ASRM: T = A (I_a + I_d) + I_s.
 
-    I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the
-    visibility and E = intensity (distance/r)^2 (no falloff for a distant light).
+    I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the visibility
+    and E = intensity (distance/r)^2 (no falloff for a distant light).
 
-    Parameters
-    ----------
-    position, normal : (N, 3) array_like of float
-        Millimetres in the model's frame; unit.
-    lights : sequence of PointLight
-        May be empty: ambient light alone.
-    reflectance : Reflectance
-    visible : (L, N) array_like, optional
-        0 where a light is hidden; everything is visible when omitted.
-    view_direction : (3,) array_like of float
-        Toward the viewer; made unit.
-    specular_scale : (N,) array_like of float, optional
-        Multiplies I_s.
-
-    Returns
-    -------
-    Shading
-
-    Raises
-    ------
-    ValueError
-        For shapes that do not fit, points, normals or a `specular_scale` that are not finite, or a zero
-        `view_direction`.
+    `position` (N, 3) is in mm, the model's frame, `normal` (N, 3) unit. Lights may be none. `visible` (L, N)
+    is 0 where a light is hidden; everything is visible when None. `view_direction` (3,), of any length,
+    points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do not fit,
+    points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
 
     References
     ----------

@@ -24,7 +24,7 @@ def harmonic_degrees(order: int) -> NDArray[np.int64]:
 
 
 def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
-    """Return the real harmonics Y_lm of unit vectors up to degree `order`.
+    """Return the real harmonics Y_lm of unit vectors (..., 3) up to degree `order`, (..., (order + 1)^2).
 
     With N_lm the Legendre functions divided by sin^m (polynomials in z), normalised over the sphere,
 
@@ -32,26 +32,9 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
 
     so that nothing is divided by sin and the poles are points like all others.
 
-    Parameters
-    ----------
-    direction : (..., 3) array_like of float
-        Unit vectors.
-    order : int
-        Highest degree, 0 or more.
-
-    Returns
-    -------
-    (..., (order + 1)^2) float64, orthonormal over the sphere. Y_lm stands at l (l + 1) + m; Y_1 = (y, z, x),
-    no Condon-Shortley phase.
-
-    Raises
-    ------
-    ValueError
-        For another shape, or values that are not finite.
-
-    Notes
-    -----
-    Cost: about six operations a harmonic. Agrees with `scipy.special.sph_harm_y` to 1e-14, at the poles too.
+    They are orthonormal over the sphere. Y_lm stands at l (l + 1) + m; Y_1 = (y, z, x), no Condon-Shortley
+    phase. ValueError for another shape, or values that are not finite. Cost: about six operations a harmonic.
+    Agrees with `scipy.special.sph_harm_y` to 1e-14, at the poles too.
 
     References
     ----------
@@ -81,24 +64,9 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
 def harmonics_gradient(direction: ArrayLike, order: int = 8) -> FloatArray:
     """Return the gradients of the harmonics along the sphere, (..., (order + 1)^2, 3).
 
-    Parameters
-    ----------
-    direction : (..., 3) array_like of float
-        Unit vectors n.
-    order : int
-        Highest degree, 0 or more.
+    Each row is orthogonal to the unit vector n of `direction` (..., 3): Y(n + d) = Y(n) + gradient . d for
+    small d along the sphere. ValueError for another shape, or values that are not finite.
 
-    Returns
-    -------
-    Each row is orthogonal to n: Y(n + d) = Y(n) + gradient . d for small d along the sphere.
-
-    Raises
-    ------
-    ValueError
-        For another shape, or values that are not finite.
-
-    Examples
-    --------
     >>> (harmonics_gradient([0.0, 0.0, 1.0], order=1) + 0.0).round(3)[[1, 3]].tolist()
     [[0.0, 0.489, 0.0], [0.489, 0.0, 0.0]]
     """
@@ -168,29 +136,14 @@ def _check_order(order: int) -> None:
 
 
 def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatArray:
-    """Return the coefficients of an environment map, its texels constant.
+    """Return the coefficients (..., (order + 1)^2, 3) of environment maps (..., H, W, 3), texels constant.
 
         L_lm = integral over the sphere of L(d) Y_lm(d).
 
-    Parameters
-    ----------
-    environment_linear : (..., H, W, 3) array_like of float
-        Radiance of one map or several; rows from +y down to -y, columns by azimuth from -pi to pi, from +z
-        toward +x.
-    order : int
-        Highest degree.
+    The radiance's rows run from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
+    Coefficients are in the order of `harmonics`; light of 1 gives sqrt(4 pi), 0, 0, ... ValueError when the
+    map has another shape, is empty or not finite.
 
-    Returns
-    -------
-    (..., (order + 1)^2, 3) float64, in the order of `harmonics`; light of 1 gives sqrt(4 pi), 0, 0, ...
-
-    Raises
-    ------
-    ValueError
-        When the map has another shape, is empty or not finite.
-
-    Examples
-    --------
     >>> abs(project_environment(np.ones((2, 4, 3)), order=1)[:, 0]).round(6).tolist()
     [3.544908, 0.0, 0.0, 0.0]
     """
@@ -230,8 +183,6 @@ def map_directions(polar_rad: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
 def project_distant_lights(lights: DistantLights, order: int = 8) -> FloatArray:
     """Return ((order + 1)^2, 3) coefficients of distant lights: sum of irradiance times Y(direction).
 
-    Examples
-    --------
     >>> project_distant_lights(DistantLights([[0, 1, 0]], [[1, 0, 0]]), order=1)[:, 0].round(3).tolist()
     [0.282, 0.489, 0.0, 0.0]
     """

@@ -28,26 +28,10 @@ def lamp_factors(  # type: ignore[no-untyped-def]
     azimuth nor a tangent; or Minnaert's cos_i^k cos_r^(k - 1). The highlight is Phong's, 0 where the mirrored
     light points away from the viewer, whatever the exponent.
 
-    Parameters
-    ----------
-    position, normal : (N, 3) float64
-        Millimetres; unit.
-    visible : (N,)
-        How much of the lamp reaches each point.
-    direction : (3,) float64
-        Unit.
-    nearness : float
-        1/distance, 0 for a distant lamp.
-    view : (N, 3) or (1, 3) float64
-        Unit directions to the viewer, of each point or of all.
-    brdf : int
-        `OREN_NAYAR` (Lambert is roughness 0) or `MINNAERT`.
-    roughness : float
-        Sigma in radians, or Minnaert's exponent.
-    exponent : float
-        Of the highlight; below 0 leaves it out.
-    diffuse, lobe : (N,) float64
-        Filled.
+    `position`, `normal` (N, 3) are in mm and unit; `visible` (N,) is the part of the lamp that reaches each
+    point; `direction` (3,) and `view`, (N, 3) or (1, 3), are unit; `nearness` is 1/distance, 0 for a distant
+    lamp. `brdf` is `OREN_NAYAR` (Lambert is roughness 0) or `MINNAERT`, `roughness` sigma in radians or
+    Minnaert's exponent; an `exponent` below 0 leaves the highlight out. `diffuse`, `lobe` (N,) are filled.
     """
     a, b = oren_nayar_coefficients(roughness)
     for i in range(position.shape[0]):
@@ -107,35 +91,16 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     """Fill I = I_a + I_d (I_a = 1), I_s, and their derivatives by the parameters of the light.
 
     The P parameters are, for each light, two coordinates of its direction and the logarithm of its intensity;
-    then, where free, `radius` / distance, sigma^2 (or Minnaert's exponent), strength of the highlight and
-    the logarithm of its exponent.
+    then, where free (`near`, `rough`, `glossy`), `radius` / distance with `radius` in mm, sigma^2 (or
+    Minnaert's exponent), strength of the highlight and the logarithm of its exponent.
 
-    Parameters
-    ----------
-    position, normal, brdf, roughness, exponent
-        As in `lamp_factors`.
-    lights : (L, 5) float64
-        Unit direction, 1/distance (0 for a distant light), intensity.
-    view : (3,) float64
-        Unit direction to the viewer.
-    specular : float
-        Strength of the highlight for a light of intensity 1.
-    scale : (N,) float64
-        Multiplies the highlight.
-    visible : (L, N) float32
-        In [0, 1].
-    visible_slope : (L, 2, N) float32
-        Its derivatives by the direction's coordinates: an outline moves with the light.
-    tangents : (L, 2, 3) float64
-        Derivatives of each direction by its coordinates.
-    radius : float
-        Millimetres, unit of the distance's parameter.
-    near, rough, glossy : bool
-        Which of the common parameters are free.
-    light_out, specular_out : (N,) float64
-        Filled.
-    light_slope, specular_slope : (>= P, N) float64
-        Filled.
+    `position`, `normal`, `brdf`, `roughness`, `exponent` are as in `lamp_factors`. `lights` (L, 5) hold unit
+    direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) the derivatives of each
+    direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N) float32
+    its derivatives by the direction's coordinates: an outline moves with the light. `view` (3,) is unit,
+    `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
+    `light_out`, `specular_out` (N,) and `light_slope`, `specular_slope` (>= P, N) are filled; all float64
+    where nothing else is said.
     """
     a, b = oren_nayar_coefficients(roughness)
     variance = roughness * roughness

@@ -19,20 +19,12 @@ _OFFSETS = (1.5e-4, 5e-3)
 
 @dataclass(frozen=True)
 class ShadowMap:
-    """Visibility of lights from N surface points.
+    """Visibility of lights from N surface points; without `caster` only attached shadows are left (n.l <= 0).
 
-    Parameters
-    ----------
-    caster : RayCaster, optional
-        The mesh that casts shadows; None leaves only attached shadows (n.l <= 0).
-    position : (N, 3) float64
-        Millimetres, on the caster's surface.
-    normal : (N, 3) float64
-        Unit outward normals.
-    offset_mm : float
-        Rays start this far along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow
-        itself, more loses shadow at contacts. It is kept between 0.015 % and 0.5 % of the caster's size, so
-        that a surface in another unit than millimetres neither shadows itself nor loses all its shadows.
+    `position` (N, 3) is in mm on the caster's surface, `normal` (N, 3) unit and outward. Rays start
+    `offset_mm` along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow itself, more
+    loses shadow at contacts. It is kept between 0.015 % and 0.5 % of the caster's size, so that a surface in
+    another unit than millimetres neither shadows itself nor loses all its shadows.
     """
 
     caster: RayCaster | None
@@ -49,14 +41,8 @@ class ShadowMap:
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
         """Return (N,) uint8, 1 where a light reaches the point.
 
+        `direction` (3,) is unit, from the origin toward the light; `distance_mm` is inf for a distant light.
         Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
-
-        Parameters
-        ----------
-        direction : (3,) array_like of float
-            Unit vector from the origin toward the light.
-        distance_mm : float
-            Of the light from the origin; ``inf`` for a distant one.
         """
         toward = np.asarray(direction, np.float64)
         inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
@@ -105,7 +91,7 @@ def _facing(position, normal, toward, inverse, lit):  # type: ignore[no-untyped-
 def _lit_rays(position, normal, origin, toward, inverse, lit):  # type: ignore[no-untyped-def]
     """Fill `lit` as `_facing` does; return indices (M,), origins and rays (M, 3) float32 of the lit points.
 
-    There are no rays for a distant light (`inverse` 0): all are `toward`.
+    Rays are empty for a distant light (`inverse` 0), where all are `toward`.
     """
     count = _facing(position, normal, toward, inverse, lit)
     index = np.empty(count, np.int64)
@@ -136,16 +122,14 @@ class VisibilityTable:
 
 
 def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> FloatArray:
-    """Return (count, 3) unit vectors spread evenly over the cone around `axis` (a Fibonacci spiral).
+    """Return (count, 3) unit vectors spread evenly over the cone around `axis` (a Fibonacci spiral [1]_).
+
+    >>> cone_directions(50, (0, 0, 1), 1.0)[:, 2].min() > 0.54
+    np.True_
 
     References
     ----------
     .. [1] R. Swinbank, R. J. Purser, "Fibonacci grids", Q. J. R. Meteorol. Soc. 132, 2006.
-
-    Examples
-    --------
-    >>> cone_directions(50, (0, 0, 1), 1.0)[:, 2].min() > 0.54
-    np.True_
     """
     along = 1 - (1 - math.cos(half_angle_rad)) * (np.arange(count) + 0.5) / count
     turn = np.arange(count) * math.pi * (3 - math.sqrt(5))
@@ -155,10 +139,7 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
 
 
 def view_frame(axis: ArrayLike) -> FloatArray:
-    """Return (3, 3) rows e1, e2, e3: an orthonormal right-handed frame with e3 along `axis`.
-
-    For the axis +z it is the identity.
-    """
+    """Return (3, 3) rows of a right-handed orthonormal frame, the third along `axis`; for +z the identity."""
     e3 = np.asarray(axis, np.float64)
     e3 = e3 / np.linalg.norm(e3)
     helper = np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0])

@@ -72,7 +72,7 @@ def identify(
     gallery : Templates
         Of the known persons, one or more each.
     probes : Templates
-        Their names do not influence the prediction; they tell whether it is right.
+        Their names do not influence the prediction; they only show whether it is right.
     combine : {"best", "mean"}
         A person's similarity is the best of, or the mean over, the images in the gallery.
     similarity : SimilarityOptions

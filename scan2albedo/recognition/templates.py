@@ -120,10 +120,8 @@ class Templates:
     def joined(cls, parts: Sequence[Templates]) -> Templates:
         """Return the templates of several sets one after the other.
 
-        Raises
-        ------
-        RecognitionError
-            When there is no set, or they were made with other options or from images of another size.
+        RecognitionError when there is no set, or they were made with other options or from images of another
+        size.
         """
         if not parts:
             raise RecognitionError("no set of templates was given; give one or more")

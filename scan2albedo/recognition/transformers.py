@@ -66,10 +66,7 @@ class TemplateTransformer(_Transformer):
     def fit(self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None) -> Self:
         """Check the parameters and keep the images' size, which `transform` then expects.
 
-        Raises
-        ------
-        RecognitionError
-            When there is no image.
+        RecognitionError when there is no image.
         """
         if len(images) == 0:
             raise RecognitionError("no image was given; templates need one or more")
@@ -84,10 +81,7 @@ class TemplateTransformer(_Transformer):
     ) -> Templates:
         """Return the templates of images (N, H, W) or (N, H, W, 3), named by number by default.
 
-        Raises
-        ------
-        RecognitionError
-            Before `fit`, and when an image has another size than those or cannot be used.
+        RecognitionError before `fit`, and when an image has another size than those or cannot be used.
         """
         self._check_fitted("options_")
         for k, image in enumerate(images):
@@ -120,13 +114,7 @@ class DistanceTransformer(_Transformer):
     window: int = IDENTIFICATION.window
 
     def fit(self, templates: Templates, names: Sequence[str] | None = None) -> Self:
-        """Keep the templates of the gallery.
-
-        Raises
-        ------
-        RecognitionError
-            When there is none.
-        """
+        """Keep the templates of the gallery; RecognitionError when there is none."""
         if len(templates) == 0:
             raise RecognitionError("the gallery is empty; give one template or more")
         self.options_ = SimilarityOptions(window=self.window)

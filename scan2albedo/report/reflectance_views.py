@@ -28,7 +28,7 @@ _MARGIN_PX = 8
 
 
 def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None) -> list[Panel]:
-    """Return panels of albedo and weights and, of a fit, of what is identified; from +z, unknown grey."""
+    """Return panels of albedo and weights and, of a fit, of the identified part; from +z, unknown grey."""
     view = View.around(mesh.vertices)
     one = mesh.reflectance
     weights = one.weights[one.known]

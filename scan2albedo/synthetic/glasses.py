@@ -74,7 +74,7 @@ def eyeglasses(
     shape : GlassesShape, optional
         Measures in place of drawn ones.
     bend : GlassesBend
-        A smooth deformation; `rest_vertices` tell where each vertex was before.
+        A smooth deformation; `rest_vertices` are the vertices before it.
     welded : bool
         One closed surface around rims, bridge and temples. Otherwise five: temples apart from the rims by
         the hinges' gap of a millimetre, the bridge stuck into the rims.
