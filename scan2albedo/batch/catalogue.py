@@ -22,17 +22,8 @@ NOT_RUN = "not run"
 def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]) -> pyarrow.Table:
     """Return the catalogue of a batch: a row for each scan of the manifest, in its order.
 
-    Parameters
-    ----------
-    manifest : BatchManifest
-    rows : mapping of str to BatchScanRecord
-        By name, of the scans that were tried.
-
-    Returns
-    -------
-    pyarrow.Table
-        The columns of `records`, figures of stages that only some scans have, and the manifest's own columns
-        as text. Numbers are float64, empty where a scan has none.
+    `rows` are by name, of the scans that were tried. Columns are those of `records`, figures of stages that
+    only some scans have, and the manifest's own as text. Numbers are float64, empty where a scan has none.
     """
     import pyarrow as pa
 
@@ -44,13 +35,7 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
 
 
 def write_catalogue(path: Path, table: pyarrow.Table) -> None:
-    """Write a catalogue, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    """
+    """Write a catalogue, whole or not at all; raises `OutputError` when the folder cannot be written."""
     import pyarrow.parquet as parquet
 
     with atomic_path(path) as temporary:

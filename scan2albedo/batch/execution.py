@@ -35,21 +35,10 @@ def run_in_processes(
 ) -> Iterator[BatchScanRecord]:
     """Yield the record of each task as it is finished by local processes.
 
-    When a worker dies, all of them do. The scans that were being processed then are suspects: they are tried
-    again at the end, each alone, and have failed when their worker dies once more; all others go on in new
-    processes.
-
-    Parameters
-    ----------
-    tasks : sequence of ScanTask
-    layout : Layout
-    jobs : callable
-        Returns how many processes to use for the tasks that are left.
-
-    Raises
-    ------
-    BatchError
-        When processes die again and again before they begin a scan.
+    When a worker dies, all of them do. The scans that were being processed then are tried again at the end,
+    each alone, and have failed when their worker dies once more; all others go on in new processes. `jobs`
+    returns how many processes to use for the tasks that are left. Raises `BatchError` when processes die
+    again and again before they begin a scan.
     """
     waiting = {task.name: task for task in tasks}
     suspects: list[ScanTask] = []
@@ -81,9 +70,10 @@ _DIED = "died"
 
 
 def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | str]:
-    """Return the records of tasks that ended without an answer; "died" for those under way.
+    """Return the records of tasks that ended without an answer; "died" for those in progress.
 
-    One that took too long ended its worker itself; those beside it are innocent and are left out.
+    A task beyond its time limit ended its own worker; the tasks of other workers are not at fault and are
+    left out.
     """
     ended: dict[str, BatchScanRecord | str] = {}
     late: dict[str, BatchScanRecord | str] = {}
@@ -148,15 +138,9 @@ def run_on_cluster(
     """Yield the record of each task as it is finished by the workers of a dask scheduler.
 
     A scan whose worker dies is given to others as often as the scheduler allows, and has failed then. The
-    scheduler blames scans that waited at such workers too; those that were never begun are tried again.
-    `on_jobs` is called with the number of workers.
-
-    Raises
-    ------
-    MissingDependencyError
-        When distributed is not installed.
-    BatchError
-        When no scheduler or no worker answers, or the scheduler is lost.
+    scheduler also counts scans that only waited at such workers; those that never began are tried again.
+    `on_jobs` is called with the number of workers. Raises `MissingDependencyError` when distributed is not
+    installed, `BatchError` when no scheduler or no worker answers, or the scheduler is lost.
     """
     with _client(address) as client:
         on_jobs(len(client.nthreads()))

@@ -22,13 +22,7 @@ _KEPT = ".batch"
 
 @dataclass(frozen=True)
 class Layout:
-    """Paths of a batch.
-
-    Parameters
-    ----------
-    out : Path
-        Absolute.
-    """
+    """Paths of a batch in the folder `out`, which is absolute."""
 
     out: Path
 
@@ -122,10 +116,7 @@ class Layout:
     def locked(self) -> Iterator[None]:
         """Keep other batches out of the folder during the block; a killed process holds no lock.
 
-        Raises
-        ------
-        BatchError
-            When another batch works there.
+        Raises `BatchError` when another batch works there.
         """
         import fcntl
 

@@ -26,16 +26,7 @@ _CGROUP_FILES = (
 
 @dataclass(frozen=True)
 class JobLimit:
-    """How many jobs fit into memory.
-
-    Parameters
-    ----------
-    jobs : int
-        At least one.
-    worker_mb : float
-        What a worker may need at its highest.
-    available_mb : float
-    """
+    """How many jobs, at least one, fit into memory; `worker_mb` is the expected peak of a worker."""
 
     jobs: int
     worker_mb: float
@@ -52,17 +43,10 @@ class JobLimit:
 
 
 def job_limit(asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0) -> JobLimit:
-    """Return how many of the jobs asked for the available memory carries.
+    """Return how many of the jobs asked for fit into the available memory.
 
-    Parameters
-    ----------
-    asked : int
-    scans : iterable of Path
-        The largest of them counts.
-    size : int
-        Height and width of the geometry images.
-    running_mb : float
-        Peak of a worker that was measured, when it is higher than the estimate.
+    The largest of the `scans` counts, `size` is the geometry images' height and width, and `running_mb` the
+    measured peak of a worker, when it is higher than the estimate.
     """
     largest = max((_scan_mb(path) for path in scans), default=0.0)
     worker = max(_BASE_MB + size * size * _TEXEL_BYTES / MB + largest, running_mb)

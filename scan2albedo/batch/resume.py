@@ -22,17 +22,10 @@ _CLOCK_S = 2.0
 
 @dataclass(frozen=True)
 class Resumed:
-    """What was found of earlier runs.
+    """Results of earlier runs, and the scans that remain.
 
-    Parameters
-    ----------
-    kept : dict of str to BatchScanRecord
-        Scans whose record, input, options and files agree, by name.
-    todo : tuple of ScanTask
-    reasons : dict of str to int
-        Why scans are done again, and how many each.
-    files_verified : int
-        Files that were read and agree with their hash.
+    `kept` are, by name, scans whose record, input, options and files agree; `reasons` counts why scans are
+    done again; `files_verified` counts files that were read and agree with their hash.
     """
 
     kept: dict[str, BatchScanRecord] = field(default_factory=dict)
@@ -77,9 +70,9 @@ def _looked_at(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, 
 
 
 def remove_leftovers(layout: Layout) -> int:
-    """Remove what killed processes left half-written, and return how many files and folders that were.
+    """Remove what killed processes left half-written; return how many files and folders that were.
 
-    Folders of processes that live, of another command perhaps, stay.
+    Folders of processes that still run, of another command perhaps, stay.
     """
     removed = 0
     for folder in layout.out.glob(".*.part"):

@@ -142,10 +142,7 @@ def _tasks(
 def _model_sha256(model: str) -> str | None:
     """Return the SHA-256 of a model's or a template's files; None for "none".
 
-    Raises
-    ------
-    ModelError
-        When there is no such file.
+    Raises `ModelError` when there is no such file.
     """
     if model == "none":
         return None

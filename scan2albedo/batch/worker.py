@@ -34,20 +34,8 @@ _MODELS_KEPT = 4
 class ScanTask:
     """One scan to process; paths are absolute, for workers may run elsewhere.
 
-    Parameters
-    ----------
-    name, source : str
-        As in the manifest.
-    path, out : str
-    options : ProcessOptions
-    options_sha256 : str
-    model_sha256 : str or None
-    run : str
-        Of the batch; a worker of an older run writes nothing.
-    version : str
-        Of the package that made the task.
-    timeout_s : float or None
-        Seconds after which the worker's process ends itself.
+    `run` is the batch's, so that a worker of an older run writes nothing; `version` is that of the package
+    that made the task; after `timeout_s` seconds the worker's process ends itself.
     """
 
     name: str
@@ -175,10 +163,10 @@ def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
 
 @contextmanager
 def _marked(task: ScanTask, layout: Layout) -> Iterator[None]:
-    """Show that the scan is being processed, and let the process end when it takes too long.
+    """Mark the scan as in progress, and end the process when it takes too long.
 
-    The alarm has no handler: it ends the process even in the midst of compiled code, which no exception
-    could leave in order.
+    The alarm has no handler: it ends the process even inside compiled code, where an exception could not
+    clean up.
     """
     with suppress(Scan2AlbedoError):
         layout.mark(task.name, time.time())

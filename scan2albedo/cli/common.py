@@ -45,10 +45,10 @@ def refuse_shared_folders(scans: list[Path]) -> None:
 
 
 def stop_cleanly_on_interrupt(out: Path | None) -> None:
-    """Make Ctrl-C remove what is half-written in `out`, say so, and end the process at once.
+    """Make Ctrl-C remove half-written files in `out`, print a message, and end the process at once.
 
-    Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state
-    they are in; numba has crashed on that.
+    Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state they
+    are in; numba has crashed on that.
     """
 
     there = out is None or out.exists()
@@ -68,17 +68,10 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
 
 
 def with_process_flags(*names: str) -> Callable[[Command], Command]:
-    """Return a decorator that gives a command flags in place of its parameter `options`.
+    """Return a decorator that replaces a command's parameter `options` by flags.
 
-    Parameters
-    ----------
-    *names : str
-        Fields of `ProcessOptions` that are flags; all when none is given.
-
-    Returns
-    -------
-    callable
-        Decorates a command with a parameter `options`, which gets checked `ProcessOptions`.
+    `names` are the fields of `ProcessOptions` that become flags, all when none is given; the command gets
+    checked `ProcessOptions`.
     """
     flags = {option.name: _flag(option) for option in process_options() if not names or option.name in names}
 

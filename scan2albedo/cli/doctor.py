@@ -45,18 +45,10 @@ OLDEST_PYTHON = (3, 11)
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
-    Parameters
-    ----------
-    subject : str
-        What was checked.
-    good : bool
-        Whether it works, or is of an extra that is not installed.
-    detail : str
-        Version found, or the error.
-    remedy : str
-        The command that mends it; empty when there is nothing to mend.
+    `good` is also True for an extra that is not installed; `detail` is the version found, or the error;
+    `remedy` the command that mends it, empty when there is nothing to mend.
     """
 
     subject: str

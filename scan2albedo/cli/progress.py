@@ -19,13 +19,7 @@ PLAIN_INTERVAL_S = 2.0
 
 
 class StderrLines:
-    """A bar on stderr where that is a terminal, and lines that stay; use as a context manager.
-
-    Parameters
-    ----------
-    columns : sequence of ProgressColumn
-        Of the bar.
-    """
+    """A bar on stderr where that is a terminal, and lines that stay; use as a context manager."""
 
     def __init__(self, *columns: ProgressColumn) -> None:
         from rich.console import Console
@@ -54,13 +48,7 @@ class StderrLines:
 
 
 class ProgressLines(StderrLines):
-    """Shows the trace rows of a running scan; use as a context manager.
-
-    Parameters
-    ----------
-    name : str
-        The scan's name.
-    """
+    """Shows the trace rows of a running scan; use as a context manager."""
 
     def __init__(self, name: str) -> None:
         from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn

@@ -49,37 +49,18 @@ class Region:
 
 @dataclass(frozen=True)
 class AnnotatedSurface:
-    """A face template whose surface is the Loop limit surface of a control mesh.
+    """A face template whose surface is the Loop limit surface of a control mesh [1]_.
 
-    Parameters
-    ----------
-    control_vertices : (C, 3) float64
-        Millimetres; +x the subject's left, +y up, +z out of the face, origin at the centroid.
-    control_faces : (F, 3) int64
-        Disc topology, counter-clockwise seen from outside.
-    uv : (C, 2) float64
-        One continuous flip-free chart in the unit square, u grows with +x, v with +y.
-    region : (F,) uint8
-        Region index of each control face.
-    regions : mapping of str to Region
-        By name.
-    landmark_points : SurfacePoints, optional
-        68 points in iBUG-68 order on the control faces; None for templates without landmarks.
-    template_points : SurfacePoints, optional
-        Where each vertex of the dense template lies (`from_mesh`).
-    template_offset : (T, 3) float64, optional
-        Template vertex minus its surface point at rest, in the surface point's local frame or zeros.
-    template_faces : (T_F, 3) int64, optional
-        The template's own triangles.
-    template_from_model : (4, 4) float64, optional
-        Similarity from the model's frame in mm to the axes, origin and unit that the template came in.
-    notes : tuple of str
-        What `from_mesh` decided and mended, one sentence each.
-    name : str
-        Used in messages and results.
+    `control_vertices` (C, 3) in mm: +x the subject's left, +y up, +z out of the face, origin at the centroid.
+    `control_faces` (F, 3) form a disc, counter-clockwise seen from outside. `uv` (C, 2) is one continuous
+    flip-free chart in the unit square, u grows with +x, v with +y. `region` (F,) uint8 indexes the regions.
+    `landmark_points` are 68 in iBUG-68 order on the control faces, or None.
 
-    References
-    ----------
+    A surface made by `from_mesh` also has `template_points`, the place of each dense template vertex,
+    `template_offset` (T, 3), vertex minus that surface point at rest in the point's local frame or zeros,
+    `template_faces` (T_F, 3), `template_from_model` (4, 4), the similarity from the model's frame in mm to
+    the template's own axes, origin and unit, and `notes`, a sentence for each thing decided and mended.
+
     .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
        Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
     """

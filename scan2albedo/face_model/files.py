@@ -27,10 +27,10 @@ class RegionEntry(BaseModel):
 
 
 class FaceModelFile(BaseModel):
-    """Annotated Face Model: annotation and where the arrays lie.
+    """Annotated Face Model: its annotation, and which arrays its .npz file holds.
 
-    The .npz holds control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where
-    the counts below say so landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
+    These are control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where the counts
+    below are not 0 landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
     template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3), template_from_model (4, 4).
     """
 
@@ -53,13 +53,7 @@ class FaceModelFile(BaseModel):
 
 
 def save_model(model: AnnotatedSurface, path: str | Path) -> None:
-    """Write `path` (.json) and, beside it, the arrays in `<stem>.npz`; same model, same bytes.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    """
+    """Write `path` (.json) and, beside it, the arrays in `<stem>.npz`; same model, same bytes."""
     target = Path(path)
     arrays = _arrays_of(model)
     entry = FaceModelFile(
@@ -110,10 +104,7 @@ def _arrays_of(model: AnnotatedSurface) -> Arrays:
 def load_model(path: str | Path) -> AnnotatedSurface:
     """Read a model that `save_model` wrote.
 
-    Raises
-    ------
-    ModelError
-        When a file is missing, no JSON, truncated, or the two do not belong together.
+    Raises `ModelError` when a file is missing, no JSON, truncated, or the two do not belong together.
     """
     entry = _read_entry(Path(path))
     arrays_path = Path(path).with_name(entry.arrays)

@@ -48,10 +48,7 @@ class DenseTemplate:
 def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
     """Make a surface of about `control_size` control vertices from a template in the model's axes.
 
-    Raises
-    ------
-    ModelError
-        When the template, the regions or the landmarks cannot be used; the message says why.
+    Raises `ModelError` when the template, the regions or the landmarks cannot be used.
     """
     name = given.name
     if not control_size >= MIN_CONTROL_SIZE:

@@ -21,22 +21,11 @@ BACK_OF_HEAD = 0.35
 
 @dataclass(frozen=True)
 class CleanTemplate:
-    """A template ready for decimation.
+    """A template ready for decimation: one disc, holes filled, counter-clockwise from outside.
 
-    Parameters
-    ----------
-    vertices : (K, 3) float64
-        Millimetres, origin at the centroid of `all_vertices`.
-    faces : (F, 3) int64
-        One disc, holes filled, counter-clockwise from outside.
-    filled : (F,) bool
-        True for faces that close a hole the template had.
-    source : (K,) int64
-        Template vertex each of `vertices` was.
-    all_vertices : (T, 3) float64
-        Every template vertex in the same frame and unit, the template's order.
-    holes : int
-        Holes filled.
+    `vertices` (K, 3) in mm, origin at the centroid of `all_vertices` (T, 3), which are the template's own in
+    the same frame and unit; `source` (K,) is the template vertex of each. `filled` (F,) marks faces that
+    close one of the template's `holes`.
     """
 
     vertices: FloatArray
@@ -48,12 +37,9 @@ class CleanTemplate:
 
 
 def clean_template(surface: TemplateSurface, name: str) -> CleanTemplate:
-    """Cut a closed head in the model's axes open at the back, fill the holes, and see that a disc remains.
+    """Cut a closed head in the model's axes open at the back, fill the holes, and check that it is a disc.
 
-    Raises
-    ------
-    ModelError
-        When the surface has handles or holes too long to fill.
+    Raises `ModelError` when the surface has handles or holes too long to fill.
     """
     mesh = _front_of_closed(surface.vertices, surface.faces)
     closed, filled, holes = _holes_filled(surface.vertices, mesh)
@@ -111,12 +97,9 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
     """Return the (n - 2, 3) faces of least total area that close a loop (n,) of `boundary_loops`.
 
     The new faces run against the loop, so that the mesh stays consistently oriented; the mesh's own edges are
-    not used again as chords, which would join three faces. Dynamic programming over polygon chords [1]_,
-    O(n^3): 74 vertices take a millisecond, 500 a second.
-
-    References
-    ----------
-    .. [1] G. Barequet, M. Sharir, "Filling gaps in the boundary of a polyhedron", 1995.
+    not used again as chords, which would join three faces. Dynamic programming over polygon chords (Barequet
+    and Sharir, "Filling gaps in the boundary of a polyhedron", 1995), O(n^3): 74 vertices take a millisecond,
+    500 a second.
     """
     ring = np.ascontiguousarray(loop[::-1])
     split = _least_area_splits(np.ascontiguousarray(vertices[ring]), _joined(len(vertices), faces, ring))

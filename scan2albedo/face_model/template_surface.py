@@ -32,18 +32,9 @@ MENDABLE_SHARE = 0.02
 class TemplateSurface:
     """The largest part of a template, welded and oriented; still with its holes, and in any pose.
 
-    Parameters
-    ----------
-    vertices : (T, 3) float64
-        Every template vertex in millimetres, origin at the centroid of those in faces.
-    faces : (F, 3) int64
-        Manifold, counter-clockwise from outside.
-    unit : str
-        The unit decided for the input.
-    template_from_surface : (4, 4) float64
-        Similarity from `vertices` back to the input's unit, origin and axes.
-    notes : tuple of str
-        What was decided and mended, one sentence each.
+    `vertices` (T, 3) are all the template's, in mm, origin at the centroid of those in the manifold `faces`
+    (F, 3), counter-clockwise from outside. `unit` is the input's; `template_from_surface` (4, 4) the
+    similarity back to its unit, origin and axes; `notes` has a sentence for each thing decided and mended.
     """
 
     vertices: FloatArray
@@ -61,19 +52,9 @@ class TemplateSurface:
 def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> TemplateSurface:
     """Decide the unit, join seams, keep the largest part and turn its faces outward.
 
-    Parameters
-    ----------
-    vertices : (T, 3) array of float
-        A head in micrometres, millimetres, centimetres or metres; any pose.
-    faces : (F, 3) array of int
-    name : str
-        Used in messages.
-
-    Raises
-    ------
-    ModelError
-        Wrong shapes, NaN, too few vertices, no faces, bad indices, no head's size, no surface even when
-        a few faces are dropped, or a surface that cannot be oriented.
+    Takes vertices (T, 3) of a head in micrometres, millimetres, centimetres or metres, in any pose. Raises
+    `ModelError` for wrong shapes, NaN, too few vertices, no faces, bad indices, a size that no head has, or a
+    surface that is not manifold even when a few faces are dropped or cannot be oriented.
     """
     given, index = _checked(vertices, faces, name)
     used = np.unique(index)

@@ -50,7 +50,7 @@ def refine_similarity(
     scale_range: tuple[float, float],
     meter: Meter,
 ) -> Similarity:
-    """Return the similarity that lays the model's rigid regions on the scan as posed so far.
+    """Return the similarity that moves the model's rigid regions onto the scan, from its present pose.
 
     Gauss-Newton on (rotation, translation, log scale) of
 

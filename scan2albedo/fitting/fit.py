@@ -116,13 +116,7 @@ def fit(
 
 
 def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
-    """Return the pose as a (4, 4) array.
-
-    Raises
-    ------
-    ValueError
-        When it is not a finite rigid (4, 4) transform.
-    """
+    """Return the pose as an array; raises `ValueError` when it is not a finite rigid (4, 4) transform."""
     pose = np.asarray(model_from_scan, np.float64)
     if pose.shape != (4, 4):
         raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")

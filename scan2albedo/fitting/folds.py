@@ -49,8 +49,8 @@ def guarded(
 class FoldFinder:
     """Finds triangles (F, 3) at edges that folded over.
 
-    That is, by more than 150 degrees, and more than 45 degrees further than at `rest` (V, 3): the rims of
-    lips and lids are creases of 130 degrees that may close.
+    An edge folded over when its angle is above 150 degrees and 45 degrees more than at `rest` (V, 3): the
+    rims of lips and lids are creases of 130 degrees that may close.
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray) -> None:

@@ -44,20 +44,10 @@ class ForceGates:
 class ScanForces:
     """Springs per unit area between N surface samples and the scan.
 
-    Parameters
-    ----------
-    weight : (N,) float64
-        Robust weight times gate, 0 ... 1.
-    tangential : float
-        Stiffness along the surface relative to 1 across it.
-    offset : (N, 3) float64
-        Closest scan point minus sample.
-    normal : (N, 3) float64
-        Unit scan normal at the closest point.
-    near_mm : (N,) float64
-        Distance cut off at the gate; NaN where the closest point is on the scan's border.
-    vertex : (N,) int64
-        Scan vertices to start the next search from.
+    `weight` (N,) is the robust weight times the gate, 0 ... 1; `tangential` the stiffness along the surface
+    relative to 1 across it; `offset` (N, 3) the closest scan point minus the sample; `normal` (N, 3) the
+    scan's unit normal there; `near_mm` (N,) the distance cut off at the gate, NaN where the closest point is
+    on the scan's border; `vertex` (N,) scan vertices to start the next search from.
     """
 
     weight: FloatArray
@@ -76,12 +66,12 @@ class ScanForces:
         return force, stiffness
 
     def mutual(self, samples: FloatArray, area: FloatArray) -> NDArray[np.bool_]:
-        """Return (N,) which closest points y have a sample near x as their own nearest.
+        """Return (N,) True where the scan point y closest to a sample x has x's surroundings as nearest.
 
         Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
         behind a part of the model that y belongs to, about as far as y is: such pairs must not pull. Kept are
-        those whose return ends within MUTUAL_SLOPE |y - x| of x, and a part of the spacing of samples, which
-        stand for `area` (N,) each.
+        those for which the sample nearest to y is within MUTUAL_SLOPE |y - x| of x, plus a part of the
+        samples' spacing, which follows from their `area` (N,).
         """
         used = np.flatnonzero(self.weight > 0)
         _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
@@ -111,9 +101,8 @@ def scan_forces(
 
     n is the scan's normal at y, t the tangential part, w the product of the gates (distance, angle of
     normals, border of the scan) and of Geman and McClure's robust weight. `samples` and `sample_normals` (N,
-    3) are points of the model's surface; `start` are the forces of the last call, when the samples are the
-    same ones moved a little; at the `rim` (N,) of `SurfaceSamples`, scan before the model is likely hair or
-    cloth.
+    3) lie on the model's surface; `start` are the forces of the last call for the same samples, moved a
+    little; at the `rim` (N,) of `SurfaceSamples`, scan in front of the model is likely hair or cloth.
     """
     vertex = scan.nearest.nearest_vertices(samples) if start is None else start.vertex.copy()
     offset, normal, distance, border = pulled(
@@ -153,8 +142,8 @@ def _geman_mcclure(residual: FloatArray, cutoff: float) -> FloatArray:
 def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
     """Find the point of the scan's surface closest to each point (N, 3).
 
-    `vertex` (N,), where the search starts, is walked downhill in place. Returned are the offset (N, 3) to the
-    closest point, the unit normal (N, 3) there, the distance (N,), and whether it lies on the border (N,).
+    `vertex` (N,), where the search starts, is updated in place. Returned are the offset (N, 3) to the closest
+    point, the unit normal (N, 3) there, the distance (N,), and whether it lies on the border (N,).
     """
     count = len(points)
     offset, normal = np.empty((count, 3)), np.empty((count, 3))

@@ -71,7 +71,7 @@ class MouthCorners:
     def of(cls, model: AnnotatedFaceModel, control_points: FloatArray) -> MouthCorners | None:
         """Return the pulls of an annotated model at `control_points`; None without landmarks.
 
-        A corner goes toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles draw
+        A corner moves toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles pull
         it; the lips stretch evenly between their middle and the corner, the cheek follows less and less.
         """
         landmarks = model.landmarks_of(control_points)
@@ -96,16 +96,9 @@ class MouthCorners:
 
 @dataclass(frozen=True)
 class MouthScan:
-    """The scan around the mouth, to measure how well a face lies on it.
+    """The scan within ZONE_MM of the mouth, to measure how near a face is to it.
 
-    Parameters
-    ----------
-    points, normals : (N, 3) float64
-        Of the scan within ZONE_MM of the mouth; unit normals.
-    left : (N,) bool
-        Which of them are on the subject's left.
-    samples : SurfaceSamples
-        Of the model.
+    `points` and unit `normals` are (N, 3), `left` (N,) marks the subject's left; `samples` are the model's.
     """
 
     points: FloatArray
@@ -129,8 +122,8 @@ class MouthScan:
     def distances(self, control_points: FloatArray) -> tuple[float, float]:
         """Return the mean distance of the scan from the model, mm, on the right and on the left.
 
-        Scan that looks another way than the model there (inside of the mouth) is left out, distances are cut
-        off at REACH_MM; NaN on a side without any.
+        Scan whose normal disagrees with the model's there (inside of the mouth) is left out, distances are
+        cut off at REACH_MM; NaN on a side without any.
         """
         surface, faces = self.samples.matrix @ control_points, self.samples.faces
         hits = NearestSurface(surface, faces).query(self.points)
@@ -152,10 +145,10 @@ class MouthScan:
         return [mm for mm in nearest[:TRIALS] if saved[mm] > TRIAL_GAIN]
 
     def chosen(self, reached: dict[float, FloatArray]) -> tuple[float, float]:
-        """Return the pulls of the right and the left corner whose coarse fits ended nearest.
+        """Return the pulls in mm of the right and the left corner whose coarse fits ended nearest.
 
-        `reached` holds the control points after each pull's coarse fit, that of 0 mm among them; a side stays
-        unless it gains MIN_GAIN.
+        `reached` holds the control points after each pull's coarse fit, 0 mm among them; a side is pulled
+        only when it gains MIN_GAIN.
         """
         found = {mm: self.distances(points) for mm, points in reached.items()}
         saved = {mm: _saved(found[0.0], distances) for mm, distances in found.items()}

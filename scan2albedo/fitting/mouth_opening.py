@@ -53,10 +53,10 @@ JAW_WEIGHT = 0.6
 
 
 def mouth_opened(deformation: Deformation) -> Deformation:
-    """Return the deformation that starts from the mouth opened as the scan's is.
+    """Return the deformation that starts from the mouth opened as far as the scan's.
 
-    Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations
-    but leave no rows in the trace.
+    Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations but
+    leave no rows in the trace.
     """
     scan, meter = deformation.scan, deformation.meter
     if meter.exhausted:
@@ -74,16 +74,10 @@ def mouth_opened(deformation: Deformation) -> Deformation:
 
 @dataclass(frozen=True)
 class JawHinge:
-    """How the lower face turns about an axis along x.
+    """How the lower face turns about an axis along x through `center` (3,).
 
-    Parameters
-    ----------
-    center : (3,) float64
-        A point of the axis.
-    weight : (C,) float64
-        0 ... 1, the part of the angle by which the surface turns where each control point has its limit.
-    limit : (C, C) csr_matrix
-        Limit positions of the control points.
+    `weight` (C,), 0 ... 1, is the part of the angle by which the limit surface turns at each control point;
+    `limit` (C, C) gives limit positions from control points.
     """
 
     center: FloatArray
@@ -121,8 +115,8 @@ class JawHinge:
     def opened(self, control_points: FloatArray, angle_deg: float) -> FloatArray:
         """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`.
 
-        The surface is what turns: it averages its control points, so that turning these would round the
-        lips' edges off by a part of what is between them.
+        The surface is turned, not the control points: it averages them, so that turning these would round off
+        the lips' edges.
         """
         turned = self._turned(control_points, angle_deg)
         missing = self._turned(self.limit @ control_points, angle_deg) - self.limit @ turned
@@ -149,13 +143,8 @@ class JawHinge:
 class MouthSearch:
     """Opened control points worth a trial, and their cost on the scan.
 
-    Parameters
-    ----------
-    candidates : tuple of (C, 3) float64
-        The first is the mouth as it is.
-    samples : SurfaceSamples
-    weight : (N,) float64
-        Area of the samples that the jaw moves, 0 elsewhere.
+    `candidates` are (C, 3) each, the first the mouth as it is; `weight` (N,) is the area of the samples that
+    the jaw moves, 0 elsewhere.
     """
 
     candidates: tuple[FloatArray, ...]
@@ -191,7 +180,7 @@ class MouthSearch:
     def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
         """Return the least opened candidate whose coarse fit ends about nearest (ABOUT).
 
-        The first, the mouth as it is, unless MIN_GAIN is gained.
+        It is the first, the mouth as it is, unless another gains MIN_GAIN.
         """
         costs = np.array([self.cost(scan, points) for points in reached])
         if not costs.min() < (1 - MIN_GAIN) * costs[0]:

@@ -92,15 +92,8 @@ def fitted_face(
 ) -> FittedFace:
     """Assemble the result.
 
-    Warns
-    -----
-    UserWarning
-        When the model was stretched as no face stretches it.
-
-    Raises
-    ------
-    FitError
-        When less than MIN_COVERAGE of the surface has scan near it.
+    Warns when the model was stretched as no face stretches it; raises `FitError` when less than MIN_COVERAGE
+    of the surface has scan near it.
     """
     model, options = deformation.model, deformation.options
     subdivision = model.subdivision(options.result_levels)

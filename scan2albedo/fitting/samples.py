@@ -26,20 +26,10 @@ RIM_MM = 30.0
 class SurfaceSamples:
     """Limit positions of the vertices of one refinement level.
 
-    Parameters
-    ----------
-    matrix : (N, C) csr_matrix
-        Sample positions from control points.
-    faces : (F, 3) int64
-        Triangles between the samples.
-    parent : (F,) int64
-        Control face of each triangle.
-    area : (N,) float64
-        mm^2 of skin each sample stands for; 0 on the film between the lips, which nothing pulls at.
-    rigidity : (N,) float64
-        Mean stiffness of the regions around each sample.
-    rim : (N,) float64
-        1 at the model's rim and up to RIM_MM / 2 from it, falling to 0 at RIM_MM: where hair and collars are.
+    `matrix` (N, C) gives sample positions from control points; `faces` (F, 3) are triangles between samples,
+    `parent` (F,) the control face of each. `area` (N,) is the mm^2 of skin of each sample, 0 on the film
+    between the lips, which has no forces; `rigidity` (N,) the mean stiffness of the regions around it; `rim`
+    (N,) is 1 up to RIM_MM / 2 from the model's rim, falling to 0 at RIM_MM: where hair and collars are.
     """
 
     matrix: sparse.csr_matrix

@@ -34,7 +34,7 @@ class SurfaceAverages:
     """A surface (V, 3), (F, 3) whose points are averaged with their neighbours'.
 
     Every vertex is in a face; those on the `boundary` (V,) stay. A vertex that is the mean of `count` (V,)
-    measurements weighs as many.
+    measurements has that weight.
     """
 
     vertices: FloatArray
@@ -45,16 +45,11 @@ class SurfaceAverages:
     def smoothed(self, scale_mm: float, *, keep_curvature: bool = False) -> FloatArray:
         """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
 
-        As many averages over the neighbours as the length of the edges asks for, none when edges are more
+        The number of averages over neighbours follows from the length of the edges: none when they are more
         than twice as long as the scale, MAX_PASSES at most. Borders stay; spikes have no weight, and move to
-        where their neighbours are.
-
-        Averages flatten what is curved. With `keep_curvature` what they took away is averaged as well and
-        given back ("twicing"): 2 S - S^2 in place of S, at about a third more noise.
-
-        References
-        ----------
-        .. [1] J. W. Tukey, "Exploratory Data Analysis", 1977, section 16 (twicing).
+        the mean of their neighbours. With `keep_curvature`, the difference that averages made is averaged as
+        well and added back ("twicing", J. W. Tukey, "Exploratory Data Analysis", 1977, section 16): 2 S - S^2
+        in place of S, at about a third more noise, but without flattening.
         """
         edge_mm = self._edge_mm
         passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)

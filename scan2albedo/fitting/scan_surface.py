@@ -39,16 +39,7 @@ MIN_COMPONENT = 0.005
 
 @dataclass(frozen=True)
 class ScanSurface:
-    """Scan triangles near the model.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Model frame, mm.
-    faces : (F, 3) int64
-    normals : (V, 3) float64
-    boundary : (V,) bool
-    """
+    """Scan triangles near the model: vertices (V, 3) in the model's frame, mm, and `boundary` (V,) bool."""
 
     vertices: FloatArray
     faces: IntArray
@@ -103,11 +94,11 @@ def scan_near_model(
 ) -> ScanSurface | None:
     """Return the scan's surface inside the box `low` ... `high` (3,) of the model's frame; None when empty.
 
-    Vertices nearer to each other than the smoothing are made one (`thinned`), which bounds what a dense
-    scan costs and makes seams no borders; then noise is averaged and floaters are dropped. Faces that reach
-    out of the box stay when one corner is inside, so that the cut itself makes no border near the model, but
-    not when another lies as far away as only a stray vertex does. A scan torn into shreds has borders
-    everywhere, which mean nothing: it keeps its floaters and has none.
+    Vertices nearer to each other than the smoothing are joined (`thinned`), which bounds the cost of a dense
+    scan and closes seams; then noise is averaged and floaters are dropped. Faces that reach out of the box
+    stay when one corner is inside, so that the cut itself makes no border near the model, but not when
+    another corner is as far away as only a stray vertex is. A scan torn into shreds has borders everywhere,
+    which mean nothing: it keeps its floaters and gets no border.
     """
     xyz = transform_points(model_from_scan, vertices)
     inside = np.all((xyz >= low) & (xyz <= high), axis=1)

@@ -39,17 +39,9 @@ USUAL_SPRINGS = 0.5
 
 @dataclass(frozen=True)
 class Deformation:
-    """What all stages share.
+    """The inputs that all stages share, in the scan's frame.
 
-    Parameters
-    ----------
-    model : AnnotatedFaceModel
-    reference : (C, 3) float64
-        Control points without displacement: the model at rest, scaled to the scan's size.
-    scan : ScanSurface
-        In the same frame.
-    options : FitOptions
-    meter : Meter
+    `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
     """
 
     model: AnnotatedFaceModel
@@ -124,12 +116,11 @@ class StagesResult:
 
 
 def run_stages(deformation: Deformation, count: int | None = None) -> StagesResult:
-    """Run all stages, or the first `count`, or as many as the budget allows.
+    """Run all stages, or the first `count`, or as many as the budget allows; at least one step.
 
-    However few seconds there were, one step is taken. Where the sheet has folded over it is made stiffer, in
-    short rounds of the last stage, until no fold is left. A scan as fine as the samples of
-    `FitOptions.finest_level` then gets a few steps with these: more of its vertices count, and their
-    noise averages out.
+    Where the surface has folded over it is made stiffer, in short rounds of the last stage, until no fold is
+    left. A scan as fine as the samples of `FitOptions.finest_level` then gets a few steps with these: more of
+    its vertices count, and their noise averages out.
     """
     levels, meter = deformation.options.levels, deformation.meter
     q = np.zeros_like(deformation.reference)
@@ -205,8 +196,8 @@ def _around_folds(deformation: Deformation, q: FloatArray) -> NDArray[np.bool_]:
 def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     """Return how far (mean, weighted by area) the surface would still move if nothing slowed it.
 
-    That is |d| with (K + H) d = f - K q: next to nothing where stiffness and forces balance, but as much as
-    at the start where too small a time step, or too great a mass, has held the sheet.
+    That is |d| with (K + H) d = f - K q: near 0 where stiffness and forces balance, but as much as at the
+    start where too small a time step, or too great a mass, has held the surface.
     """
     options, none = deformation.options, np.zeros(len(q))
     samples, usual = deformation.sampled(options.levels[-1])

@@ -162,7 +162,7 @@ def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> ND
 def _softened(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Blur over about a region border's width, inside the mask only.
 
-    Shininess changes gradually over skin; the annotation's steps would print its outlines into the albedo.
+    Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
     """
     import cv2
 

@@ -103,8 +103,8 @@ def _simplified(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Collapse edges down to `max_faces`.
 
-    qslim gives nothing back for what is no manifold, as where parts of a scan meet in one vertex beside a
-    scanner's holes, so that is split first.
+    qslim returns nothing for a mesh that is not manifold, as where parts of a scan meet in one vertex beside
+    a scanner's holes, so such vertices are split first.
     """
     import igl
 

@@ -77,13 +77,9 @@ class TextureLookup:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return linear colour (N, 3) and whether it was well seen (N,).
 
-        Parameters
-        ----------
-        points, normals : (N, 3) float64
-            Where to look, scan frame, mm; unit normals.
-        steps : (N, 3, 2) float64
-            Displacement (mm) on the surface of one texel to the right and one down: the footprint that
-            the photograph is averaged over.
+        `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
+        on the surface of one texel to the right and one down: the footprint that the photograph is averaged
+        over.
         """
         scan, near = self._scan, self._near(points)
         hits = surface_query(scan.vertices, scan.faces[near]).query(points)
@@ -118,8 +114,8 @@ class TextureLookup:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
-        Also return whether its centre lies in the photograph: coordinates repeat it by whole periods of a
-        face, but not within one.
+        Also return whether its centre is in the photograph: coordinates repeat it by whole periods of a face,
+        but not within one.
         """
         scan = self._scan
         assert scan.uv is not None

@@ -25,24 +25,13 @@ INNER_LANDMARKS = slice(17, 68)
 
 @dataclass(frozen=True)
 class DemoReport:
-    """What the pipeline found, against the truth.
+    """Errors of the pipeline's result against the truth.
 
-    Parameters
-    ----------
-    result : ProcessResult
-    pose_rotation_deg, pose_translation_mm : float
-        Difference of the pose to the true one (translation at the face's centroid).
-    surface_mm : float
-        Mean distance of the true face to the fitted surface.
-    correspondence_mm : float
-        Mean distance of the true and the fitted surface point of each texel.
-    landmarks_mm : float
-        Mean error of the 51 inner landmarks.
-    light_deg : float
-        Greatest angle between a true light and the found light nearest to it.
-    lights_found, lights_true : int
-    texture, albedo : AlbedoError
-        Of the raw texture and of the estimated albedo against the true albedo of the same surface point.
+    `pose_translation_mm` is the difference at the face's centroid; `surface_mm` the mean distance of the true
+    face to the fitted surface; `correspondence_mm` that of the true and the fitted surface point of each
+    texel; `landmarks_mm` the mean error of the 51 inner landmarks; `light_deg` the greatest angle between a
+    true light and the found light nearest to it; `texture` and `albedo` the errors of the raw texture and of
+    the estimated albedo against the true albedo of the same surface point.
     """
 
     result: ProcessResult
@@ -91,18 +80,8 @@ def run_demo(
 ) -> DemoReport:
     """Scan a synthetic person, process the scan, compare with the truth.
 
-    Parameters
-    ----------
-    out : path or None
-        Folder for the files, as in `process`.
-    seed : int
-        Of the person, its pose and its lights; and of the pipeline.
-    size : int, optional
-        Height and width of the geometry image; that of `quality` when omitted.
-    quality : str or Quality
-        As in `process`.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
+    The `seed` is that of the person, its pose and its lights, and of the pipeline; `size` and `quality` are
+    as in `process`, which also writes files to `out` unless it is None.
     """
     preset = quality_of(quality)
     scan, truth = raw_scan(seed, options=RawScanOptions(size=size or preset.size))

@@ -175,7 +175,7 @@ def process_options() -> tuple[Field[Any], ...]:
 
 
 def option_of_text(name: str, text: str) -> int | str:
-    """Return an option that was given as text: a seed, or a number of lights, as the number it is.
+    """Return an option given as text (a seed, or a number of lights) as a number where it is one.
 
     >>> option_of_text("lights", "2"), option_of_text("lights", "auto")
     (2, 'auto')

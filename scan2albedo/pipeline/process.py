@@ -250,9 +250,9 @@ def _plan(
 
 @contextmanager
 def _warnings_as_messages() -> Iterator[list[str]]:
-    """Give a list that holds the user warnings of the block when it ends; other warnings pass on.
+    """Give a list that holds the block's user warnings when it ends; other warnings pass on.
 
-    An error that leaves the block carries them as notes, for there is no result then to hold them.
+    An error that leaves the block carries them as notes, since there is no result then to hold them.
     """
     messages: list[str] = []
     caught: list[warnings.WarningMessage] = []

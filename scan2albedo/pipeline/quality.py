@@ -69,13 +69,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
 
 
 def quality_of(choice: Quality | str) -> Quality:
-    """Return a preset by its name, or the qualities given.
-
-    Raises
-    ------
-    ValueError
-        When no preset has that name.
-    """
+    """Return a preset by its name, or the qualities given; raises `ValueError` for an unknown name."""
     if isinstance(choice, Quality):
         return choice
     if choice not in PRESETS:

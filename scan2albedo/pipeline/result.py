@@ -151,15 +151,10 @@ class ProcessResult:
 def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
-    The files are made in a hidden folder beside it and then renamed into place: a run that is killed
-    while they are made, or a disk that is full, leaves older results as they were and no half-file. An
-    older `result.json` goes first and the new one comes last, so a folder that has one is whole.
-    `overview.png` and `error_vs_time.png` are left out without `pictures`.
-
-    Raises
-    ------
-    OutputError
-        Naming the folder and the cause.
+    The files are made in a hidden folder beside it and then renamed into place: a run that is killed while
+    they are made, or a disk that is full, leaves older results as they were and no half-file. An older
+    `result.json` goes first and the new one comes last, so a folder that has one is whole. `overview.png` and
+    `error_vs_time.png` are left out without `pictures`. Raises `OutputError`.
     """
     folder = out / result.scan.name
     image, fitted, estimate = result.geometry_image, result.fitted, result.albedo

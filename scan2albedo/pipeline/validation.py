@@ -39,24 +39,13 @@ REFLECTANCES = {
 
 @dataclass(frozen=True)
 class ValidationRow:
-    """One scene estimated.
+    """Errors of one scene's estimate.
 
-    Parameters
-    ----------
-    light_angle_deg : float
-        True azimuth of the one distant light.
-    texture, brdf : str
-        What the scene was made with; the estimator knows neither.
-    input_mse_percent : float
-        Error of the texture as it is, nothing removed.
-    mse_percent, relative_rmse : float
-        Error of the albedo in linear RGB after the best single scale (`albedo_error`).
-    value_mse_percent : float
-        The same on V of HSV, the channel the paper works on.
-    light_error_deg : float
-        Between the true light and the strongest one found.
-    light_count : int
-        Lights found; the truth is 1.
+    `light_angle_deg` is the true azimuth of the one distant light; `texture` and `brdf` are unknown to the
+    estimator. `input_mse_percent` is the error of the texture as it is, nothing removed, `mse_percent` and
+    `relative_rmse` that of the albedo in linear RGB after the best single scale (`albedo_error`),
+    `value_mse_percent` the same on V of HSV, the channel the paper works on. `light_error_deg` is between the
+    true light and the strongest of `light_count` found; the true count is 1.
     """
 
     light_angle_deg: float
@@ -145,14 +134,8 @@ def validate_hemisphere(
 ) -> ValidationTable:
     """Estimate the albedo of hemispheres of wood and skin under a light at 0, 30 and 60 degrees.
 
-    Parameters
-    ----------
-    size : int
-        Texels of the geometry images' side; the pictures have 8 bits.
-    seed : int
-        Of the textures.
-    on_row : callable, optional
-        Called with each row as it is done.
+    `size` is the side of the geometry images in texels (the pictures have 8 bits), `seed` that of the
+    textures; `on_row` is called with each row as it is done.
     """
 
     def scene(light: PointLight, texture: TextureName, material: Material) -> SyntheticScene:
@@ -234,15 +217,7 @@ def validate_lighting(
 
     The paper captured real subjects, so the geometry given to the estimator is imperfect here too: each
     capture's normals are tilted by 3 degrees rms of its own, and the pictures have 0.5 % noise and 8 bits.
-
-    Parameters
-    ----------
-    size : int
-    seed : int
-        Of the first subject; the others count on from it.
-    subjects : int
-    on_row : callable, optional
-        Called with each row as it is done.
+    Subjects have the seeds `seed`, `seed` + 1, ...; `on_row` is called with each row as it is done.
     """
     rows = []
     for subject in range(seed, seed + subjects):

@@ -252,10 +252,9 @@ class _Tuning:
 
 
 def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:
-    """Return whether errors (n, E) of n held-out images fell, of each kind and by more than by chance.
+    """Return whether the errors (n, E) of n held-out images fell, each kind of error by more than chance.
 
-    Their mean and the mean of the single images' relative falls must exceed 0.1 %, and `assured_gains`
-    must be above 0.
+    The mean, and the mean of the images' relative falls, must fall by over 0.1 %, `assured_gains` be above 0.
     """
     falls = after.mean(0) < (1 - _LEAST_GAIN) * before.mean(0)
     gains = (1 - after / np.maximum(before, 1e-300)).mean(0)

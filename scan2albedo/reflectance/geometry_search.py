@@ -133,14 +133,7 @@ class GeometryPoint:
 
 
 class GeometrySearch:
-    """A state that searches move, one after the other.
-
-    Parameters
-    ----------
-    start : GeometryState
-    meter : Meter
-        Counts evaluations of the objectives and records their values.
-    """
+    """A state that searches move one after the other; `meter` counts evaluations and records their values."""
 
     def __init__(self, start: GeometryState, meter: Meter) -> None:
         self.state, self.meter = start, meter
@@ -151,8 +144,7 @@ class GeometrySearch:
     def run(self, objective: GeometryObjective, steps: int) -> None:
         """Take up to `steps` steps, until the objective hardly falls or the budget ends.
 
-        `converged` is that of this run, `first_value` and `value` its objective before and after. Where a
-        term is not defined nothing moves.
+        Sets `converged`, `first_value` and `value` of this run. Where a term is not defined nothing moves.
         """
         self.converged = False
         if self.meter.exhausted:

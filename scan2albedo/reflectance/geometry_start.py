@@ -116,16 +116,14 @@ def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
 def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
     """Return the rigid transform (4, 4), scene from model, that puts points on their lines of sight.
 
-    Minimises the sum over points of the squared distance to the line of sight by orthogonal iteration: with
-    the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation, and
-    the rotation is the Procrustes one from points to where their projections lie.
+    Minimises the sum over points of the squared distance to the line of sight by orthogonal iteration [1]_:
+    with the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation,
+    and the rotation is the Procrustes one from points to their projections.
 
     Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line, and their
     pixels (N, 2). Raises `ReflectanceError` when the pixels coincide, or no pose found has the points in
     front of the camera.
 
-    References
-    ----------
     .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
        IEEE PAMI 22(6), 2000.
     """

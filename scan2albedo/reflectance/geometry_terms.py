@@ -93,7 +93,7 @@ class GeometryTerm(Protocol):
 
 @dataclass(frozen=True)
 class LandmarkTerm:
-    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, less of it far off where `softness_mm` says so.
+    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, growing more slowly beyond s = `softness_mm`.
 
     E = W / n sum 2 s^2 (sqrt(1 + |r|^2 / s^2) - 1),   or W / n sum |r|^2 without s.
     """
@@ -139,7 +139,7 @@ class LandmarkTerm:
 class PhotometricTerm:
     """Mean over the vertices U and channels of sqrt(r^2 + eps^2) - eps, r = (I(p(x)) - shading) / unit.
 
-    Which vertices count is settled beforehand; what becomes hidden meanwhile stays in.
+    The vertices are chosen once; those that become hidden during the search still count.
     """
 
     image: SmoothImage
@@ -210,10 +210,7 @@ class PhotometricTerm:
 
 
 class Photometry:
-    """An image, a camera and the face's reflectance in a light: makes terms over the vertices that are seen.
-
-    The images are the same one, from smooth to sharp.
-    """
+    """An image smoothed at several levels, its camera, and the face's reflectance in a light."""
 
     def __init__(
         self,
@@ -248,10 +245,7 @@ class Photometry:
         return used if len(used) >= _LEAST_VERTICES else none
 
     def term(self, vertices: FloatArray, used: IntArray, level: int) -> PhotometricTerm | None:
-        """Return the term over the `used` of `vertices` in the image smoothed for `level`.
-
-        None where the image is black there.
-        """
+        """Return the term over the `used` of `vertices` at smoothing `level`; None where all is black."""
         image, reflectance = self._images[level], self._reflectance
         if len(used) == 0:
             return None

@@ -21,16 +21,10 @@ _QUADRATURE = (96, 192)
 
 
 def lambert_coefficients(order: int = ORDER) -> FloatArray:
-    """Return (order + 1,) responses A_l / pi of a Lambertian surface.
+    """Return (order + 1,) responses A_l / pi of a Lambertian surface (Ramamoorthi and Hanrahan, JOSA A 2001).
 
         A_l / pi = 2 integral over 0 ... 1 of t P_l(t) dt.
 
-    References
-    ----------
-    .. [1] R. Ramamoorthi, P. Hanrahan, "On the relationship between radiance and irradiance", JOSA A 2001.
-
-    Examples
-    --------
     >>> lambert_coefficients(4).round(6).tolist()
     [1.0, 0.666667, 0.25, 0.0, -0.041667]
     """
@@ -44,17 +38,15 @@ def lambert_coefficients(order: int = ORDER) -> FloatArray:
 
 
 def lobe_coefficients(exponent: float, order: int = ORDER) -> FloatArray:
-    """Return (order + 1,) coefficients B_l of a Blinn-Phong lobe looked at along the normal.
+    """Return (order + 1,) coefficients B_l of a Blinn-Phong lobe with the exponent s, seen along the normal.
 
     With v = n the half vector halves the angle, and over the full sphere with a = s / 2
 
         B_l = (s + 2) / 4 integral of ((1 + t) / 2)^a P_l(t) dt,
         B_0 = 1,   B_{l+1} = B_l (a - l) / (a + l + 2).
 
-    Raises `ValueError` when the exponent s is not more than 0.
+    Raises `ValueError` when s is not more than 0.
 
-    Examples
-    --------
     >>> lobe_coefficients(8, order=4).round(4).tolist()
     [1.0, 0.6667, 0.2857, 0.0714, 0.0079]
     """
@@ -68,24 +60,13 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
 
     Lobes lean from the mirrored view towards the normal, broad ones most: light from below the horizon is
     missing, and n.h falls more slowly that way. The second array is the tilt in rad from n to the mean
-    direction, in the plane of n and v away from v; the mirrored view has the tilt `angle_rad`.
+    direction, in the plane of n and v away from v; the mirrored view has the tilt `angle_rad`, between n and
+    v. From pi / 2 on (a surface that is not seen) coefficients are 0. Raises `ValueError` when the exponent
+    is not more than 0 or an angle not finite.
 
-    Raises `ValueError` when the exponent is not more than 0 or an angle not finite.
-
-    Parameters
-    ----------
-    angle_rad : (...) array_like of float
-        Between n and v; pi / 2 and more (a surface that is not seen) give coefficients 0.
-    exponent : float
-        s, more than 0.
-
-    Notes
-    -----
     In generated light the highlights of s = 1, 8 and 64 seen at 60 degrees are 3, 3 and 12 % off; with the
     full lobe 79, 72 and 86 % (tools/bench_reflectance_model.py). The table has 33 views, splines between.
 
-    Examples
-    --------
     >>> _, tilt = tilted_lobe(np.radians([0, 60]), 8)
     >>> np.degrees(tilt).round(1).tolist()
     [0.0, 41.8]
@@ -99,10 +80,8 @@ def tilted_lobe(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, Floa
 
 
 def tilted_lobe_slopes(angle_rad: ArrayLike, exponent: float) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives (..., 9) and (...) by the angle of what `tilted_lobe` returns.
+    """Return the derivatives (..., 9) and (...) of the results of `tilted_lobe` by the angle.
 
-    Examples
-    --------
     >>> h = 1e-5
     >>> ahead, behind = tilted_lobe(0.7 + h, 8)[1], tilted_lobe(0.7 - h, 8)[1]
     >>> bool(abs(tilted_lobe_slopes(0.7, 8)[1] - (ahead - behind) / (2 * h)) < 1e-8)

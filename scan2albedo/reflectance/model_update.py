@@ -70,10 +70,7 @@ class ModelChange:
 def neighbour_smoothing(
     count: int, faces: NDArray[np.int64], steps: int
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return a smoother that moves each vertex half way to its neighbours' mean, `steps` times.
-
-    Vertices without neighbours keep what they have.
-    """
+    """Return a smoother: `steps` times, each vertex with neighbours moves half way to their mean."""
     links = adjacency(count, faces)
     degree = np.asarray(links.sum(1)).ravel()
     walk = sparse.diags(1 / np.maximum(degree, 1)) @ links + sparse.diags((degree == 0).astype(float))
@@ -104,30 +101,19 @@ def best_change(
     mean_change: float,
     basis_change: float,
 ) -> ModelChange:
-    """Return the change of the model that explains the images best, each vertex for itself.
+    """Return the most probable change of the model given the images, each vertex for itself.
 
     With b_i and L_i of image i held, its colours are linear in the change of the means c0, s0 and of the
-    directions C, S. Of all changes it takes the most probable one: those of the means normal with standard
-    deviation m, a share of the mean albedo (of the mean s), those of the directions n times that, the noise
-    by each image's fit. With x_i = (1, n b_i), light d_ij on the diffuse part and h_ij on lobes w', rows
-    (i, j) of a vertex have the covariance
+    directions C, S. Changes of the means have a normal prior with standard deviation m = `mean_change`, a
+    share of the mean albedo (of the mean s), those of the directions n = `basis_change` times that; the noise
+    is that of each image's fit. With x_i = (1, n b_i), light d_ij on the diffuse part and h_ij on lobes w',
+    rows (i, j) of a vertex have the covariance
 
         (x_i . x_i') (m_c^2 [j = j'] d_ij d_i'j' + m_s^2 h_ij h_i'j') + noise,
 
-    a system of 3 M equations for M images, whatever the number of coefficients.
-
-    Parameters
-    ----------
-    model : MorphableReflectanceModel
-        What the change is added to, and anchored at.
-    observations, fits : M each
-        The fits may be those of another model with the same directions.
-    mean_change, basis_change : float
-        m and n.
-
-    Notes
-    -----
-    Cost: V (3 M)^3 / 3; memory 12 V M numbers and 9 M^2 a vertex in blocks.
+    a system of 3 M equations for M images, whatever the number of coefficients. Cost: V (3 M)^3 / 3; memory
+    12 V M numbers and 9 M^2 a vertex in blocks. The `fits` may be those of another model with the same
+    directions.
     """
     scores = np.stack([fit.face.coefficients for fit in fits])
     features = np.concatenate([np.ones((len(fits), 1)), basis_change * scores], axis=1)
@@ -147,7 +133,7 @@ def _image_rows(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return (V, 3) light on the diffuse part, on lobes of sum 1, differences, and variances of noise.
 
-    Rows that are not used are zero with variance 1, so that they say nothing.
+    Rows that are not used are zero with variance 1, so that they have no effect.
     """
     used = np.flatnonzero(np.asarray(observation.seen) & model.known)
     response = observation.response(used)

@@ -143,8 +143,7 @@ def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> NDArray[np.bool
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> NDArray[np.bool_]:
     """Return a mask (H, W), True where its image is brighter than half of its brightest value.
 
-    Raises `ReflectanceError` when it has another size than `shape` (H, W), naming `whose` mask it is, and
-    `ScanError` when it cannot be read.
+    Raises `ReflectanceError` when its size is not `shape` (H, W), `ScanError` when it cannot be read.
     """
     values = read_image_values(path)
     if values.shape[:2] != shape:

@@ -55,7 +55,7 @@ def checked_normals(xyz: FloatArray, faces: NDArray[np.int64], normals: ArrayLik
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, variance, found):  # type: ignore[no-untyped-def]
-    """Fill value, variance (V, 3) and found (V, 3) of the `usable` vertices at pixels (V, 2).
+    """Fill value, variance and found (V, 3) of the `usable` vertices at pixels (V, 2).
 
     `spread` is the variance of a vertex's position, px^2.
     """
@@ -123,11 +123,10 @@ def linear_values(values: FloatArray, gamma: float) -> FloatArray:
 
 
 class SmoothImage:
-    """A linear image, smoothed by a Gaussian over its valid pixels only, bilinear between pixels.
+    """A linear image (H, W, 3), smoothed by a Gaussian over its valid pixels only, bilinear between pixels.
 
-    Takes colours (H, W, 3), where pixels that are not finite are gaps, a mask (H, W), False where the image
-    shows something else, or None, and the Gaussian's standard deviation, 0 for none. Raises
-    `ReflectanceError` when no pixel is left, `ValueError` for other shapes.
+    Pixels that are not finite, or False in the mask (H, W), are gaps; a standard deviation of 0 smooths
+    nothing. Raises `ReflectanceError` when no pixel is left, `ValueError` for other shapes.
     """
 
     def __init__(self, image_linear: ArrayLike, mask: ArrayLike | None, blur_px: float) -> None:

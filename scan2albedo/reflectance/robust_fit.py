@@ -86,10 +86,9 @@ class ReflectanceFitOptions:
 
 @dataclass(frozen=True)
 class Observations:
-    """What the vertices are fitted to.
+    """The observations (J, V, 3) of the vertices, with precision 1 / sigma^2, 0 where there is none.
 
-    observed, precision (J, V, 3) with 1 / sigma^2, 0 where there is no observation; lobes (J, V, 4); mean and
-    prior (6,), means and precisions of the prior.
+    `lobes` is (J, V, 4); `mean` and `prior` (6,) are means and precisions of the prior.
     """
 
     observed: FloatArray
@@ -123,7 +122,7 @@ class RobustFit:
 def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions, meter: Meter) -> RobustFit:
     """Fit the vertices `rows` (N,): least squares first, then weights by residuals until none moves.
 
-    Vertices that are done drop out. A budget ends it after the step that goes over it.
+    Converged vertices drop out. The step in which the budget runs out is the last.
     """
     state, robust = _State.start(data), options.loss != "squares"
     observations = max(int((data.precision[:, rows] > 0).sum()), 1)

@@ -24,13 +24,8 @@ UNIT_MEDIAN = 0.888
 def add_normal_equations(observed, precision, lobes, weight, rows, normal):  # type: ignore[no-untyped-def]
     """Fill normal (N, 3, 14) with a, d (3), G (6: 11 12 13 22 23 33), b, g (3) of the vertices `rows` (N,).
 
-    Parameters
-    ----------
-    observed, precision : (J, V, 3) float64
-        Precision 0 where there is no observation.
-    lobes : (J, V, 4) float64
-    weight : (J, V) float64
-        Robust weights.
+    `observed`, `precision` (0 without observation) and robust `weight` are (J, V, 3), (J, V, 3) and (J, V);
+    `lobes` is (J, V, 4).
     """
     normal[:] = 0.0
     for j in range(observed.shape[0]):
@@ -193,11 +188,7 @@ def _least_of_all(normal, mean, prior, m, r, c, best):  # type: ignore[no-untype
 def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def]
     """Fill estimate (N, 6), the least objective with all six >= 0; return how often 64 sets were needed.
 
-    Parameters
-    ----------
-    normal : (N, 3, 14) float64
-    mean, prior : (6,) float64
-        Of the prior: means and precisions, > 0 for the weights.
+    `normal` is (N, 3, 14); `mean` and `prior` (6,) are the prior's means and precisions, > 0 for the weights.
     """
     m, r, c, best = np.empty(6), np.empty(3), np.empty(3), np.empty(6)
     black = 0
@@ -244,17 +235,11 @@ def reweigh(  # type: ignore[no-untyped-def]
 
     The m channels of a pair share a shadow, so they share a weight: with q the mean of their p r^2 and t =
     `width` times the vertex's scale, the pair costs m f(q), f' = 1/2 weight; Cauchy 1 / (1 + q / t^2),
-    Charbonnier 1 / sqrt(1 + q / t^2). The scale, 1 where residuals are as sigma says, never grows from call
-    to call, so that the loss never does.
+    Charbonnier 1 / sqrt(1 + q / t^2). The scale, 1 where residuals are as sigma predicts, never grows from
+    call to call, so that the loss never does.
 
-    Parameters
-    ----------
-    scale, loss : (V,) float64
-        Updated; loss is half the squares (robust) plus the prior's part.
-    weight : (J, V) float64
-        Filled.
-    misfit : (V, 2) float64
-        Filled: weighted sum of p r^2, and the sum of the weights of these observations.
+    Filled: `weight` (J, V); `scale` and `loss` (V,), half the robust squares plus the prior's part; `misfit`
+    (V, 2), the weighted sum of p r^2 and the sum of the weights of these observations.
     """
     count = observed.shape[0]
     square, size = np.empty((len(rows), count)), np.empty((len(rows), count))

@@ -62,10 +62,10 @@ class VertexVisibility:
         return reached & ~hidden
 
     def seen(self, camera: FloatArray, cosine: float, margin_px: float) -> BoolArray:
-        """Return (V,) vertices that a camera (3, 4) sees.
+        """Return (V,) vertices that a camera (3, 4) sees at an angle to the normal of at least `cosine`.
 
-        Their normals have at least `cosine` to the line of sight, and `margin_px` to all four sides the
-        surface goes on: without a hole, and without a step in depth that no slope explains.
+        The surface must continue `margin_px` to all four sides, without a hole or a depth step beyond its
+        slope.
         """
         position = camera_centers(camera[None])[0]
         sight = position - self._vertices

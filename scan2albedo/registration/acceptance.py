@@ -57,17 +57,8 @@ def accepted(
 ) -> Acceptance:
     """Accept the first candidate, of those of `pose_count` poses that were refined, or refuse the scan.
 
-    Where the budget has ended the scores are not complete, so that they refuse nothing.
-
-    Raises
-    ------
-    RegistrationError
-        When there is no face, or it is inside out.
-
-    Warns
-    -----
-    UserWarning
-        When there is a second face.
+    Where the budget has ended the scores are not complete, so that they refuse nothing. Raises
+    `RegistrationError` when there is no face, or it is inside out; warns when there is a second face.
     """
     if not meter.exhausted:
         _refuse_inside_out(scan, template, candidates[0], options, meter)
@@ -92,9 +83,8 @@ def _refuse_inside_out(
 ) -> None:
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
 
-    Such a face seen from behind has just enough relief to be taken for one; with the triangles
-    reversed it has far more. So the reversed scan is searched where the best pose leaves doubt and the
-    surface does not clearly bulge outward.
+    Seen from behind it has just enough relief to be accepted; with the triangles reversed it has far more. So
+    the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward.
     """
     certain = best.scores.certainty >= _BEYOND_DOUBT
     if certain or (best.is_face() and _bulge(scan.samples) >= _CLEARLY_OUTWARD):
@@ -191,9 +181,9 @@ def _next_ranking(candidates: tuple[Candidate, ...]) -> float:
 
 
 def _confidence(candidates: tuple[Candidate, ...]) -> float:
-    """Return how far the scores lie above the refusal line and above any other pose's, 0 ... 1.
+    """Return how far the scores lie above the threshold for refusal and above any other pose's, 0 ... 1.
 
-    Where part of the face is missing the line is higher: half a face that resembles the model little
+    Where part of the face is missing the threshold is higher: half a face that resembles the model little
     slides along it by a centimetre.
     """
     best = candidates[0].scores

@@ -72,9 +72,9 @@ def batches(
 ) -> Iterator[Poses]:
     """Yield `candidates` poses in two batches, then `more_candidates` in a third.
 
-    First those whose surface is nearest, then those that show most relief among the nearer ones, at
-    last among all: distance alone prefers the whole back of a head to half a face, and relief
-    alone is dear.
+    First those whose surface is nearest, then those with most relief among the nearer ones, at last those
+    with most relief among all: distance alone prefers the whole back of a head to half a face, and relief
+    alone is expensive.
     """
     poses, model = coarse.poses, template.first(_SAMPLES)
 

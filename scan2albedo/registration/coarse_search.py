@@ -57,11 +57,11 @@ class CoarsePoses:
 def coarse_poses(
     scan: OrientedPoints, template: Template, options: RegistrationOptions, meter: Meter, seed: int
 ) -> CoarsePoses:
-    """Return distinct poses that lay the model near the scan's surface.
+    """Return distinct poses that place the model near the scan's surface.
 
     Round 1 runs `coarse_iterations` (4) on 60 model samples from every start; the best `kept_starts` go on to
-    as many (8) on 200 samples with a tighter scale. The meter counts one evaluation a start and round;
-    when its budget ends, what has been tried so far is ranked.
+    as many (8) on 200 samples with a tighter scale. The meter counts one evaluation a start and round; when
+    its budget ends, the poses tried so far are ranked.
     """
     grid = NearestGrid.of(scan, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
     poses = anchored_starts(
@@ -84,9 +84,9 @@ def anchored_starts(
 ) -> Poses:
     """Put the model's front point (3,) on well-spread scan points, in every rotation facing outward there.
 
-    A face may lie anywhere on a scan that also holds shoulders and hair, so centroids are of little use;
-    but its front always is a piece of surface whose averaged normal is roughly the face's +z axis.
-    `rotation_count` super-Fibonacci rotations are tried at each anchor, `anchor_spacing_mm` apart.
+    A face may be anywhere on a scan with shoulders and hair, so centroids are of little use; but the averaged
+    normal at its front is roughly its +z axis. `rotation_count` super-Fibonacci rotations are tried at each
+    anchor, `anchor_spacing_mm` apart.
     """
     anchors = farthest_points(scan.points, anchor_spacing_mm, _ANCHOR_LIMIT)
     around = scan.tree.query_ball_point(scan.points[anchors], _NORMAL_SMOOTHING_MM)

@@ -195,11 +195,11 @@ def annealed(
 ) -> Annealed:
     """Anneal on depth derivatives when forced, tighten, and keep the answer if the surface is nearer for it.
 
-    Left out by default: where ICP settled on a fixed point, the tight ICP mostly comes back to it from where
-    annealing ends; where ICP keeps moving (another person's face, an open jaw), annealing's optimum is biased
-    by the ways in which a face's relief differs from the model's: as often nearer to the truth as not, and
-    0.2 degrees farther in the mean over 81 scans (`tools/bench_registration.py`). Its answer counts only when
-    the robust distance of the rigid regions falls at two scales.
+    Left out by default: where ICP settled on a fixed point, the tight ICP mostly returns to it from the
+    annealed pose; where ICP keeps moving (another person's face, an open jaw), annealing's optimum is biased
+    by the differences between the face's relief and the model's: as often nearer to the truth as not, and 0.2
+    degrees farther in the mean over 81 scans (`tools/bench_registration.py`). Its answer counts only when the
+    robust distance of the rigid regions falls at two scales.
     """
     if options.annealing_evaluations == 0:
         return Annealed(start.pose, None, ("depth_annealing", False, "switched off", "0 evaluations"))

@@ -102,27 +102,15 @@ def refine_on_grid(
 ) -> FloatArray:
     """Run a robust ICP of the (M,) model samples from every start; poses change in place.
 
-    Minimises, per start, sum_i w_i rho_i (n_i . (R p_i + t - q_i))^2 plus a tenth of the
-    point-to-point term, where q_i is the scan sample nearest to R p_i + t, n_i the mean of both
-    normals [1]_, and rho_i falls with distance (Geman-McClure, scale sigma, geometric between the two of
-    `sigma_mm`) and with the normals' angle.
+    Minimises, per start, sum_i w_i rho_i (n_i . (R p_i + t - q_i))^2 plus a tenth of the point-to-point term,
+    where q_i is the scan sample nearest to R p_i + t, n_i the mean of both normals [1]_, and rho_i falls with
+    distance (Geman-McClure, scale sigma, geometric between the two of `sigma_mm`) and with the normals'
+    angle.
 
-    Parameters
-    ----------
-    grid : NearestGrid
-        Of the scan.
-    model : OrientedPoints
-    weights : (M,) float64
-    rotations, translations : (N, 3, 3) and (N, 3) float64
-        `scan_from_model`, overwritten.
+    `grid` is the scan's, `weights` (M,); `rotations` (N, 3, 3) and `translations` (N, 3), `scan_from_model`,
+    are overwritten. Returns (N,) scores at the final poses with the last scale: the weighted mean of rho_i, 0
+    (nothing near) ... 1.
 
-    Returns
-    -------
-    (N,) float64
-        Score at the final poses with the last scale: the weighted mean of rho_i, 0 (nothing near) ... 1.
-
-    References
-    ----------
     .. [1] S. Rusinkiewicz, "A symmetric objective function for ICP", SIGGRAPH 2019 (mean normals).
     """
     scores = np.zeros(len(rotations))

@@ -17,12 +17,9 @@ FloatArray = NDArray[np.float64]
 
 
 def import_open3d() -> ModuleType:
-    """Return the open3d module (its import takes seconds, so it waits until it is needed).
+    """Return the open3d module, whose import takes seconds.
 
-    Raises
-    ------
-    MissingDependencyError
-        When it, or a system library it is linked to, is missing.
+    Raises `MissingDependencyError` when it, or a system library it is linked to, is missing.
     """
     try:
         import open3d

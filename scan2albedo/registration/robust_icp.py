@@ -58,9 +58,9 @@ class Residuals:
         return float(weights @ capped / weights.sum())
 
     def icp_loss_mm(self, weights: FloatArray, sigma_mm: float) -> float:
-        """Return the root of the mean loss that a step of `robust_icp` lessens (Geman-McClure).
+        """Return the root of the mean loss that a step of `robust_icp` lowers (Geman-McClure).
 
-        A sample whose normal disagrees counts as far as one that found nothing, sigma.
+        A sample whose normal disagrees, or without a near scan point, counts with the distance sigma.
         """
         trust = np.where(np.isfinite(self.distance_mm), np.maximum(self.agreement, 0) ** 2, 0)
         near = self.plane_mm**2 / (sigma_mm**2 + self.plane_mm**2)
@@ -119,12 +119,10 @@ def settled_icp(
     sigma_mm: float,
     iterations: int,
 ) -> tuple[Similarity, int, float]:
-    """Repeat the step of `robust_icp` at one scale until it moves nothing.
+    """Repeat the step of `robust_icp` at one scale until it turns by < 1e-3 degrees and moves by < 1e-3 mm.
 
-    Also return the steps taken and the length of the last (the larger of degrees and mm).
-
-    It ends where a step turns by less than 1e-3 degrees and moves by less than 1e-3 mm, so that the answer
-    is the scan's and not the start's.
+    Also return the steps taken and the length of the last (the larger of degrees and mm). The answer then
+    does not depend on the start.
     """
     pose, taken, moved = start, 0, np.inf
     while taken < iterations and moved >= _SETTLED:
@@ -178,10 +176,9 @@ def tightened(
 ) -> Tightened:
     """Refine a pose on all samples, weighted to the rigid regions; records the loss at the last scale.
 
-    The last scale follows the surface: where nearly a third of the face lies within the noise (the
-    model is the same person's), the rest is expression and must not pull; between people nothing
-    fits that closely, and a wide scale has one optimum where a narrow one has many. Without budget the pose
-    stays.
+    The last scale follows the surface: where nearly a third of the face is within the noise (the model is the
+    same person's), the rest is expression and must not pull; between people nothing fits that closely, and a
+    wide scale has one optimum where a narrow one has many. Without budget the pose stays.
     """
     if meter.exhausted:
         return Tightened(start, _WIDEST_MM, float("inf"))

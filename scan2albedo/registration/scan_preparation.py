@@ -25,17 +25,9 @@ _TRIM_PERCENT = 2.0
 
 @dataclass(frozen=True)
 class PreparedScan:
-    """A scan in its principal frame.
+    """A scan in its principal frame, mm, without stray faces; `raw` is the scan as read, for messages.
 
-    Parameters
-    ----------
-    vertices, faces : (V, 3) float64 mm, (F, 3) int64
-        Without the faces that stray.
-    samples : OrientedPoints
-    prepared_from_scan : (4, 4) float64
-        Rigid transform from the scan's own frame.
-    raw : RawScan
-        As it came, for messages.
+    `prepared_from_scan` (4, 4) is the rigid transform from the scan's own frame.
     """
 
     vertices: FloatArray
@@ -58,10 +50,7 @@ class PreparedScan:
 def prepared_scan(scan: RawScan, spacing_mm: float) -> PreparedScan:
     """Check a scan's size and prepare it for the search, with a sample about every `spacing_mm`.
 
-    Raises
-    ------
-    RegistrationError
-        When it has too few vertices or too little surface, or is larger than a room.
+    Raises `RegistrationError` when it has too few vertices or too little surface, or is larger than a room.
     """
     _refuse_wrong_size(scan)
     faces = without_far_vertices(scan.vertices, scan.faces)

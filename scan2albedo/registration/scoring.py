@@ -35,21 +35,14 @@ _CHANCE_SYMMETRY = 0.25
 
 @dataclass(frozen=True)
 class FaceScores:
-    """What the depth images of the posed scan and the model have in common.
+    """Agreement of the depth images of the posed scan and the model.
 
-    Parameters
-    ----------
-    coverage : float
-        Part of the model's features within 20 mm of which the scan lies.
-    relief_correlation : float
-        Correlation of the depth derivatives in windows of about 3 cm, averaged over the features, after a
-        quadratic fit is taken out of each: the bulge that a head shares with a ball does not count,
-        and nose, orbits and mouth must each be there (one bump in the right place is no face).
-    symmetry : float
-        The same correlation of the scan's relief with its own mirror image: a face that opens its mouth
-        resembles the model less, but itself no less.
-    rms_mm : float
-        RMS distance of the model's inlying samples to the scan.
+    `coverage` is the part of the model's features with scan within 20 mm, `rms_mm` the RMS distance of the
+    model's inlying samples to the scan. `relief_correlation` is the correlation of the depth derivatives in
+    windows of about 3 cm, averaged over the features, after a quadratic fit is taken out of each: the bulge
+    that a head shares with a ball does not count, and nose, orbits and mouth must each be there. `symmetry`
+    is the same correlation of the scan's relief with its own mirror image: an open mouth lowers the likeness
+    to the model, but not this.
     """
 
     coverage: float
@@ -64,9 +57,9 @@ class FaceScores:
 
     @property
     def certainty(self) -> float:
-        """Likeness, raised where the relief is symmetric: tells faces from other bodies.
+        """Return the likeness, raised where the relief is symmetric: separates faces from other bodies.
 
-        Symmetry can only help, since half a face has none to show.
+        Symmetry only ever raises it, since half a face has none to show.
         """
         return self.likeness + max(0.0, _SYMMETRY_GAIN * (self.symmetry - _CHANCE_SYMMETRY))
 
@@ -181,10 +174,7 @@ def _slopes(normals: FloatArray) -> FloatArray:
 
 
 def without_quadratic_trend(values: FloatArray, position: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return values (N,) or (N, K) minus their weighted least-squares quadratic in position (N, 2).
-
-    Positions should be of the order of 1.
-    """
+    """Return values (N,) or (N, K) minus their weighted quadratic fit in position (N, 2) of order 1."""
     x, y = position.T
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
     weighted = basis * weights[:, None]

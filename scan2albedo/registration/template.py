@@ -24,22 +24,12 @@ _WEIGHT_RANGE = (0.2, 3.0)
 
 @dataclass(frozen=True)
 class Template:
-    """Samples of the face model.
+    """Samples of the face model, in its frame, mm, in random order (a prefix is a fair sample).
 
-    Parameters
-    ----------
-    samples : OrientedPoints
-        In the model's frame, mm, in random order (a prefix is a fair sample).
-    rigidity : (M,) float64
-        Area times stiffness relative to the mean: large on forehead and nose, small on lips and jaw.
-    front : (3,) float64
-        Where the z axis leaves the face.
-    image : FaceImage
-        Scores posed scans.
-    coarse_vertices, coarse_faces : (C, 3) float64, (F, 3) int64
-        The limit surface at the control vertices: light enough to be drawn thousands of times.
-    coarse_stiffness : (C,) float64
-        Relative stiffness there, clipped.
+    `rigidity` (M,) is area times stiffness relative to the mean: large on forehead and nose, small on lips
+    and jaw. `front` (3,) is where the z axis leaves the face; `image` scores posed scans. `coarse_vertices`
+    (C, 3) and `coarse_faces` (F, 3) are the limit surface at the control vertices, small enough to be drawn
+    thousands of times, `coarse_stiffness` (C,) the relative stiffness there, clipped.
     """
 
     samples: OrientedPoints
@@ -54,10 +44,7 @@ class Template:
     def of(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
         """Sample a model about every `spacing_mm`.
 
-        Raises
-        ------
-        RegistrationError
-            When the model has too few control vertices to have the relief of a face.
+        Raises `RegistrationError` when it has too few control vertices to have the relief of a face.
         """
         if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
             raise RegistrationError(

@@ -119,11 +119,10 @@ def fit_capture(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FittedCapture:
-    """Read the pictures of a capture, fit its vertices, and test the fit on pairs left out.
+    """Read the pictures of a capture, fit its vertices, and test a fit without one of `held_out_every` pairs.
 
-    One of `held_out_every` pairs is left out of the fit that is tested; 0 tests none. The result is of all,
-    and the budget is its. Raises errors of `CaptureFiles.extract_olat`, `sample_vertices` and
-    `fit_reflectance`.
+    With 0 none is tested; the result, and the `budget`, are of the fit to all pairs. Raises errors of
+    `CaptureFiles.extract_olat`, `sample_vertices` and `fit_reflectance`.
     """
     with _naming(capture):
         olat = capture.extract_olat()
@@ -192,7 +191,7 @@ def relit_held_out(done: FittedCapture) -> list[Panel]:
 
 
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the light that a flash added (H, W, 3), that of the tested fit, and where the face is (H, W).
+    """Return the light that a flash added (H, W, 3), that of the tested fit, and the face's pixels (H, W).
 
     Shadows are those that the mesh casts.
     """

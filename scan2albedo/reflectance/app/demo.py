@@ -245,7 +245,7 @@ def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: NDArray[np.bool_
 def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
     """Write pictures, masks, mesh and capture file of a synthetic capture; return the file's path.
 
-    Raises `ValueError` when its pictures are not integers, `OutputError` naming the folder and the cause.
+    Raises `ValueError` when its pictures are not integers, `OutputError` when a file cannot be written.
     """
     _check_integers(capture.options.bits)
     with result_folder(folder, CAPTURE_FILE) as staging:
@@ -267,7 +267,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: bool = True) -> Path:
     """Write image, mask, landmarks and, with `mesh`, the mesh; return the photograph file's path.
 
-    Raises `ValueError` when the image is not of integers, `OutputError` naming the folder and the cause.
+    Raises `ValueError` when the image is not of integers, `OutputError` when a file cannot be written.
     """
     _check_integers(taken.options.bits)
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]

@@ -103,12 +103,12 @@ def fit_photograph(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FittedPhotograph:
-    """Fit reflectance and light to a photograph; where it has no mesh, its shape by landmarks and colours.
+    """Fit reflectance and light to a photograph and, where it has no mesh, the shape.
 
-    Then the shape is found from the landmarks, reflectance and light with that shape, the shape again from
-    landmarks and colours, and reflectance and light once more; the budget is of each of these fits. Raises
-    `ReflectanceError`, naming the photograph, when mesh and model have other vertices, there is no shape
-    model for landmarks, or nothing is seen.
+    The shape is found from the landmarks, reflectance and light with that shape, the shape again from
+    landmarks and colours, and reflectance and light once more; each of these fits gets the whole budget.
+    Raises `ReflectanceError` when mesh and model have other vertices, there is no shape model for landmarks,
+    or nothing is seen.
     """
     lighting = LightingModel.default() if lighting is None else lighting
 
@@ -214,8 +214,8 @@ def tune_model(
 ) -> TunedModel:
     """Fine-tune a model with photograph files, and test it on others: `held_out`, or one of three when empty.
 
-    `say` is called with a line on each photograph. Raises `ReflectanceError` when there are too few
-    photographs, or one cannot be used; names it.
+    `say` gets a line for each photograph. Raises `ReflectanceError` when there are too few, or one cannot be
+    used.
     """
     tuned_with, tested_on = _parted(list(photographs), list(held_out))
     lighting = LightingModel.default()

@@ -65,7 +65,7 @@ class BuiltModel:
 def read_sample(path: Path) -> MeshReflectance:
     """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan.
 
-    Raises `ReflectanceError` or `ApplicationError`, naming it, when it is none of them, or damaged.
+    Raises `ReflectanceError` or `ApplicationError` when it is none of them, or damaged.
     """
     if (path / FIT_FILE).is_file():
         return read_reflectance(path / FIT_FILE)
@@ -92,9 +92,8 @@ def build_model(
     """Learn a model from files or folders, see `read_sample` and `MorphableReflectanceModel.from_samples`.
 
     Meshes are aligned rigidly to the first before their mean is taken. With `landmark_vertices`, a JSON file
-    with the numbers of the 68 landmarks' vertices in iBUG-68 order, a model of their shapes is learned, too.
-    Raises `ReflectanceError`, naming the file, when one cannot be used or meshes differ, and `ValueError` for
-    options out of range.
+    with the 68 landmarks' vertex numbers in iBUG-68 order, a shape model is learned, too. Raises
+    `ReflectanceError` when a file is unusable or meshes differ, `ValueError` for options out of range.
     """
     samples = [read_sample(path) for path in sources]
     for path, sample in zip(sources, samples, strict=True):
@@ -166,7 +165,7 @@ class ModelFolder:
 def read_model_folder(path: Path) -> ModelFolder:
     """Read the folder that `build` or `finetune` wrote.
 
-    Raises `ReflectanceError`, naming the files, when some are missing or damaged, or do not belong together.
+    Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
     """
     if not path.is_dir():
         raise ReflectanceError(f"{path} is no folder; give the one that `reflectance build` wrote")

@@ -74,14 +74,8 @@ class Results:
 def folder_of_results(out: Path, command: str, inputs: Sequence[str | Path]) -> Iterator[Results]:
     """Give a hidden folder whose files go to `out` when the block ends without an error.
 
-    Files of an earlier result that this one has no more are removed.
-
-    Raises
-    ------
-    ReflectanceError
-        When `out` is one of the inputs, whose record it would replace.
-    OutputError
-        Naming the folder and the cause.
+    Files that only an earlier result had are removed. Raises `ReflectanceError` when `out` is one of the
+    `inputs`, whose record it would replace, `OutputError` when it cannot be written.
     """
     if any(Path(path).resolve() == out.resolve() for path in inputs):
         raise ReflectanceError(f"{out} is where {command} reads from; write to another folder")
