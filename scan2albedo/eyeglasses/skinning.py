@@ -34,8 +34,9 @@ def skin(
 ) -> FloatArray | tuple[FloatArray, FloatArray]:
     """Return vertices moved by the weighted mean of affine transforms, v' = sum over k of w_k T_k v.
 
-    Normals turn with the inverse transpose of the mean's linear part, as if it were constant around the
-    vertex: n' is parallel to B^-T n, B = sum over k of w_k A_k.
+    With `normals` a tuple of two is returned: vertices, and normals at unit length. Normals turn with the
+    inverse transpose of the mean's linear part, as if it were constant around the vertex: n' is parallel to
+    B^-T n, B = sum over k of w_k A_k.
 
     Parameters
     ----------
@@ -45,10 +46,6 @@ def skin(
     transforms : (K, 4, 4) or (K, 3, 4) array_like of float
         `deformed_from_rest` of each handle, acting on column vectors.
     normals : (V, 3) array_like of float, optional
-
-    Returns
-    -------
-    (V, 3) float64, or with `normals` a tuple of two: vertices, and normals at unit length.
 
     Raises
     ------

@@ -86,8 +86,8 @@ def canonicalize_frames(
 ) -> CanonicalFiles:
     """Bring frames to the mean of their key points, or to that of an earlier set's `mean_keypoints.json`.
 
-    `failures` of reading are joined by those of canonicalising. Raises EyeglassesError when no frame can be
-    done, or `mean` cannot be read.
+    New failures are added to `failures` of reading. Raises EyeglassesError when no frame can be done, or
+    `mean` cannot be read.
     """
     begun = time.perf_counter()
     spend = Budget.of(budget)
@@ -122,10 +122,9 @@ def _mean_mm(path: Path) -> FloatArray:
 
 
 def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:
-    """Write the files of every frame into ``out / <name>`` and those of the set into `out`.
+    """Write each frame's files into ``out / <name>`` and the set's into `out`; return figures by frame name.
 
-    Returns figures of each frame by name, as in its `result.json`. Raises OutputError, naming folder and
-    cause.
+    The figures are as in `result.json`. Raises OutputError, naming folder and cause.
     """
     with result_folder(out, SET_RECORD, FRAME_RECORD) as staging:
         figures = {

@@ -54,13 +54,12 @@ _SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
 
 @dataclass(frozen=True)
 class GlassesDemoReport:
-    """What the registration found, against the truth; lengths in mm, shares of the vertices.
+    """Errors of the registration against the truth; lengths in mm, shares of the vertices.
 
     Errors are those of vertices that the true head leaves visible in a view or more (`seen`), of `all`, of
     those that the registration calls `observed`, and of the key points; `depth_error_mm` is along the line of
-    sight, in the view where it is least. Deviations are what the registration states: root mean squares over
-    the observed vertices, each in its worst direction, and along the line of sight. `head` is what was given
-    as head.
+    sight, in the view where it is least. Deviations are the registration's own estimate: root mean squares
+    over the observed vertices, each in its worst direction, and along the line of sight.
     """
 
     placed: PlacedFrame
@@ -162,13 +161,11 @@ def run_glasses_demo(
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
 
-    Then lenses of so many dioptres are put into the registered frame and drawn in the middle view, into
+    Then lenses of so many `dioptres` are put into the registered frame and drawn in the middle view, into
     `LENSES`; None, or no head to see through them, for no lenses. `out` gets the results, and in `INPUT` the
-    files they were made from.
-
-    The head is "fitted": the face that `register` and `fit` find in a raw scan of the person, brought into
-    the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true": the person's own; or
-    "none". `say` is called with lines on the lenses.
+    files they were made from. The head is "fitted": the face that `register` and `fit` find in a raw scan of
+    the person, brought into the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true":
+    the person's own; or "none". `say` is called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
@@ -209,10 +206,10 @@ def _head(person: Wearer, head: Head, seed: int, on_progress: ProgressCallback |
 
 
 def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFiles:
-    """Write what is known of a wearer into ``out / INPUT`` and return the files' names.
+    """Write the data of a wearer into ``out / INPUT`` and return the files' names.
 
-    The frame as it was before it was bent, its key points, cameras, labels, masks, and the head if any.
-    Raises OutputError, naming folder and cause.
+    They are the frame before it was bent, its key points, cameras, labels, masks, and the head if any. Raises
+    OutputError, naming folder and cause.
     """
     folder, glasses = out / INPUT, person.glasses
     _, height, width = person.masks.shape

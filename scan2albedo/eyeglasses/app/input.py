@@ -58,8 +58,8 @@ def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") ->
 
     The unit is the mesh's. "auto" is the one in which the key points lie on the mesh, when their file states
     its own unit; otherwise both are in one unit, which the size of glasses decides. Raises EyeglassesError or
-    ScanError when a file cannot be read, or the size is that of no glasses; names the file. Raises ValueError
-    for an unknown unit.
+    ScanError, naming the file, when one cannot be read or the size is that of no glasses; ValueError for an
+    unknown unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints

@@ -71,13 +71,12 @@ def read_lens_input(
     environment: Path | None = None,
     unit: str = "auto",
 ) -> LensInput:
-    """Read all files.
+    """Read the files of a rendering; the unit is that of both meshes, and "auto" decides for each.
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
     name cameras, all when there are none; `pictures`, one a view, are named after their cameras or in the
-    views' order. The unit is that of both meshes; "auto" decides for each.
-
-    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
+    views' order. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not
+    fit the others.
     """
     chosen = _chosen(read_cameras(cameras), views, cameras)
     marks = keypoints if keypoints is not None else _keypoints_of(frame)
@@ -122,8 +121,8 @@ def material_pair(
 ) -> tuple[LensMaterial, LensMaterial]:
     """Return the left and the right lens of the command's options.
 
-    Raises ValueError when a text is no number or as many as it takes, EyeglassesError when one is out of
-    range.
+    Raises ValueError when a text is no number or holds too many or too few, EyeglassesError when one is out
+    of range.
 
     >>> plain = {"tint": None, "alpha": None, "beta": None, "sunglasses": False}
     >>> left, right = material_pair("-4,-2.5", fresnel=True, **plain)

@@ -141,7 +141,7 @@ def render_lenses(
     faces)`` of a `RegisteredEyeglasses`. Lenses, photographs (one a camera) and environment are those of
     `insert_lenses`; drawn views without an environment get `soft_environment` of the first camera. `on_view`
     is called with each view when it is done. Raises EyeglassesError as from `insert_lenses`, and when frame
-    and head lie apart; ValueError when there is no camera, or not a picture for each of the camera's shape.
+    and head lie apart; ValueError when there is no camera, or not a picture of its shape for each.
 
     >>> from scan2albedo.geometry.pinhole import look_at
     >>> from scan2albedo.synthetic import eyeglasses

@@ -154,7 +154,7 @@ def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[st
 
 
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
-    """Write the files of a registered frame into `out`, and return the figures of its `result.json`.
+    """Write a registered frame into `out` and return the figures of its `result.json`.
 
     Raises OutputError, naming folder and cause.
     """

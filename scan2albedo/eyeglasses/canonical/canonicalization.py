@@ -122,7 +122,7 @@ def canonicalize(
     options: CanonicalizationOptions = CanonicalizationOptions(),
     on_progress: ProgressCallback | None = None,
 ) -> CanonicalSet:
-    """Bring frames to the mean of their key points: poses and bends go, shapes and thicknesses stay.
+    """Return frames brought to the mean of their key points: poses and bends go, shapes and thicknesses stay.
 
     Each frame is aligned rigidly to the mean key points x, then its key points p are moved onto them and the
     surface follows by its bounded biharmonic weights w,
@@ -148,10 +148,6 @@ def canonicalize(
     on_progress : callable, optional
         Called with each row of the trace.
 
-    Returns
-    -------
-    CanonicalSet
-
     Raises
     ------
     EyeglassesError
@@ -161,9 +157,9 @@ def canonicalize(
 
     Notes
     -----
-    The paper multiplies transforms and weights in a way that, read literally, collapses the frame [1]_; with
-    R_k = 1 this is the sane reading. Shifts alone flatten a bend between key points, where turning ones halve
-    the error; a similarity instead of a rigid transform would change the tube's thickness.
+    The paper multiplies transforms and weights in a way that, read literally, collapses the frame [1]_; the
+    case R_k = 1 is what it must mean. Shifts alone flatten a bend between key points, where turning ones
+    halve the error; a similarity instead of a rigid transform would change the tube's thickness.
 
     Frames whose sizes differ more than five times are brought to one unit, see `CanonicalEyeglasses.scale`.
 

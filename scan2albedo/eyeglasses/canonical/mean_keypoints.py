@@ -54,11 +54,11 @@ def require_posable(points: FloatArray) -> None:
 
 
 def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None = None) -> FloatArray:
-    """Return (n,) factors that bring frames to one unit; all 1 where their sizes say that they share it.
+    """Return (n,) factors that bring frames to one unit; all 1 where their sizes are alike.
 
-    A frame's size is the median length of its bones. Where sizes differ more than five times, frames come to
-    the size of `reference`, or of the frame nearest to spectacles in mm: by a power of ten where that leaves
-    less than 1.4 times, so that true sizes are kept, otherwise to the very size.
+    A frame's size is the median length of its bones. Where sizes differ more than five times, frames are
+    scaled to the size of `reference`, or of the frame nearest to spectacles in mm: by a power of ten where
+    that leaves less than 1.4 times, so that true sizes are kept, otherwise exactly.
     """
     sizes = np.array([key_point_size(points) for points in keypoints])
     if reference is not None:
@@ -80,11 +80,9 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
     """Return the mean of frames' key points (20, 3), in one unit, NaN for missing ones.
 
     Alternates x_k = mean over frames of (R_i p_ik + t_i) and the rigid Procrustes transforms (R_i, t_i) of
-    each frame to x [1]_; sizes are kept. The mean lies in the glasses' own axes: x to the wearer's left, z
-    to the front, the centroid at 0. The meter records its change in bones, the skeleton's median one.
+    each frame to x [1]_; sizes are kept. The mean lies in the glasses' own axes: x to the wearer's left, z to
+    the front, the centroid at 0. The meter records its change in lengths of the skeleton's median bone.
 
-    References
-    ----------
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40(1), 1975.
     """
     mean = fullest(keypoints)

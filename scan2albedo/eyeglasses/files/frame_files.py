@@ -67,7 +67,7 @@ def write_arrays(path: str | Path, source: Any, layout: Layout, *, what: str) ->
 
 
 def read_arrays(path: str | Path, layout: Layout, *, what: str, example: str) -> dict[str, Any]:
-    """Return the arrays of a file in their types; what has no sides as a number of Python's.
+    """Return the arrays of a file in their types; a scalar as a Python number.
 
     `layout` holds all arrays that must be there; those of "vertices" and "faces" make a mesh. Messages call
     the content `what` and the usual file `example`. Raises EyeglassesError when the file is missing, damaged

@@ -90,9 +90,9 @@ def insert_lens(
 
 
 def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
-    """Return (5, 3) key points of a rim: top, bridge, inner, bottom, outer.
+    """Return a rim's key points (5, 3): top, bridge, inner, bottom, outer.
 
-    Raises EyeglassesError, naming it and the lens, when one is missing.
+    Raises EyeglassesError, naming key point and lens, when one is missing.
     """
     wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
     marks = keypoints[wanted]
@@ -210,7 +210,7 @@ class BareFrame:
 
 
 def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray) -> BareFrame:
-    """Take the parts out of a frame that lie across a lens, as `find_lens_rim` looks through them.
+    """Take the parts out of a frame that lie across a lens, which `find_lens_rim` ignores too.
 
     Glass of one piece with the rim stays, and a note says so.
     """

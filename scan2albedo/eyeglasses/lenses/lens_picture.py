@@ -150,7 +150,7 @@ def insert_lenses(
     lens_centers: ArrayLike | None = None,
     options: LensPictureOptions = LensPictureOptions(),
 ) -> LensPicture:
-    """Put lenses into a pair of glasses and show them.
+    """Return a picture of a pair of glasses with lenses put in.
 
     Each ray that meets a lens before anything else is bent as by a thin lens and goes on, through the other
     lens too, to the scene behind; its mirror image leaves on the sphere of the lens's front. The colour is
@@ -188,10 +188,6 @@ def insert_lenses(
         Optical centres of the left and the right lens, moved into their planes; otherwise the centroids of
         their outlines.
     options : LensPictureOptions
-
-    Returns
-    -------
-    LensPicture
 
     Raises
     ------

@@ -220,10 +220,7 @@ class LensRenderer:
 
 
 def checked_image(name: str, values: ArrayLike) -> FloatArray:
-    """Return an image (H, W, 3) of finite numbers.
-
-    Raises EyeglassesError when numbers are not finite, ValueError when the shape is another.
-    """
+    """Return a finite image (H, W, 3). Raises EyeglassesError if not finite, ValueError for its shape."""
     image = np.asarray(values, np.float64)
     if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
         raise ValueError(f"{name} must have shape (H, W, 3), got {image.shape}")

@@ -49,7 +49,7 @@ def without_panes(
 ) -> IntArray:
     """Return the faces (F', 3) of the parts that do not lie across the lens's axis.
 
-    A ray in the plane meets a domed lens long before the rim. A lens of one piece with the rim stays. Without
+    Rays in the plane hit a domed lens long before the rim. A lens of one piece with the rim stays. Without
     rim points (K, 3) a small lens is guessed from the mesh's size.
     """
     return faces[~pane_faces(vertices, faces, plane, rim_points)]
@@ -137,7 +137,7 @@ def find_lens_rim(
     normal: ArrayLike | None = None,
     count: int = 128,
 ) -> LensRim:
-    """Find the inner edge of the rim around a lens centre.
+    """Return the inner edge of the rim around a lens centre.
 
     Rays from the axis outward meet the rim's inner edge. Gaps of up to 30 degrees are bridged between their
     ends; wider ones, such as the open side of a half-rimless frame, take their shape from the rim's key
@@ -158,10 +158,6 @@ def find_lens_rim(
         points, away from the temples.
     count : int
         Points of the rim.
-
-    Returns
-    -------
-    LensRim
 
     Raises
     ------

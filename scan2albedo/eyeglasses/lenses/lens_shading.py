@@ -18,7 +18,7 @@ _ROUNDING = 1e-12
 
 
 def map_places(directions: FloatArray) -> FloatArray:
-    """Return (N, 2) places in [0, 1] of directions (N, 3) of any length but zero: column and row by size.
+    """Return (N, 2) column and row in [0, 1], by the map's size, of nonzero directions (N, 3).
 
     Rows run from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
     """

@@ -76,9 +76,9 @@ def copy_from_neighbours(point, near, paths):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def waiting_rays(paths, point, start, toward, low, high, origin, heading, place):  # type: ignore[no-untyped-def]
-    """Collect rays from `start` (N, 3) for what is WAITING at `point` (M,) of lights `low` to `high`.
+    """Collect rays from `start` (N, 3) whose path to `point` (M,) of lights `low` to `high` is WAITING.
 
-    Returns how many; their origins, directions and places (i, k) stand in the last three arguments.
+    Returns how many; their origins, directions and places (i, k) are written to the last three arguments.
     """
     count = 0
     for k in range(low, high):

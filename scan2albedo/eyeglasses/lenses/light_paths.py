@@ -168,10 +168,7 @@ def _shoot(
     hit: int,
     free: int,
 ) -> None:
-    """Shoot the rays that `gather` collects, of up to `count` points, for some lights at a time.
-
-    `hit` and `free` are added to the paths of those that meet something and of the others.
-    """
+    """Shoot `gather`'s rays, some lights at a time; add `hit` or `free` to paths by whether they hit."""
     lights = paths.shape[1]
     at_once = max(1, _RAYS // max(count, 1))
     most = count * min(at_once, lights)

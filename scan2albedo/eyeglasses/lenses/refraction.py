@@ -40,7 +40,7 @@ class RefractedRays:
 
 
 def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRays:
-    """Bend the rays from `camera` through `points` at the plane of a thin lens.
+    """Return the rays from `camera` through `points` bent at the plane of a thin lens.
 
     With p where a ray meets the plane through o, u > 0 the camera's distance from it and P = -D / 1000,
 
@@ -57,10 +57,6 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     points : (N, 3) array_like of float
         Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
         need not be flat.
-
-    Returns
-    -------
-    RefractedRays
 
     Raises
     ------

@@ -90,9 +90,9 @@ class LensPlane:
 
 
 def fit_normal(rim_points: FloatArray, vertices: FloatArray) -> FloatArray:
-    """Return the unit normal (3,) of the plane nearest to rim points (K, 3), away from most of the frame.
+    """Return the unit normal (3,) of the plane nearest to rim points (K, 3), towards the viewer.
 
-    Behind the lenses are the temples, so the side that holds less of the frame is the viewer's.
+    The temples are behind the lenses, so the viewer is on the side that holds less of the frame.
     """
     offset = rim_points - rim_points.mean(0)
     _, spread, axes = np.linalg.svd(offset, full_matrices=False)
@@ -155,7 +155,7 @@ def _stray(radius: FloatArray) -> NDArray[np.bool_]:
 
 
 def _dents(radius: FloatArray) -> NDArray[np.bool_]:
-    """Return (R,) True where the edge lies inside a chord between two points nearby, NaN being no point.
+    """Return (R,) True where the edge lies inside a chord between two points nearby; NaN is no point.
 
     Rims are convex over so short a way. Ends of bridges and solder poke through them.
     """
@@ -195,7 +195,7 @@ def _shoot(caster: RayCaster, plane: LensPlane, angles: FloatArray, heights: Flo
 def _local_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     """Return (R,) medians of means of two known values at equal distance; 0 where there are none.
 
-    Pairs keep what rises evenly in its place, beside gaps too.
+    Pairs leave a steady slope unchanged, beside gaps too.
     """
     half = _half_window(len(values))
     around = (np.arange(len(values))[:, None] + np.arange(-half, half + 1)) % len(values)
@@ -213,13 +213,11 @@ def subdivide_rim(
 ) -> RimProfile:
     """Return an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
 
-    Each level puts a point into the middle of every edge, by the four-point rule
-    (9 (b + c) - a - d) / 16 [1]_, and moves it to the closest vertex of the frame if there is one near; where
-    the frame is open the curve stays round. It ends on whichever side of the rim's tube the vertices lie: up
-    to 4.5 mm off on synthetic frames. Rays are better wherever they hit.
+    Each level puts a point into the middle of every edge, by the four-point rule (9 (b + c) - a - d) / 16
+    [1]_, and moves it to the closest vertex of the frame if there is one near; where the frame is open the
+    curve stays round. It ends on whichever side of the rim's tube the vertices lie: up to 4.5 mm off on
+    synthetic frames. Rays are better wherever they hit.
 
-    References
-    ----------
     .. [1] N. Dyn, D. Levin, J. A. Gregory, "A 4-point interpolatory subdivision scheme for curve design",
        Computer Aided Geometric Design 4, 1987, equation 1.2 with w = 1/16.
     """

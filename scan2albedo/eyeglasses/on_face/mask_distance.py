@@ -64,9 +64,8 @@ def search_edges(
 ) -> FloatArray:
     """Return (N,) signed ways along `outward` (N, 2) from `pixels` to where the mask ends; NaN for none.
 
-    Of the ends within `reach_px` (N,) each way the nearest; only ends that are left in the direction of
-    `outward` count, to a cosine of `facing` with the mask's own outward direction. Distances to the mask's
-    nearest border would find the sides of a bar, never its end.
+    The nearest end within `reach_px` (N,) each way counts, if `outward` leaves the mask there within a cosine
+    of `facing`. Distances to the mask's nearest border would find the sides of a bar, never its end.
     """
     result = np.full(len(pixels), np.nan)
     if not len(pixels):

@@ -220,9 +220,9 @@ class _Sums:
 
 
 def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return pixels (N, 2) of points (N, 3), each in its camera, derivatives (N, 2, 3), in front (N,).
+    """Return pixels (N, 2), derivatives (N, 2, 3) and in front (N,) of points, each in its camera.
 
-    NaN behind the camera. A tuple of three for the two callers.
+    Pixels behind the camera are NaN.
     """
     image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
     front = image[:, 2] > 0
@@ -271,10 +271,10 @@ def descend(
     error: Callable[[Linearization], float],
     tolerance: float = 1e-5,
 ) -> FrameEstimate:
-    """Return the best state that Levenberg-Marquardt steps from `state` reach.
+    """Return the best state that `steps` Levenberg-Marquardt steps from `state` reach.
 
-    The descent ends after `steps`, when a step lowers the cost by less than the part `tolerance`, or with
-    the meter's budget. The meter records `error` of every improvement.
+    It ends early when a step lowers the cost by less than the part `tolerance`, or with the meter's budget.
+    The meter records `error` of every improvement.
     """
     found = minimize(
         _Point(linearize, state, meter),

@@ -47,7 +47,7 @@ def measured_noise(at: Linearization, least_px: float, otherwise: Noise) -> Nois
 
 
 class PointDeviations:
-    """Standard deviations of the frame's points, from the Gauss-Newton matrix of cost in squared deviations.
+    """Standard deviations of the frame's points, from the Gauss-Newton matrix of squared deviations.
 
     The matrix is (6, 6) for a rigid frame, (6 + 3 K, 6 + 3 K) otherwise.
     """
@@ -87,9 +87,9 @@ class MaskAgreement:
 def compare_masks(
     sampler: OutlineSampler, motion: FrameMotion, view: ObservedView, mask: BoolArray, noise_px: float
 ) -> MaskAgreement:
-    """Return how a view's mask (H, W) agrees with what the frame covers of it, the head in front.
+    """Return how a view's mask (H, W) agrees with the pixels that the frame covers, the head in front.
 
-    A pixel of the mask that the frame is not near to belongs to the vertex that is nearest in the picture.
+    A pixel of the mask far from the frame is counted for the vertex nearest to it in the picture.
     """
     import cv2
     from scipy.spatial import cKDTree

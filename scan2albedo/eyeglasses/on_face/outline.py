@@ -45,10 +45,7 @@ class Outline:
     """(N, 2) unit vectors in the picture, away from the mask."""
 
     def thinned(self, stride: int) -> Outline:
-        """Return one in `stride` of the pixels, spread evenly whichever way the outline runs.
-
-        Pixels are chosen by the fractional part of a sum of multiples of column and row.
-        """
+        """Return one in `stride` of the pixels, spread evenly by a low-discrepancy sum of column and row."""
         if stride == 1:
             return self
         kept = self.pixels @ _SPREAD % 1.0 < 1.0 / stride
@@ -56,7 +53,7 @@ class Outline:
 
 
 def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]) -> Coverage:
-    """Return what a mesh covers of a picture (H, W) with a perspective z-buffer.
+    """Return the pixels that a mesh covers of a picture (H, W), by a perspective z-buffer.
 
     `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane; faces with vertices
     behind the camera (NaN) are left out.
@@ -77,10 +74,7 @@ def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[i
 def trace_outline(
     coverage: Coverage, pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
 ) -> Outline:
-    """Return the covered pixels that have an uncovered neighbour to the left, right, above or below.
-
-    The picture's border is no outline.
-    """
+    """Return the covered pixels with an uncovered 4-neighbour; the picture's border is no outline."""
     row, column, outward = _border(coverage.face, coverage.corner[0], coverage.corner[1], *shape)
     length = np.linalg.norm(outward, axis=1)
     kept = length > 0

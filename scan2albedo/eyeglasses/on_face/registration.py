@@ -65,7 +65,7 @@ def register_on_face(
     options: FaceRegistrationOptions = FaceRegistrationOptions(),
     on_progress: ProgressCallback | None = None,
 ) -> RegisteredEyeglasses:
-    """Place a frame where calibrated pictures show it, bent as they show it.
+    """Return a frame placed where calibrated pictures show it, bent as they show it.
 
     Minimises over the frame's pose and the shifts of its key points
 
@@ -102,10 +102,6 @@ def register_on_face(
     on_progress : callable, optional
         Called with each row of the trace.
 
-    Returns
-    -------
-    RegisteredEyeglasses
-
     Raises
     ------
     EyeglassesError
@@ -114,11 +110,12 @@ def register_on_face(
     ValueError
         When shapes do not fit together.
 
-    Notes ----- What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`.
-    Deviations hold for the frame as given: register its own mesh, or one with its own measures; a canonical
-    frame has those of the mean. Where more than a third of the labels do not fit, nothing counts as observed;
-    where exchanging left and right explains them, that is an error. Masks that contradict good labels are
-    left aside.
+    Notes
+    -----
+    What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`. Deviations hold for
+    the frame as given: register its own mesh, or one with its own measures; a canonical frame has those of
+    the mean. Where more than a third of the labels do not fit, nothing counts as observed; where exchanging
+    left and right explains them, that is an error. Masks that contradict good labels are left aside.
 
     The paper [1]_ minimises a rendered segmentation with Adam, some thousand renderings; this takes about a
     hundred evaluations.

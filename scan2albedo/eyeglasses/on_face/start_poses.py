@@ -39,7 +39,7 @@ _MIRRORED = 0.5
 def starting_poses(
     keypoints: FloatArray, views: tuple[ObservedView, ...], noise_px: float, given: FloatArray | None
 ) -> list[FrameState]:
-    """Return unbent states worth starting from, one at least, of a frame with key points (K, 3) at rest.
+    """Return at least one unbent state to start from, of a frame with key points (K, 3) at rest.
 
     Poses come from triangulated key points, from each view alone, and from the caller (`given`). Raises
     EyeglassesError when the labels fix no pose and none was given, or the units of frame and cameras differ.

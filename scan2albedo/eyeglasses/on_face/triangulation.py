@@ -38,7 +38,7 @@ class TriangulatedPoints:
 
 
 def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2.0) -> TriangulatedPoints:
-    """Place key points where labels in two views or more agree.
+    """Return key points placed where labels in two views or more agree.
 
     Each point minimises, over its labels l_c,
 
@@ -56,10 +56,6 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         Projection matrices, pixels from points, of any scale and sign.
     noise_px : float
         s, how far labels are usually off.
-
-    Returns
-    -------
-    TriangulatedPoints
 
     Raises
     ------

@@ -26,10 +26,9 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class BoundedMinimum:
-    """What `minimize_bounded` found for each of the K columns.
+    """Minima of `minimize_bounded` for K columns: `x` (N, K) in [0, 1], after `steps` (K,) Newton steps.
 
-    `x` (N, K) in [0, 1]; `residual` (K,) the scaled violation of the optimality conditions, see
-    `optimality_residual`; `energy` (K,) x^T A x / 2 - b^T x; `steps` (K,) Newton steps.
+    `residual` (K,) is that of `optimality_residual`; `energy` (K,) is x^T A x / 2 - b^T x.
     """
 
     x: FloatArray
@@ -49,16 +48,13 @@ def minimize_bounded(
 ) -> BoundedMinimum:
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
 
-    Projected Newton [1]_: what sits at a bound and is pushed outward stays, the others take the Newton step
-    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. It
-    falls in every step, so a budget that ends early keeps the best so far. A column is done when its scaled
-    residual is at most `tolerance`, or after `max_steps`; the meter counts the steps of all columns.
+    Projected Newton [1]_: entries at a bound that are pushed outward stay, the others take the Newton step
+    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. It falls in
+    every step, so a budget that ends early keeps the best so far. A column is done when its scaled residual
+    is at most `tolerance`, or after `max_steps`; the meter counts the steps of all columns. Entries of
+    `start` (N, K), in [0, 1], at a bound stay there in the first step, so that a start from a coarser
+    lattice, whose gradient is rough, hands on its active set.
 
-    What `start` (N, K), in [0, 1], holds at a bound stays there in the first step, so that a start from a
-    coarser lattice, whose gradient is rough, hands on its active set.
-
-    References
-    ----------
     .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
        SIAM J. Control and Optimization 20(2), 1982, section 2.
     """
@@ -89,10 +85,7 @@ def minimize_bounded(
 
 
 def optimality_residual(x: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> Any:
-    """Return max |x - clip(x - g / diag(A), 0, 1)| of each column, 0 exactly at the minimum.
-
-    Scaled by the matrix's diagonal it is a length in x: how far a single entry would still move by itself.
-    """
+    """Return each column's max |x - clip(x - g / diag(A), 0, 1)|, a length in x; 0 only at the minimum."""
     scaled = gradient / (diagonal if x.ndim == 1 else diagonal[:, None])
     return np.abs(x - np.clip(x - scaled, 0.0, 1.0)).max(0, initial=0.0)
 

@@ -61,11 +61,11 @@ class WeightOptions:
 
 @dataclass(frozen=True)
 class Embedding:
-    """The lattice of a mesh.
+    """The lattice of a mesh; `spacing` is in the mesh's unit.
 
     `handle_cells` (K, 3) are cells of the `lattice`; `interpolation` (V, N) takes node values to the
-    vertices; `spacing` is in the mesh's unit. Vertices `follower` (n,) are to take the weights of the
-    vertices `leader` (n,): their parts are out of reach of the lattice.
+    vertices. Vertices `follower` (n,) take the weights of `leader` (n,): their parts are out of the lattice's
+    reach.
     """
 
     lattice: Lattice
@@ -117,10 +117,7 @@ def embed(
     options: WeightOptions,
     names: Sequence[str] | None = None,
 ) -> Embedding:
-    """Return the lattice around a mesh (V, 3), (F, 3) and its key points (K, 3).
-
-    Messages call the key points by their `names` (K,), or by number. Raises what `solve_weights` does.
-    """
+    """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`."""
     called = names if names is not None else [str(k) for k in range(len(handles))]
     mesh = _MarkedMesh(vertices, faces, handles, called)
     closest = _closest_spacing(mesh)
@@ -266,7 +263,7 @@ def _parts_out_of_reach(
 ) -> tuple[IntArray, IntArray, PlanStep]:
     """Return the followers, their leaders and the step of the plan.
 
-    The parts of what is left out are those of the faces: each follows its vertex nearest to the lattice.
+    Each part of the faces out of reach follows its vertex nearest to the lattice.
     """
     used = np.zeros(len(local), bool)
     used[faces.ravel()] = True

@@ -70,10 +70,9 @@ class Lattice:
         return np.where(within & (keys[place] == wanted), place, -1)
 
     def interpolation(self, points: FloatArray) -> sparse.csr_matrix:
-        """Return the (P, N) matrix of trilinear interpolation at points (P, 3) in units of the spacing.
+        """Return the (P, N) trilinear interpolation at points (P, 3) in spacings; rows >= 0 and sum to 1.
 
-        Rows are non-negative and sum to 1. A point outside all cells takes the value at the nearest place
-        of the cell whose centre is nearest.
+        A point outside all cells takes the value at the nearest place of the cell whose centre is nearest.
         """
         cell = self.find(np.floor(points).astype(np.int64))
         outside = np.flatnonzero(cell < 0)

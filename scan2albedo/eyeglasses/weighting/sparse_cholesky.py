@@ -18,21 +18,14 @@ _SPARE = 0.2
 
 
 class SparseCholesky:
-    """L L^T = A for a symmetric positive definite A, and for A with rows and columns taken out.
+    """L L^T = A for a symmetric positive definite (N, N) A, and for A with rows and columns taken out.
 
     The multifrontal method [1]_: columns with one pattern form a supernode, which is factored as a small
-    dense matrix and hands what it leaves over to its parent in the elimination tree. Order, tree and
-    patterns depend on A's pattern alone; only the dense work is repeated by `refill`. cholespy has no such
-    step: it works out everything anew, which makes the weights of 20 key points four to five times as
-    slow, 1.4 times the CPU of libigl's.
+    dense matrix and hands its remainder over to its parent in the elimination tree. Order, tree and patterns
+    depend on A's pattern alone; only the dense work is repeated by `refill`. cholespy has no such step: it
+    works out everything anew, which makes the weights of 20 key points four to five times as slow, 1.4 times
+    the CPU of libigl's. `matrix` holds both triangles.
 
-    Parameters
-    ----------
-    matrix : (N, N) sparse
-        All of A, both triangles.
-
-    References
-    ----------
     .. [1] J. W. H. Liu, "The multifrontal method for sparse matrix solution: theory and practice",
        SIAM Review 34(1), 1992.
     """
@@ -126,8 +119,8 @@ def _permuted(matrix: sparse.csr_matrix, order: IntArray) -> sparse.csr_matrix:
 def _supernodes(starts, rows):  # type: ignore[no-untyped-def]
     """Return (S + 1,) first columns of the supernodes, and N, of L's pattern below the diagonal.
 
-    A column joins the one before it when it is its parent and few zeros come in by that: the rows of the
-    last column then hold those of all.
+    A column joins the one before it when it is its parent and that adds few zeros: the rows of the last
+    column then hold those of all.
     """
     count = len(starts) - 1
     first = np.zeros(count + 1, np.int64)
@@ -181,8 +174,8 @@ def _factor(  # type: ignore[no-untyped-def]
 ):
     """Fill `blocks`; return False where a pivot is not positive.
 
-    `work` holds one front, column after column; what a front leaves over waits on `stack` for its parent,
-    which finds its children's on top.
+    `work` holds one front, column after column; its remainder waits on `stack` for the parent, which finds
+    its children's on top.
     """
     nodes, top, depth = len(first) - 1, 0, 0
     place, local = np.empty(first[-1], np.int64), np.empty(len(work), np.int64)

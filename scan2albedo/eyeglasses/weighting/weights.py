@@ -178,7 +178,7 @@ def solve_weights(
     options: WeightOptions = WeightOptions(),
     on_progress: ProgressCallback | None = None,
 ) -> BoundedBiharmonicWeights:
-    """Compute smooth weights of key points over a mesh of any kind.
+    """Return smooth weights of key points over a mesh of any kind.
 
     Each handle's weight minimises the biharmonic energy [1]_ alone,
 
@@ -203,10 +203,6 @@ def solve_weights(
     options : WeightOptions
     on_progress : callable, optional
         Called with each row of the trace.
-
-    Returns
-    -------
-    BoundedBiharmonicWeights
 
     Raises
     ------
