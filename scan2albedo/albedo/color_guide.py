@@ -16,8 +16,8 @@ _ROUNDS = 8
 _ROBUST = 0.01
 """Changes of log V beyond which a cell counts as an outlier."""
 _WIDEST = 1 / 32
-"""Standard deviation, as a part of the chart's side, of the widest Gaussian whose band tells the slope: in
-wider ones light changes too."""
+"""Standard deviation, as a part of the chart's side, of the widest Gaussian whose band the slope is fitted
+to: in wider ones light changes too."""
 _LOWEST = 1 / 8
 """Hues are taken relative to their mean under a Gaussian of this part of the chart: slower changes may be
 coloured light."""
@@ -28,7 +28,7 @@ _LARGEST = 3.0
 _LEFT_OF_HIGHLIGHT = 0.02
 """Part of a cell that at least remains below a highlight."""
 _LIT = 0.02
-"""Median brightness, as a part of V's, of a channel that tells anything: a darker one is offset and rounding,
+"""Median brightness, as a part of V's, of a channel that is used: a darker one is offset and rounding,
 which do not follow the light."""
 _BLACK = 1e-3
 """Parts of the median below which logarithms are not taken."""
@@ -50,19 +50,14 @@ class ColorGuide:
 
 
 def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
-    """Predict V of the albedo from the hues of the cells.
+    """Return how V of the cells' albedo follows from their hues.
 
     Within a few cells the light is nearly the same, so there log V changes with the albedo alone. Its
     dependence on the two log ratios of the channels (linear: exact where one pigment of varying density
     colours the surface) is fitted robustly, octave by octave of the texture: noise hides the finest ones
     first. Noise that V and the ratios share predicts nothing and is taken off, so each slope is the best
-    predictor from ratios as noisy as they are.
-
-    Parameters
-    ----------
-    level : Level
-    specular : (N,) float64, optional
-        A white highlight, in the unit of the level's value; taken off first.
+    predictor from ratios as noisy as they are. A white highlight `specular` (N,), in the unit of the level's
+    value, is taken off first.
 
     References
     ----------
@@ -132,8 +127,8 @@ def _noise_passed(inner: float, outer: float) -> float:
 def _noise_variance(level: Level, color: FloatArray) -> float:
     """Return the variance of the noise of one channel of a cell.
 
-    One pigment, or two, leave a direction among the channels in which little but noise changes; and of what
-    changes there, noise is what differs as much from one cell to the next as over two.
+    One or two pigments leave a direction among the channels in which little but noise changes. Of the changes
+    there, noise is the part that differs as much from one cell to the next as over two.
     """
     grain = color - local_mean(level, color, 1.0)
     least = np.linalg.eigh(grain.T @ grain)[1][:, 0]

@@ -47,21 +47,15 @@ def divide_light(
 ) -> Division:
     """Return (V - I_s) / I, drawn toward the neighbourhood's albedo where noise outweighs it.
 
-    With noise of standard deviation s in V the quotient has variance s^2 / I^2. Against a local variance t
-    of the albedo the best linear estimate keeps the part c = t / (t + s^2 / I^2) of the texel's own
-    deviation from the local mean (Wiener's filter). Where the light is less than about a seventh of its
-    median, what errs is the light itself, for surfaces around send some that no lamp does: there log I is
-    continued smoothly (harmonically) from where there is more, and the quotient by it takes over by the part
-    1 / (1 + (I / (0.15 median I))^6). The product of the two is the confidence.
+    With noise of standard deviation s in V the quotient has variance s^2 / I^2. Against a local variance t of
+    the albedo the best linear estimate keeps the part c = t / (t + s^2 / I^2) of the texel's own deviation
+    from the local mean (Wiener's filter). Where the light is less than about a seventh of its median, the
+    light itself is wrong, for surfaces around send some that no lamp does: there log I is continued smoothly
+    (harmonically) from where there is more, and the quotient by it takes over by the part 1 / (1 + (I / (0.15
+    median I))^6). The product of the two is the confidence, 0 outside `usable`.
 
-    Parameters
-    ----------
-    value, light, specular : (H, W) float64
-        V of the texture, I_a + I_d (> 0), I_s.
-    mask, usable : (H, W) bool
-        The surface; the texels with a trustworthy value. The others get confidence 0.
-    shrink : bool
-        Draw toward the means; the confidence is reported in any case.
+    `value`, `light` (> 0), `specular` (H, W) are V of the texture, I_a + I_d and I_s. Without `shrink`
+    nothing is drawn toward the means, but the confidence is the same.
     """
     divisor = np.where(light > 0, light, 1.0)
     quotient = np.where(mask, np.maximum(value - specular, 0.0) / divisor, 0.0)
@@ -94,8 +88,8 @@ def _continued_light(
 ) -> FloatArray:
     """Return `light` with its logarithm continued harmonically into `dim`; > 0 everywhere.
 
-    Across a shadow's sharp outline the light falls by as much as `value` does on average: not the light
-    but the albedo goes on there.
+    Across a shadow's sharp outline the light falls by as much as `value` does on average; it is the albedo,
+    and not the light, that is continuous there.
     """
     log_light = np.log(np.where(light > 0, light, 1.0))
     region, known = dim & mask, mask & ~dim
@@ -122,18 +116,11 @@ def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArra
 
 
 def noise_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:
-    """Return the standard deviation of additive noise in V: texture depends on the light, noise does not.
+    """Return the standard deviation of additive noise in V, separated from texture by how each follows light.
 
-    The variance of the second difference of V is k (s^2 + t I^2): noise s^2 does not know the light I,
-    texture t is multiplied by it. Both are fitted, not negative, to the medians over texels grouped by I.
-    0 where the light hardly varies, since the two cannot be told apart there.
-
-    Parameters
-    ----------
-    diffuse : (H, W) float64
-        V - I_s.
-    light : (H, W) float64
-    usable : (H, W) bool
+    The variance of the second difference of V - I_s, `diffuse` (H, W), is k (s^2 + t I^2): noise s^2 does not
+    depend on the light I, texture t is multiplied by it. Both are fitted, not negative, to the medians over
+    texels grouped by I. 0 where the light hardly varies, since the two cannot be separated there.
     """
     second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
     inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]

@@ -19,7 +19,7 @@ class AlbedoError:
 def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> AlbedoError:
     """Return the error of an albedo with the single best global scale a.
 
-    a = sum(A A_true) / sum(A^2): light strength and albedo cannot be told apart.
+    a = sum(A A_true) / sum(A^2): light strength and albedo cannot be separated.
 
     Parameters
     ----------

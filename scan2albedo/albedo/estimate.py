@@ -54,7 +54,7 @@ def estimate_albedo(
     Parameters
     ----------
     image : GeometryImage
-        With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not vote, but get
+        With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not count, but get
         an albedo; the nearest normal then serves.
     lights : "auto" or int
         Number of lights; "auto" adds lights while the evidence pays for them, one at least.

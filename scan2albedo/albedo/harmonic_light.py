@@ -28,8 +28,8 @@ def fit_harmonic_light(
 ) -> FloatArray:
     """Return (9, 3) coefficients of the shading of each channel, each of mean 1 over the usable texels.
 
-    Minimises sum rho(w (T - a_b Y c) / mean T) over c, with the block albedos a_b eliminated and rho the
-    soft L1 loss. The colour of the light cannot be told from the albedo's: hence the mean of 1.
+    Minimises sum rho(w (T - a_b Y c) / mean T) over c, with the block albedos a_b eliminated and rho the soft
+    L1 loss. The colours of light and albedo cannot be separated: hence the mean of 1.
 
     References
     ----------

@@ -38,27 +38,13 @@ def resynthesize(
     512), whose surroundings resemble its own most. Surroundings are compared in log albedo over the nearest
     known texels by sum min(1, x), with x the squared difference over the texture's own variance.
 
-    The gradients that the copies had where they came from are then integrated inwards from the border [2]_:
-    no step is left where two copies meet, or where their level or colour differs from the border's. Far from
-    any border small errors of gradients add up: no channel gets darker or brighter than all that is known.
+    The gradients that the copies had at their origin are then integrated inwards from the border [2]_: no
+    step is left where two copies meet, or where their level or colour differs from the border's. Far from any
+    border small errors of gradients add up: no channel gets darker or brighter than all that is known.
 
-    Parameters
-    ----------
-    albedo : (H, W, 3) float64
-    target, source : (H, W) bool
-        Texels to fill; texels to copy from.
-    context : (H, W) bool, optional
-        Texels to compare with but not to copy, beside the sources.
-    seed : int
-
-    Returns
-    -------
-    (H, W, 3) float64; unchanged outside `target`, and everywhere when there is no source.
-
-    Raises
-    ------
-    ValueError
-        When texels of `source` or `context` are not finite.
+    `albedo` (H, W, 3) is returned unchanged outside `target`, and everywhere when there is no source. Texels
+    of `context` are compared with but not copied, beside the sources. ValueError when texels of `source` or
+    `context` are not finite.
 
     Notes
     -----
@@ -223,10 +209,7 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, neig
 
 @njit(cache=True, nogil=True)
 def _nearest_known(field, known, row, column, offsets, near, own):  # type: ignore[no-untyped-def]
-    """Put the offsets of the known texels nearest to one into `near` (N, 2), their values into `own` (N, 3).
-
-    Return how many there are, N at most.
-    """
+    """Put offsets `near` (N, 2) and values `own` (N, 3) of the nearest known texels; return their number."""
     found = 0
     for k in range(offsets.shape[0]):
         i, j = row + offsets[k, 0], column + offsets[k, 1]

@@ -28,33 +28,14 @@ _CHOICE_SIDE = 15
 
 @dataclass(frozen=True)
 class Level:
-    """N cells of the image at one size.
+    """N cells of the image at one size; `weight` (N,) is the usable part of a cell's texels.
 
-    Parameters
-    ----------
-    position, normal : (N, 3) float64
-        Weighted means (normals of unit length again).
-    anchor : (N, 3) float64
-        Position of one texel of the cell: it lies on the surface, as the mean need not; shadow rays
-        start there.
-    value : (N,) float64
-        Mean V of the linear texture, divided by `unit`.
-    weight : (N,) float64
-        Part of the cell's texels that can be used.
-    scale : (N,) float64
-        Annotated strength of highlights.
-    unit : float
-        Median V of the usable texels: the unit of `value` and `color`, and of the highlight's strength.
-    color : (N, 3) float64
-        Mean linear colour, divided by `unit`.
-    cell : (N, 2) int64
-        Row and column among the cells.
-    center : (N, 2) float64
-        Mean row and column of the cell's texels.
-    texels : int
-        Of the whole chart.
-    factor : int
-        Side of a cell in texels.
+    `position`, `normal` (N, 3) are weighted means, normals of unit length again. `anchor` (N, 3) is one
+    texel's position, where shadow rays start: it lies on the surface, as the mean need not. `value` (N,) and
+    `color` (N, 3) are the mean V and colour of the linear texture divided by `unit`, the median V of the
+    usable texels, also the unit of the highlight's strength. `scale` (N,) is the annotated strength of
+    highlights. `cell` (N, 2) is row and column among the cells, `center` (N, 2) their mean among the texels.
+    `texels` counts those of the whole chart; `factor` is the side of a cell in texels.
     """
 
     position: FloatArray
@@ -97,8 +78,8 @@ def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
 def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.bool_]) -> FloatArray:
     """Return (H, W) the channel that is the brightest on average around each texel.
 
-    V itself is the largest of three channels with noise, and so brighter than the surface: most where the
-    channels are alike and the light is poor. Averages choose, so noise does not.
+    V itself is the largest of three noisy channels, and so brighter than the surface, most where the channels
+    are alike and the light is poor. Choosing by averages avoids that.
     """
     import cv2
 
@@ -130,12 +111,8 @@ def toward_viewer(image: GeometryImage, usable: NDArray[np.bool_], view: tuple[f
 def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.bool_]:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
-    Raises
-    ------
-    LightingError
-        When there is no texture, or fewer than `options.minimal_texels` such texels; says why.
-    GeometryImageError
-        For normals of another length than 1, or 0 where none is known.
+    LightingError when there is no texture, or fewer than `options.minimal_texels` such texels; says why.
+    GeometryImageError for normals of another length than 1, or 0 where none is known.
     """
     if image.texture_linear is None:
         raise LightingError(
@@ -167,10 +144,7 @@ def build_level(
     size: int,
     values: NDArray[np.floating] | None = None,
 ) -> Level:
-    """Average the usable texels into cells so that the longer side has at most `size` of them.
-
-    `values` (H, W) replaces V of the texture.
-    """
+    """Average usable texels of V, or of `values` (H, W), into cells, at most `size` along the longer side."""
     assert image.texture_linear is not None
     field = brightest_around(image.texture_linear, usable) if values is None else values
     factor = max(1, -(-max(image.shape) // size))

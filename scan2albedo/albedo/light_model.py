@@ -39,20 +39,11 @@ class Hypothesis:
 class LightModel:
     """Which parameters are free, and how a vector x holds them.
 
-    x = [p_x, p_y, log intensity] of each light, then, where free, radius/distance, roughness,
-    (specular strength, log exponent). p is the direction in exponential coordinates around the view
-    direction: |p| is the angle from it. That has no pole among the directions that light a face.
-
-    Parameters
-    ----------
-    lights : int
-    brdf : str
-    view : tuple of 3 floats
-        View direction.
-    radius_mm : float
-        Largest distance of the surface from the origin: the unit of the lights' distance.
-    near, rough, specular : bool
-        Whether the lights' (common) distance, the roughness, the highlight are free.
+    x = [p_x, p_y, log intensity] of each light, then, where free, radius/distance, roughness, (specular
+    strength, log exponent). p is the direction in exponential coordinates around the direction `view`: |p| is
+    the angle from it. That has no pole among the directions that light a face. `radius_mm`, the largest
+    distance of the surface from the origin, is the unit of the lights' common distance. `near`, `rough`,
+    `specular` free the distance, the roughness, the highlight.
     """
 
     lights: int
@@ -149,13 +140,7 @@ class LightModel:
         return Hypothesis(rows, reflectance)
 
     def position_of(self, part: str) -> int:
-        """Return where in x the parameter of "near", "rough" or "specular" (its strength) is.
-
-        Raises
-        ------
-        ValueError
-            When the part is not free.
-        """
+        """Return where in x "near", "rough" or "specular" (strength) is; ValueError when it is not free."""
         names = {
             "near": ("nearness",),
             "rough": ("variance", "minnaert"),

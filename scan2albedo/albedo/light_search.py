@@ -32,7 +32,7 @@ _FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
 _SPLIT_RAD = 0.2, 0.4
 """Half the angles between the two lights that replace one."""
 _CLOSER_LOOK = 0.5
-"""One more light is tried on a larger image when it removes this part of what is asked on the smallest."""
+"""Part of the required gain that one more light must bring on the smallest image to be tried on others."""
 _LAST_EVALUATIONS = 8
 """Of the descent on the largest image, which starts near its end."""
 _LEAST_EVALUATIONS = 4

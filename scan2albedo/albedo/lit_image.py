@@ -32,8 +32,7 @@ _LEAST_RESIDUAL = 1e-3
 class LightFound:
     """The best solution, the unit of its highlight's strength, the plan's rows, and what casts shadows.
 
-    Where that was estimated, how sure the light is, and (H, W) the relative deviation of the albedo that
-    follows.
+    Where they were estimated: how sure the light is, and (H, W) the relative deviation of the albedo.
     """
 
     solution: Solution
@@ -46,18 +45,7 @@ class LightFound:
 
 @dataclass(frozen=True)
 class LitImage:
-    """What a search for the light is given.
-
-    Parameters
-    ----------
-    image : GeometryImage
-    usable : (H, W) bool
-    brdf : str
-    view : (float, float, float)
-        Unit.
-    options : EstimateOptions
-    meter : Meter
-    """
+    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer."""
 
     image: GeometryImage
     usable: NDArray[np.bool_]
@@ -104,9 +92,9 @@ class LitImage:
 
 
 def shading_direction(level: Level) -> FloatArray:
-    """Return the unit direction in which the cells grow bright: V ~ a + b . n in L1, reweighted a few times.
+    """Return the unit direction in which the cells grow bright, +z where nothing grows.
 
-    +z where nothing grows.
+    V ~ a + b . n in L1, reweighted a few times [1]_.
 
     References
     ----------

@@ -49,8 +49,8 @@ _BLACK = 1e-3
 class Part:
     """An optional part of the light's model: stage and name for the plan, and what it has to bring.
 
-    These are the root mean square change of the albedo, and beside it either the standard deviations of its
-    parameter from nothing or the part of the cost that it removes.
+    `effect` is the least root mean square change of the albedo; beside it, either `deviations`, standard
+    deviations of its parameter from nothing, or `gain`, the part of the cost that it removes, is required.
     """
 
     stage: str
@@ -93,7 +93,7 @@ class PartsDecided:
 def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) -> LightEvidence:
     """Compare a solution with one more light to one with fewer, both optima of `problem`.
 
-    It is accepted when it removes enough of the cost, changes the albedo, is not far weaker than the
+    The light is accepted when it removes enough of the cost, changes the albedo, is not far weaker than the
     strongest, and its direction is known.
     """
     gain = cost_removed(more.cost, fewer.cost)
@@ -154,15 +154,9 @@ def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
 
 
 def decide_parts(problem: ResidualProblem, full: Solution, options: EstimateOptions) -> PartsDecided:
-    """Divide out what colour tells, then leave out the parts that the scene does not need.
+    """Divide out the texture that colour predicts, then leave out the parts that the scene does not need.
 
-    Parameters
-    ----------
-    problem : ResidualProblem
-        Without guide.
-    full : Solution
-        An optimum of it with every allowed part free.
-    options : EstimateOptions
+    `full` is an optimum, every allowed part free, of `problem`, which has no guide yet.
     """
     rows = list[PlanStep]()
     current, chosen, highlight = _decide_highlight(problem, full, options, rows)
@@ -276,17 +270,11 @@ def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> floa
 
 
 def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
-    """Return the plan's row that names parameters of the light at an end of their range.
+    """Return the plan's row about parameters of the light that are at an end of their range.
 
     A better light may lie beyond: an ambient light too weak to be seen, a lamp that touches the skin, no
-    light at all. Light that the model lacks stays in the albedo: the row also says where the brightest
-    0.2 % of it is many times its median.
-
-    Parameters
-    ----------
-    solution : Solution
-    albedo : (N,) float64
-        V of the albedo where it was measured.
+    light at all. Light that is no part of the model stays in the albedo: the row also says where the
+    brightest 0.2 % of `albedo` (N,), its V where it was measured, is many times the median.
     """
     found = _at_end(solution)
     median, brightest = np.percentile(albedo, (50, _BRIGHTEST))

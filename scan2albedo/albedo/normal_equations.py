@@ -57,20 +57,12 @@ def normal_equations(  # type: ignore[no-untyped-def]
     """Fill the normal equations of the cost that `block_albedos` returned, around what it left.
 
     The block albedos a_b are eliminated: their part of the Gauss-Newton matrix is taken out by the Schur
-    complement, so that a step in the P parameters of the light lets them follow.
+    complement, so that a step in the P parameters of the light lets them follow [1]_.
 
-    Parameters
-    ----------
-    value, weight : (N,) float64
-        T; w, of which `weight` times `value` is about 1.
-    light, specular : (N,) float64
-    light_slope, specular_slope : (>= P, N) float64
-        See `lighting.kernels.shade_with_derivatives`.
-    blocks : (S, N) int32
-    robust, albedo, mass : (S, N), (B,), (B,) float64
-        From `block_albedos`.
-    matrix, gradient : (P, P), (P,) float64
-        Filled; the step that solves ``matrix step = -gradient`` lessens the cost.
+    `value`, `light`, `specular` (N,) are T, I and I_s; w, `weight` (N,), times `value` is about 1.
+    `light_slope`, `specular_slope` (>= P, N) come from `lighting.kernels.shade_with_derivatives`, `robust`,
+    `albedo`, `mass` from `block_albedos`; `blocks` (S, N) are int32. `matrix` (P, P) and `gradient` (P,) are
+    filled; the step that solves ``matrix step = -gradient`` lessens the cost.
 
     References
     ----------
@@ -119,10 +111,9 @@ def cluster_scores(  # type: ignore[no-untyped-def]
     clusters,
     scores,
 ):
-    """Fill `scores` (C, P) with each cluster's part of the gradient.
+    """Fill `scores` (C, P) with each cluster's part of the gradient of `normal_equations`.
 
-    The other arguments are those of `normal_equations`. `clusters` (N,) are patches of the surface:
-    texture correlates within them, hardly between them.
+    `clusters` (N,) are patches of the surface: texture correlates within them, hardly between them.
     """
     size = scores.shape[1]
     scores[:, :] = 0.0

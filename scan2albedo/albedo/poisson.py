@@ -22,19 +22,12 @@ def forward_differences(field: FloatArray) -> tuple[FloatArray, FloatArray]:
 def integrate_gradients(
     field: FloatArray, region: BoolArray, known: BoolArray, across: FloatArray, down: FloatArray
 ) -> FloatArray:
-    """Return `field` (H, W) with `region` replaced by the least-squares integral of a gradient.
+    """Return `field` (H, W) with `region` replaced by the least-squares integral of a gradient [1]_.
 
     Minimises sum (u_j - u_i - g_ij)^2 over neighbours i, j of which one at least lies in `region` and the
-    other in `region` or `known`; u = field on `known`. The system is L u = div g, one row a texel.
-
-    Parameters
-    ----------
-    field : (H, W) or (H, W, C) float64
-        The channels share one factorisation.
-    region, known : (H, W) bool
-        Unknown texels; texels that keep their value.
-    across, down : (H, W - 1), (H - 1, W) float64, or with C channels
-        Wanted forward differences.
+    other in `region` or `known`; u = field on `known`. The system is L u = div g, one row a texel. `across`
+    (H, W - 1) and `down` (H - 1, W) are the wanted forward differences; with channels (..., C), all share one
+    factorisation.
 
     References
     ----------

@@ -56,23 +56,15 @@ def rectify(
 ) -> Rectification:
     """Limit the gradients of log albedo in a band around shadow outlines to what is usual beside it.
 
-    Where the estimated outline misses the real one, by a penumbra or a small error of the light, the
-    quotient holds a bright or dark line: the albedo steps up where the light steps down. Connected pieces of
-    the outlines where it does so on more than a twentieth of their length are repaired. The texture's own
-    gradients are known from beside the band: those above their 95th percentile, but no steeper than the
-    light's own step makes them, are cut to it, and the albedo is integrated again from the band's border
-    (gradient-domain form of the rectification of [1]_).
+    Where the estimated outline misses the real one, by a penumbra or a small error of the light, the quotient
+    holds a bright or dark line: the albedo steps up where the light steps down. Connected pieces of the
+    outlines where it does so on more than a twentieth of their length, or all with `force`, are repaired. The
+    texture's own gradients are known from beside the band: those above their 95th percentile, but no steeper
+    than the light's own step makes them, are cut to it, and the albedo is integrated again from the band's
+    border (gradient-domain form of the rectification of [1]_).
 
-    Parameters
-    ----------
-    albedo, light : (H, W) float64
-        V of the albedo; I_a + I_d.
-    shadow : (H, W) float64
-        1 where any light is cut off by a cast shadow.
-    usable : (H, W) bool
-        Texels with a trustworthy albedo.
-    force : bool
-        Repair whatever the evidence says.
+    `albedo` and `light` (H, W) are V of the albedo and I_a + I_d; `shadow` (H, W) is 1 where a cast shadow
+    cuts any light off; `usable` (H, W) marks texels with a trustworthy albedo.
 
     References
     ----------
@@ -109,7 +101,7 @@ def rectify(
 def _outlines_with_lines(
     log_albedo: FloatArray, light: FloatArray, shadow: FloatArray, usable: BoolArray, band: BoolArray
 ) -> tuple[float, BoolArray]:
-    """Return the share of outline pairs that betray a line, less those by chance, and the pieces to repair.
+    """Return the share of outline pairs that show a line, less those by chance, and the pieces to repair.
 
     Whether the estimated shadow is too large, too small or too sharp: just at its outline the albedo steps up
     from light to shadow by about as much as the light steps down. Texture steps up as often as down. So the

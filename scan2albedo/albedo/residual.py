@@ -50,14 +50,7 @@ class ResidualProblem:
     """The robust residual sum w |T - I_s - a_b I| / sum w T of one `Level`.
 
     The weights w are one over the local brightness (and the noise's floor): texture is a part of the
-    brightness, so every cell tells about as much.
-
-    Parameters
-    ----------
-    level : Level
-    shadows : ShadowLattice
-    meter : Meter
-        Counts the evaluations.
+    brightness, so every cell counts about as much. `meter` counts the evaluations.
     """
 
     def __init__(self, level: Level, shadows: ShadowLattice, meter: Meter) -> None:
@@ -75,10 +68,7 @@ class ResidualProblem:
         self.total = len(_SHIFTS) * float(self.weight @ self.value)
 
     def guided(self, specular: FloatArray | None) -> ResidualProblem:
-        """Return the problem with the texture that colour predicts divided out.
-
-        `specular` (N,), a highlight, is taken off the colours first.
-        """
+        """Return the problem without the texture that colour predicts, after removal of a highlight (N,)."""
         other = copy.copy(self)
         other._use(color_guide(self.level, specular))
         return other
@@ -92,13 +82,8 @@ class Residual:
     """The residual at x (P,), clipped to the model's bounds: one counted evaluation.
 
     The block albedos are the reweighted estimate that the weights `robust` (S, N) lead to, or equal ones.
-    Without `outlines` the shadows' outlines stay where they are when the light moves.
-
-    Attributes
-    ----------
-    cost : float
-    light, specular : (N,) float64
-        I and I_s of the cells, in the unit of the problem's value.
+    Without `outlines` the shadows' outlines stay where they are when the light moves. `light`, `specular`
+    (N,) are I and I_s of the cells, in the unit of the problem's value.
     """
 
     def __init__(
@@ -183,11 +168,11 @@ class Residual:
         return self.specular * self.problem.guide.albedo
 
     def covariance(self) -> FloatArray:
-        """Return (P, P) the covariance of x at an optimum, robust to texture that correlates nearby.
+        """Return (P, P) the covariance of x at an optimum, robust to texture that correlates nearby [1]_.
 
         H^-1 (sum_c g_c g_c') H^-1 with the gradients g_c of patches of the surface, and H scaled from the
-        weights of reweighting to the loss's own curvature. To be asked of a residual without `outlines`:
-        where exactly they run depends on the mesh's every edge.
+        weights of reweighting to the loss's own curvature. Use it on a residual without `outlines`: where
+        exactly they run depends on the mesh's every edge.
 
         References
         ----------
@@ -223,10 +208,7 @@ def _clusters(level: Level) -> NDArray[np.int64]:
 
 
 def descend(problem: ResidualProblem, model: LightModel, x: FloatArray, evaluations: int) -> Solution:
-    """Return a local minimum near x, after so many evaluations at most.
-
-    x itself with an infinite cost where the budget has already ended.
-    """
+    """Return a minimum near x by at most `evaluations`; x at infinite cost when the budget had ended."""
     if problem.meter.exhausted:
         return Solution(model, np.clip(x, *model.bounds), math.inf)
     start = problem.at(model, x)

@@ -25,7 +25,7 @@ class AlbedoEstimate:
     Parameters
     ----------
     albedo_linear : (H, W, 3) float32
-        Up to one global scale, which no image tells: ambient light is 1.
+        Up to one global scale, which no image determines: ambient light is 1.
     lights : tuple of PointLight
         Strongest first; empty for spherical harmonics.
     parameters : dict

@@ -21,7 +21,7 @@ _LEAST_DEVIATION = 0.02
 """Least standard deviation of log albedo that a highlight is measured in."""
 _RADIUS = 40 / 512
 _ENOUGH = 64
-"""Fewer trustworthy texels than this neither tell a highlight from the albedo nor make a regression."""
+"""Fewer trustworthy texels than this neither show a highlight nor make a regression."""
 _POOLED = 0.1
 """All sources together count as much as this part of a window full of sources."""
 _RIDGE = 2e-5
@@ -39,10 +39,10 @@ def inpainted(
 ) -> tuple[NDArray[np.float32], PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
-    What the input clipped decides, not what the light model expects. Where a channel survived, it tells the
-    others (`restore_channels`): in highlights and under over-exposure alike. Where none did, texture is
-    resynthesised from beside it (`resynthesize`), unless so much is lost that it was no highlight.
-    Nothing is filled, or copied from, where the annotation forbids it.
+    The texels that the input clipped are rebuilt, not those that the light model expects. Where a channel
+    survived, the others follow from it (`restore_channels`): in highlights and under over-exposure alike.
+    Where none did, texture is resynthesised from beside it (`resynthesize`), unless so much is lost that it
+    was no highlight. Nothing is filled, or copied from, where the annotation forbids it.
     """
     assert image.texture_linear is not None
     stage = "albedo.inpainting"
@@ -90,14 +90,9 @@ def missed_highlight(
 
     White light lifts the darkest channel most, and that channel clips last. A clipped texel in which it lies
     more than four (robust) standard deviations above the sources' median is such a highlight, with all
-    connected to it that lies two above: what survived there is not the albedo's.
-
-    Parameters
-    ----------
-    albedo_linear : (H, W, 3) float64
-        As divided.
-    clipped, source, allowed : (H, W) bool
-        Texels with a clipped channel; trustworthy texels; texels that may belong to the result.
+    connected to it that lies two above: what survived there is not the albedo's. `albedo_linear` is (H, W, 3)
+    as divided; `clipped`, `source`, `allowed` (H, W) are texels with a clipped channel, trustworthy texels,
+    and texels that may belong to the result.
     """
     nothing = np.zeros_like(clipped)
     if int(source.sum()) < _ENOUGH:
@@ -114,32 +109,20 @@ def missed_highlight(
 
 
 def restore_channels(albedo: FloatArray, lost: NDArray[np.bool_], source: BoolArray) -> FloatArray:
-    """Return `albedo` with the lost channels of texels predicted from their surviving ones.
+    """Return `albedo` (H, W, 3) with the lost channels of texels predicted from their surviving ones.
 
     The camera's channels clip one after another, on skin red long before blue. Around each texel (40 texels
     at 512) the log albedo of a lost channel c is regressed on that of the surviving ones s over the sources,
 
     log A_c = m_c + sum_s b_s (log A_s - m_s), b = (C_ss + r)^-1 (C_sc + r / |s|),
 
-    with means m, covariances C and a small ridge r that draws towards constant ratios. Few pigments colour
-    a face, so that one channel tells much of the others; this is what a guided filter [1]_ does. The clipped
-    value itself, divided by the light, is the least a lost channel can be.
+    with means m, covariances C and a small ridge r that draws towards constant ratios. Few pigments colour a
+    face, so one channel predicts much of the others, as in a guided filter [1]_. The clipped value itself,
+    divided by the light, is the least a lost channel can be.
 
-    Parameters
-    ----------
-    albedo : (H, W, 3) float64
-    lost : (H, W, 3) bool
-        Channels without a trustworthy value. Texels that lost all three are left as they are.
-    source : (H, W) bool
-        Texels to learn from.
-
-    Returns
-    -------
-    (H, W, 3) float64; unchanged where nothing is lost, and everywhere when there are too few sources.
-
-    Notes
-    -----
-    Sums over windows come from tables of running sums: the cost is linear in the texels of the bounding box.
+    `lost` (H, W, 3) marks channels without a trustworthy value; texels that lost all three, and everything
+    when there are too few texels of `source` (H, W), are left as they are. Sums over windows come from tables
+    of running sums: the cost is linear in the texels of the bounding box.
 
     References
     ----------

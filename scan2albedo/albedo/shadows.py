@@ -25,7 +25,7 @@ LEAST_SHADOW = 0.01
 _FEWEST = 0.05
 """Part of the cells that has to face a direction for its figure to mean something."""
 _COARSE = 160
-"""Longer side, in texels, of a chart that tells whether there are shadows."""
+"""Longer side, in texels, of a chart that shows whether there are shadows."""
 _SPACING = 2.0
 """Distance of the lattice's nodes in cells of the image (as a part of its longer side)."""
 _NEARNESS = 2.0
@@ -37,17 +37,8 @@ def shadow_caster(
 ) -> tuple[RayCaster | None, PlanStep]:
     """Return the shadow caster, or None where the surface hardly shades itself, and the plan's row.
 
-    When the meter's budget has ended, a coarse mesh casts shadows without a look whether there are any.
-
-    Parameters
-    ----------
-    image : GeometryImage
-    level : Level
-        Its cells are looked at.
-    directions : (D, 3) float64
-        Of distant lights that are tried.
-    options : EstimateOptions
-    meter : Meter
+    The cells of `level` are tested under distant lights from `directions` (D, 3). When the meter's budget has
+    ended, a coarse mesh casts shadows without that test.
     """
     stage = "albedo.shadows"
     choice = options.choice(stage)
@@ -72,7 +63,7 @@ def shadow_caster(
 
 
 def _coarse_occluder(image: GeometryImage) -> Occluder | None:
-    """Return a mesh good enough to see whether there are shadows: a dense chart takes long to make ready.
+    """Return a mesh good enough to see whether there are shadows, which a dense chart would delay.
 
     None where the occluder itself is at hand.
     """
@@ -102,15 +93,7 @@ class ShadowLattice:
 
     The lattice's axes are the two coordinates of a light's direction and its nearness (see `LightModel`), so
     the visibility is continuous in the parameters of a light and has derivatives. Nodes are kept: a local
-    search rarely shoots rays.
-
-    Parameters
-    ----------
-    level : Level
-    caster : RayCaster, optional
-        None where nothing casts shadows: everything is visible.
-    offset_mm : float
-        Of shadow rays.
+    search rarely shoots rays. Without `caster` everything is visible.
     """
 
     def __init__(self, level: Level, caster: RayCaster | None, offset_mm: float) -> None:
@@ -123,7 +106,7 @@ class ShadowLattice:
     def visibility(self, model: LightModel, x: FloatArray) -> tuple[Visibility, Visibility]:
         """Return (L, N) visibility and (L, 2, N) its derivatives by the directions' coordinates.
 
-        That by nearness is left out: so small a move of an outline is mostly the mesh's edges.
+        The derivative by nearness is left out: so small a move of an outline is mostly the mesh's edges.
         """
         lights, cells = model.lights, len(self._position)
         if self._rays is None:

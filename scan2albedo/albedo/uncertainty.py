@@ -124,7 +124,7 @@ def light_uncertainty(
 ) -> tuple[LightUncertainty, FloatArray]:
     """Return how sure a solution is, and (N,) the relative deviation of each cell's albedo that follows.
 
-    The covariance of the parameters, robust to texture that correlates nearby (see `Residual.covariance`),
+    The covariance of the parameters, robust to texture that correlates nearby (see `Residual.covariance`), is
     carried to the albedo by its derivatives.
     """
     model, x = solution.model, solution.x
