@@ -180,10 +180,7 @@ class GeometryImage:
 
 
 def check_size(size: int) -> None:
-    """Refuse what is no number of texels a side.
-
-    Raises GeometryImageError for less than `SMALLEST_SIZE` or more than `LARGEST_SIZE`, or no whole number.
-    """
+    """Raise GeometryImageError unless `size` is a whole number from `SMALLEST_SIZE` to `LARGEST_SIZE`."""
     if isinstance(size, Integral) and SMALLEST_SIZE <= size <= LARGEST_SIZE:
         return
     reason = "too small" if isinstance(size, Integral) and size < SMALLEST_SIZE else "no size"

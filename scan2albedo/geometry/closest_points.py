@@ -27,10 +27,7 @@ class ClosestHits:
 
 
 class ClosestPointQuery:
-    """Closest-point queries against one mesh in any unit; build once, ask often.
-
-    Raises ValueError when there is no face.
-    """
+    """Closest-point queries against one mesh in any unit; raises ValueError when there is no face."""
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
@@ -70,10 +67,7 @@ class ClosestPointQuery:
 
 
 def checked_points(points: ArrayLike) -> FloatArray:
-    """Return points (N, 3) as contiguous float64.
-
-    Raises ValueError when some are NaN, infinite, or so far away that squared distances overflow.
-    """
+    """Return points (N, 3) as float64. Raises ValueError for NaN, infinite or overflowing ones."""
     targets = np.ascontiguousarray(points, np.float64)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
         raise ValueError(

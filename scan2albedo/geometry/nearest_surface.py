@@ -74,7 +74,7 @@ class NearestSurface:
     def query(self, points: FloatArray, start: IntArray | None = None) -> NearestHits:
         """Return the closest surface points of points (N, 3).
 
-        `start` (N,) is `vertex` of an earlier answer for nearby points; the search walks from there.
+        The search walks from `start` (N,), the `vertex` of an earlier answer for nearby points, if given.
         """
         targets = checked_points(points)
         if start is None:

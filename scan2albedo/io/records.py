@@ -102,7 +102,7 @@ def parse_record(
 ) -> Content:
     """Return the record that JSON text holds.
 
-    `place` is what the text was read from and `whole` its name, for messages; the rest as in `read_record`.
+    Messages say that the text was read from `place` and call it `whole`; the rest as in `read_record`.
     """
     try:
         return kind.model_validate_json(text)

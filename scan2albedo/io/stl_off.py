@@ -52,10 +52,7 @@ def read_stl(path: Path) -> ParsedMesh:
 
 
 def read_off(path: Path) -> ParsedMesh:
-    """Read an ASCII OFF file.
-
-    Raises ScanError, naming it, when it is damaged, binary, or shorter than its header declares.
-    """
+    """Read an ASCII OFF file. Raises ScanError, naming it, when it is damaged, binary or cut short."""
     data = path.read_bytes()
     header = _HEADER.match(data)
     if header is None or header[0].endswith(b"BINARY"):

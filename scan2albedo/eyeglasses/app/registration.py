@@ -154,10 +154,7 @@ def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[st
 
 
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
-    """Write a registered frame into `out` and return the figures of its `result.json`.
-
-    Raises OutputError, naming folder and cause.
-    """
+    """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
     with result_folder(out, RECORD) as staging:
         return _write_all(done, staging)
 

@@ -50,7 +50,7 @@ class WeightedFrame:
 def frames_of(
     meshes: Sequence[Any], keypoints: Sequence[ArrayLike], weights: Sequence[ArrayLike] | None
 ) -> list[Frame]:
-    """Return the frames of `canonicalize`'s arguments.
+    """Return the arguments of `canonicalize` as frames.
 
     Raises EyeglassesError when there is none, ValueError when shapes do not fit together.
     """

@@ -168,7 +168,10 @@ def _shoot(
     hit: int,
     free: int,
 ) -> None:
-    """Shoot `gather`'s rays, some lights at a time; add `hit` or `free` to paths by whether they hit."""
+    """Shoot the rays that `gather` collects, for some lights at a time.
+
+    `hit` and `free` are added to the paths of rays that meet something and of the others.
+    """
     lights = paths.shape[1]
     at_once = max(1, _RAYS // max(count, 1))
     most = count * min(at_once, lights)

@@ -146,8 +146,8 @@ class PhotographedScene:
     def _background(self, rays: SceneRays) -> tuple[FloatArray, BoolArray]:
         """Return colours (N, 3) of a background far away, and where the photograph shows none there.
 
-        Then the background is taken from as near as possible to where the lens itself is seen: surfaces that
-        a ray passes by may hide what lies in its direction over long stretches.
+        Then the background is taken from as near as possible to where the lens itself is seen: surfaces may
+        hide a ray's own direction over long stretches.
         """
         pixels, _ = project(self._camera, self._center + rays.directions)
         linear, known = self._sample(pixels, np.full(len(pixels), _AWAY))

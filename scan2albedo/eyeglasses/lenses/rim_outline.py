@@ -215,7 +215,7 @@ def subdivide_rim(
 
     Each level puts a point into the middle of every edge, by the four-point rule (9 (b + c) - a - d) / 16
     [1]_, and moves it to the closest vertex of the frame if there is one near; where the frame is open the
-    curve stays round. It ends on whichever side of the rim's tube the vertices lie: up to 4.5 mm off on
+    curve stays round. It follows whichever side of the rim's tube the vertices are on: up to 4.5 mm off on
     synthetic frames. Rays are better wherever they hit.
 
     .. [1] N. Dyn, D. Levin, J. A. Gregory, "A 4-point interpolatory subdivision scheme for curve design",

@@ -220,9 +220,9 @@ class _Sums:
 
 
 def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return pixels (N, 2), derivatives (N, 2, 3) and in front (N,) of points, each in its camera.
+    """Return pixels (N, 2), NaN behind the camera, and their derivatives; which points lie in front (N,).
 
-    Pixels behind the camera are NaN.
+    Each point is seen by its own camera; the derivatives are (N, 2, 3). A tuple of three for the two callers.
     """
     image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
     front = image[:, 2] > 0

@@ -261,10 +261,7 @@ def _with_handles(cells: IntArray, owners: IntArray) -> IntArray:
 def _parts_out_of_reach(
     lattice: Lattice, local: FloatArray, faces: IntArray
 ) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return the followers, their leaders and the step of the plan.
-
-    Each part of the faces out of reach follows its vertex nearest to the lattice.
-    """
+    """Return followers, leaders (each part's vertex nearest to the lattice) and the step of the plan."""
     used = np.zeros(len(local), bool)
     used[faces.ravel()] = True
     outside = np.flatnonzero(used & (lattice.find(np.floor(local).astype(np.int64)) < 0))

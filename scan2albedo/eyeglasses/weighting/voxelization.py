@@ -51,10 +51,9 @@ def unique_cells(cells: IntArray) -> IntArray:
 
 
 def enclosed_cells(cells: IntArray) -> IntArray:
-    """Return the cells (E, 3) that `cells` (C, 3) shut off from the outside.
+    """Return the cells (E, 3) that `cells` (C, 3) enclose.
 
-    Holes smaller than a cell are closed; larger ones leave the part hollow, as do boxes of more than 2^26
-    cells.
+    Holes smaller than a cell are closed; larger ones leave the part hollow, as do boxes of over 2^26 cells.
     """
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
