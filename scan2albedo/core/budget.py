@@ -76,7 +76,7 @@ GRACE_SHARE, GRACE_S = 0.2, 0.3
 
 
 def grace(seconds: float) -> float:
-    """Return the seconds by which a budget of so many may be overrun.
+    """Return the seconds by which a budget of `seconds` may be overrun.
 
     >>> grace(1.0), grace(10.0)
     (0.3, 2.0)
@@ -135,7 +135,7 @@ class Meter:
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
     def would_overrun(self, seconds: float) -> bool:
-        """Whether work of so many seconds would overrun the budget by more than its `grace`."""
+        """Whether work that takes `seconds` would overrun the budget by more than its `grace`."""
         budget = self.budget.seconds
         return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
 

@@ -60,7 +60,7 @@ def checked_keypoints(name: str, values: ArrayLike) -> FloatArray:
 
 
 def checked_weights(name: str, values: ArrayLike, count: int) -> FloatArray:
-    """Return weights (V, 20) of so many vertices; raises ValueError for another shape."""
+    """Return weights (V, 20) of `count` vertices; raises ValueError for another shape."""
     weights = np.ascontiguousarray(values, np.float64)
     if weights.shape != (count, KEY_POINT_COUNT):
         raise ValueError(f"{name} must have shape ({count}, {KEY_POINT_COUNT}), got {weights.shape}")

@@ -111,7 +111,7 @@ class RayCaster:
 
 
 def _check_mesh(vertices: FloatArray, faces: IntArray) -> None:
-    """Refuse what embree would read past the end of: it checks nothing."""
+    """Refuse arrays that embree would read past the end of: it checks nothing."""
     for name, array in (("vertices", vertices), ("faces", faces)):
         if array.ndim != 2 or array.shape[1] != 3:
             raise ValueError(f"{name} of the mesh have shape {array.shape}, expected (N, 3)")

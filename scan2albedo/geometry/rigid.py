@@ -133,7 +133,7 @@ def procrustes(
 
     Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0, with
     `weights` w (N,) >= 0. Raises ValueError when shapes do not agree, points are not finite, all weights are
-    0, or `scale` is asked for of points that coincide.
+    0, or `scale` is wanted of points that coincide.
 
     .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
        IEEE PAMI 13(4), 1991.

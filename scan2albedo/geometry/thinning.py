@@ -57,8 +57,8 @@ def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurfac
 def _on_odd_edge(count: int, faces: IntArray) -> BoolArray:
     """Return (V,) True at edges of an odd number of faces.
 
-    A border is the sum of all faces' borders modulo 2; joining vertices maps the one as the other, so
-    that faces that came to lie on each other make no border where there was none.
+    A border is the sum of all faces' borders modulo 2, and joining vertices keeps that sum: faces that then
+    coincide make no border where there was none.
     """
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keys = np.sort(edges[:, 0] * np.int64(count) + edges[:, 1])

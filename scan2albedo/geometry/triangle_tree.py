@@ -99,7 +99,7 @@ def _longest_axis(order, centre, start, end):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _halve(order, centre, start, end, middle, axis):  # type: ignore[no-untyped-def]
-    """Order [start, end) so that what lies before `middle` is not above what lies after it (quickselect)."""
+    """Order [start, end) so that no centre before `middle` is above one after it (quickselect)."""
     low, high = start, end - 1
     while low < high:
         pivot = centre[order[(low + high) // 2], axis]

@@ -221,7 +221,7 @@ def _joined_colors(parts: list[ParsedMesh], materials: tuple[Material, ...]) -> 
 
 @dataclass(frozen=True)
 class _GltfFile:
-    """`tree` is the JSON of a file, `rest` what follows it in a GLB."""
+    """The JSON `tree` of a file, and the bytes `rest` that follow it in a GLB."""
 
     path: Path
     tree: dict[str, Any]

@@ -106,7 +106,7 @@ def load_scan_with(
 
 
 def read_mesh_file(file: Path) -> ParsedMesh:
-    """Return what stands in a file: vertices in its own order and unit, nothing repaired.
+    """Return the mesh of a file: vertices in its own order and unit, nothing repaired.
 
     Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """

@@ -89,7 +89,7 @@ def face_photograph(
     options: FacePhotographOptions = FacePhotographOptions(),
     model: AnnotatedFaceModel | None = None,
 ) -> FacePhotograph:
-    """Photograph the person of `flash_capture(seed)` under an environment map.
+    """Return a picture of the person of `flash_capture(seed)` under an environment map.
 
     Parameters
     ----------
@@ -102,10 +102,6 @@ def face_photograph(
     options : FacePhotographOptions
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
-
-    Returns
-    -------
-    FacePhotograph
 
     Raises
     ------

@@ -133,7 +133,7 @@ def flash_capture(
     options: FlashCaptureOptions = FlashCaptureOptions(),
     model: AnnotatedFaceModel | None = None,
 ) -> FlashCapture:
-    """Photograph a random person with one flash at a time.
+    """Return pictures of a random person with one flash at a time.
 
     Skin reflects as `VertexReflectance` says; hair, clothes and the rest of the head are there, too, hide
     and cast shadows. Radiance comes from code of its own, rays from Open3D.
@@ -147,10 +147,6 @@ def flash_capture(
     options : FlashCaptureOptions
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
-
-    Returns
-    -------
-    FlashCapture
 
     Examples
     --------

@@ -200,7 +200,7 @@ class GlossyFace:
 
     @classmethod
     def truth_of(cls, person: GlossyPerson, levels: int) -> GlossyFace:
-        """Return the face of a person after so many levels of subdivision."""
+        """Return the face of a person after `levels` of subdivision."""
         sitter = person.sitter
         subdivision = sitter.model.subdivision(levels)
         # Vertices of coarser levels are the first ones of finer levels.

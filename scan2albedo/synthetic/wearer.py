@@ -28,7 +28,7 @@ _TILT_DEG = 3.0
 """Lower rims lean towards the cheeks, as opticians fit them."""
 _BELOW_EYES_MM = 3.0
 _FRONT_MM = 12.0
-"""What lies this far behind the hinges or less may touch the face."""
+"""Vertices this far behind the hinges or less may touch the face."""
 _WIDEST_SPREAD_MM = 16.0
 
 

@@ -85,7 +85,7 @@ class PlacedFrame:
         }
 
     def summary(self) -> str:
-        """Return one line a person can judge the result by."""
+        """Return one line on how well the frame is known."""
         figures = self.figures()
         known = figures["observed_deviation_rms_mm"]
         sure = "nothing is observed" if known is None else f"known to {known:.2f} mm rms"
@@ -139,7 +139,7 @@ def register_frame(
 
 
 def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[str]:
-    """Return what says that the inputs may not belong together."""
+    """Return the signs that the inputs may not belong together."""
     notes = []
     if given.head is not None:
         marks = result.keypoints[np.isfinite(result.keypoints).all(1)]

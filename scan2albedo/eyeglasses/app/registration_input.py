@@ -92,7 +92,7 @@ def read_registration(files: RegistrationFiles) -> RegistrationInput:
     """Read the files of a registration.
 
     Raises EyeglassesError or ScanError, naming the file, when one cannot be read or they do not belong
-    together; ValueError for an unknown unit, or key points for a frame that brings its own.
+    together; ValueError for an unknown unit, or key points for a frame that already has them.
     """
     cameras = read_cameras(files.cameras)
     hashes = {"cameras": _hashed(files.cameras), "labels": _hashed(files.labels)}

@@ -115,7 +115,7 @@ def weigh_frames(
 def _weighted(
     frame: Frame, spacing: str | float, options: WeightOptions, meter: Meter, frames_left: int
 ) -> WeightedFrame:
-    """Solve the weights in an even share of what is left of the budget, unless they are given."""
+    """Solve the weights in an even share of the budget left, unless they are given."""
     if frame.weights is not None:
         return WeightedFrame(frame, frame.weights, True, Plan((PlanStep(STAGE, False, "given"),)))
     seen = np.flatnonzero(np.isfinite(frame.points).all(1))

@@ -54,7 +54,7 @@ class LensPaths:
     hits: RayHits
     """On the scene, from the origins along the directions."""
     share: FloatArray
-    """(N, 3) of what lies behind in the ray's colour."""
+    """(N, 3) of the scene behind the lenses in the ray's colour."""
     first: IntArray
     """(N,) side of the first lens passed; -1 for none."""
     bent: BoolArray
@@ -152,7 +152,7 @@ def _bend(lens: ThinLens, before: FloatArray, position: FloatArray) -> FloatArra
 def _shares(
     lens: InsertedLens, rays: IntArray, position: FloatArray, heading: FloatArray, arriving: FloatArray
 ) -> tuple[LensCrossings, FloatArray]:
-    """Return what happens at a lens and the share (M, 3) of what lies behind it."""
+    """Return the crossings of a lens and the share (M, 3) of the scene behind it in the colour."""
     material, normal = lens.material, np.asarray(lens.optics.normal)
     flat = position - ((position - np.asarray(lens.optics.center)) @ normal)[:, None] * normal
     mirrored = mirror_on_sphere(flat, heading, lens.optics.center, normal, material.front_radius_mm)

@@ -159,7 +159,7 @@ class LensRenderer:
         return edge.ravel()
 
     def _rays(self, pixels: FloatArray, light: Illumination, keep: bool, together: int) -> _Batch:
-        """Return one ray through each of the pixels (N, 2); so many in a row are not parted."""
+        """Return one ray through each of the pixels (N, 2); groups of `together` stay in one part."""
         ends, colors, kept = [], [], []
         size = max(_BAND // max(together, 1), 1) * max(together, 1)
         for start in range(0, max(len(pixels), 1), size):

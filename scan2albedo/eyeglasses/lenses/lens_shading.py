@@ -205,8 +205,8 @@ class LensMaterial:
     fresnel: bool = False
     """Whether the reflection grows towards glancing angles (Schlick), at the cost of all other shares."""
     tinting: Literal["paint", "filter"] = "paint"
-    """`paint` adds the tint as a matte colour, the paper's way; `filter` multiplies what lies behind with it,
-    as dyed glass does."""
+    """`paint` adds the tint as a matte colour, the paper's way; `filter` multiplies the scene behind
+    by it, as dyed glass does."""
 
     def __post_init__(self) -> None:
         tint = np.asarray(self.tint_linear, np.float64)

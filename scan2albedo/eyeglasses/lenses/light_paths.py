@@ -29,7 +29,7 @@ IntArray = NDArray[np.int64]
 Paths = NDArray[np.uint8]
 
 _STEEPEST = 4.0
-"""Distance between two points of one smooth piece in widths of what lies between their rays, at most: the
+"""Greatest distance between two points of one smooth piece, in widths of the gap between their rays: the
 surface is seen at 14 degrees then. Neighbours farther apart may lie on different pieces."""
 _RAYS = 2**20
 """Rays that are shot at once: a bound on memory."""

@@ -21,7 +21,7 @@ BoolArray = NDArray[np.bool_]
 _MIXED, _AWAY, _FRAME = -2, -1, 0
 """Labels of pixels: a fringe of nobody's, the background, then numbers of surfaces, the frame's first."""
 _LEAST_SHARE = 0.2
-"""Share of a bilinear sample that must lie on the surface asked for."""
+"""Share of a bilinear sample that must lie on the wanted surface."""
 _SAME_POINT = 3e-4
 """Distance between a point and what the camera sees in its direction, as a part of the scene's size, up to
 which they are the same: embree's float32 picks a neighbouring face at times."""
@@ -126,7 +126,7 @@ class PhotographedScene:
         return np.asarray(hits.distance >= distance - _SAME_POINT * self._scene.caster.size)
 
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:
-        """Return bilinear colours (N, 3) from pixels of the labels asked for, and where there are such."""
+        """Return bilinear colours (N, 3) from pixels of the given labels, and where there are any."""
         rows, columns = self._picture.shape[:2]
         at = np.where(np.isfinite(pixels), pixels, -1.0)
         inside = np.asarray(((at >= 0) & (at <= [columns - 1, rows - 1])).all(1))

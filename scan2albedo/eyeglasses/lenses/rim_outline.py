@@ -236,7 +236,7 @@ def subdivide_rim(
 
 
 def _resampled(plane: LensPlane, outline: FloatArray, angles: FloatArray) -> RimProfile:
-    """Return the outline at the angles asked for, seen from the centre."""
+    """Return the outline at the given angles, seen from the centre."""
     at, own = plane.angles(outline), plane.profile(outline)
     return RimProfile(
         np.interp(angles, at, own.radius, period=2 * np.pi),

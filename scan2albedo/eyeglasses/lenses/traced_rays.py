@@ -40,7 +40,7 @@ class Illumination:
     irradiance_linear: FloatArray
     """(K, 3) of distant lights; none in a photograph."""
     environment_linear: FloatArray | None
-    """(H, W, 3) radiance of what is far away; None is black."""
+    """(H, W, 3) radiance from far away; None is black."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class TracedRays:
     near: IntArray
     """(M,) rays that may see a lens."""
     share: FloatArray
-    """(M, 3) of what lies behind in their colours."""
+    """(M, 3) of the scene behind the lenses in their colours."""
     bent: IntArray
     """(B,) of the M rays, those that see something else than straight ones."""
     seen: RaySamples

@@ -35,7 +35,7 @@ class FaceRegistrationOptions:
     outline_correlation_px: float = 20.0
     """Length over which a mask's errors are alike: pixels of the outline nearer than that share one vote."""
     outline_stride: int = 1
-    """One in so many pixels of the outline is looked at, spread evenly; each counts for so many."""
+    """Every n-th pixel of the outline is used, spread evenly, and counts for n."""
     outline_reach_px: float = 40.0
     """Pixels of the outline farther from the observed one than this are left out, and nearer ones where the
     frame's place is known better."""

@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _MARGIN_PX = 96
-"""How far around the mask distances are worked out; what lies farther is out of reach anyway."""
+"""How far around the mask distances are computed; points farther away are out of reach anyway."""
 _EDGE = 0.5
 """Distance from a mask's outermost pixels at which its edge lies."""
 

@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 _FACING = 0.3
 """Least cosine between where outside is for the frame's outline and for the observed one."""
 _ABOVE_SKIN_MM = 1.0
-"""The head hides what lies more than this behind its surface: frames rest on the skin."""
+"""The head hides points more than this behind its surface: frames rest on the skin."""
 _HEAD_MARGIN_PX = 4.0
 """Pixels of the outline this near to where the head hides the frame are left out."""
 _REACH, _NEAR_PX = 3.0, 5.0
@@ -142,7 +142,7 @@ class OutlineSampler:
         pixels = outline.pixels.astype(np.float64)
         distance, slope = view.distance.sample(pixels)
         facing = np.einsum("ni,ni->n", slope, outline.outward)
-        # What lies nearer to the picture's border than to the observed outline may have it outside.
+        # Points nearer to the picture's border than to the observed outline may have it outside.
         border = np.minimum(pixels, [view.shape[1] - 1, view.shape[0] - 1] - pixels).min(1)
         limit = np.minimum(reach_px, border + 0.5)
         with np.errstate(invalid="ignore"):

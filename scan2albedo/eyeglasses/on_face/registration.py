@@ -48,8 +48,8 @@ _NEAR_MM = 40.0
 _OCCLUDER_MM = 2.0
 """Cells in which the head's vertices are joined: finer ones hide the same and cost more."""
 _STILL, _MOST_INCREASES = 0.5, 2
-"""Movement of the key points between two tracings at which the outlines have settled, in standard deviations
-of what is still open about them; and how often it may grow: tracing jumps from pixel to pixel."""
+"""Movement of the key points between two tracings at which the outlines have settled, in their standard
+deviations; and how often it may grow: tracing jumps from pixel to pixel."""
 
 
 def register_on_face(

@@ -48,9 +48,9 @@ _APART = 0.02
 _MISFIT = 1 / 3
 """Share of labels that may be outliers: with more, which are the right ones is a guess."""
 _ANYWHERE_MM = 1e6
-"""Deviation of what nothing determines: finite, so that products with weights of 0 stay 0."""
+"""Deviation of a point that nothing determines: finite, so that products with weights of 0 stay 0."""
 _LEAST_NOISE_PX = 0.3
-"""Below it pixels and the bend's model are what limits, not labels."""
+"""Below it pixels and the bend's model limit the accuracy, not labels."""
 
 
 def report(

@@ -21,7 +21,7 @@ _DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, larges
 _ENOUGH = 1e-12
 """Step over distance from the origin below which a point is done."""
 _FAR = 1e300
-"""Squared error, in those of the noise, of what lies behind a camera."""
+"""Squared error, in units of the noise, of a point behind a camera."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class _Point:
         self.cost = float(_loss(self._errors, noise_px))
 
     def normal_equations(self) -> NormalEquations:
-        """Return those of the reweighted squares; what lies behind a camera has no part in them."""
+        """Return those of the reweighted squares, without cameras that have the point behind them."""
         front = np.isfinite(self._errors).all(1)
         errors, cameras = self._errors[front], self._cameras[front]
         depth = cameras[:, 2, :3] @ self.place + cameras[:, 2, 3]

@@ -99,7 +99,7 @@ def _pushed_out(x: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> Bo
 def _step(
     system: SparseCholesky, b: FloatArray, x: FloatArray, product: FloatArray, held: BoolArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return (x, A x) after a projected Newton step of what is not `held`; None where it lowers no energy."""
+    """Return (x, A x) after a projected Newton step of the entries not `held`; None if no energy falls."""
     gradient = product - b
     system.refill(held)
     direction = system.solve(np.where(held, 0.0, -gradient))

@@ -45,7 +45,7 @@ class SparseCholesky:
     def refill(self, held: BoolArray) -> None:
         """Factor A with the rows and columns of `held` (N,), in elimination order, replaced by the identity.
 
-        Raises numpy.linalg.LinAlgError when what is left of A is not positive definite.
+        Raises numpy.linalg.LinAlgError when the remaining A is not positive definite.
         """
         matrix = self.matrix
         widest = int(np.diff(self._row_start).max(initial=1))
