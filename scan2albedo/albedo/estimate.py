@@ -92,8 +92,8 @@ def estimate_albedo(
 
     Notes
     -----
-    The plan's row `albedo.limits` ran where the light found is at an end of what is searched, such as the
-    least intensity where there is no light, or where light is left that is not modelled.
+    The plan says that `albedo.limits` ran where a parameter of the light is at an end of its range, such as
+    the least intensity where there is no light, or where the albedo holds light that is not modelled.
 
     References
     ----------

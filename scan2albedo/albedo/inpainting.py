@@ -246,10 +246,10 @@ def blend_copies(filled, field, order, came_from, context, diameter):  # type: i
     """Integrate the copies' gradients over the texels of `order`, in place, by successive over-relaxation.
 
     Minimises sum |u_q - u_p - g_pq|^2 over neighbours p, q, of which one at least was copied, plus a little
-    of |u_p - its copy|^2, so that nothing drifts away where the border is far. Across the
-    border g is the step beside the place the copy came from. Where two copies from different places meet it
-    is a mean of that and of their own difference: the one alone takes a quarter of the texture's
-    variance away, the other adds some.
+    of |u_p - its copy|^2, so that nothing drifts away where the border is far. Across the border g is the
+    step beside the place the copy came from. Where two copies from different places meet it is a mean of that
+    and of their own difference: the first alone takes a quarter of the texture's variance away, the second
+    adds some.
     """
     pull, links, degree, share = _equations(filled, field, order, came_from, context)
     # The best factor for a square of this side; the error falls by e in diameter / (2 pi) sweeps.

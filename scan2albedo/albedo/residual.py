@@ -138,9 +138,9 @@ class Residual:
         return *fixed, self._robust, self._albedo, self._mass
 
     def normal_equations(self) -> NormalEquations:
-        """Return the quadratic model of the cost around x, and settle the weights.
+        """Return the quadratic model of the cost around x, and fix the weights.
 
-        From then on the costs of this point and of those that steps lead to come from the same weights.
+        The costs of this point and of the points that steps lead to then come from the same weights.
         """
         self._before = self._robust
         self.cost = self._settle(_SWEEPS)

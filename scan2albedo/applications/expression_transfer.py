@@ -88,8 +88,8 @@ def transfer_expression(
     -----
     Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out.
 
-    A's two fits slide along the skin each in its own way, which is most of the error; see
-    `refined_expression` for what is done about it.
+    A's two fits slide along the skin each in its own way, which is most of the error; `refined_expression`
+    corrects it.
 
     References
     ----------

@@ -27,9 +27,9 @@ def personal_model(
     """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
-    itself. An expression that starts from the person's own face at rest, and not from the model's, mostly
-    ends with what did not move where it was. `transfer_expression` does not need it: it finds out
-    which points correspond, and more exactly (the figures are with `refined_expression`).
+    itself. An expression fitted from the person's own face at rest, and not from the model's, leaves points
+    that did not move mostly in their place. `transfer_expression` does not need it: it finds corresponding
+    points itself, and more exactly (the figures are with `refined_expression`).
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAME_AXES_DEG = 25.0
-"""Templates look up or down by some degrees; only what is turned further gets other axes."""
+"""Templates look up or down by some degrees; only templates turned further get other axes."""
 MIN_CONFIDENCE = 0.3
 REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""

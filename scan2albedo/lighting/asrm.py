@@ -43,7 +43,7 @@ class Reflectance:
 
     @property
     def kernel_brdf(self) -> int:
-        """The number by which the kernels know the diffuse model."""
+        """Number of the diffuse model in the kernels."""
         return _BRDFS[self.brdf]
 
 

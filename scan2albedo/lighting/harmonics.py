@@ -1,4 +1,4 @@
-"""Real spherical harmonics of any order, with gradients, as polynomials that know no poles; light in them."""
+"""Real spherical harmonics of any order, with gradients, as polynomials without poles; projection of light."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ Combine = Literal["best", "mean"]
 
 @dataclass(frozen=True)
 class Identification:
-    """Who the probes were taken for.
+    """The persons that probes were identified as.
 
     Parameters
     ----------

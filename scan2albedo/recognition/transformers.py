@@ -103,7 +103,7 @@ class TemplateTransformer(_Transformer):
 
 @dataclass(eq=False, kw_only=True)
 class DistanceTransformer(_Transformer):
-    """Templates to their distances 1 - S from those that were fitted, for classifiers of given distances.
+    """Templates to their distances 1 - S from those that were fitted, for classifiers that take distances.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class FacePhotograph(GlossyFace):
     Parameters
     ----------
     image : (S, S, 3) uint8, uint16 or float32
-        Values.
+        The picture as stored.
     skin : (S, S) bool
         Pixels that show the face, and not hair.
     camera : (3, 4) float64

@@ -46,7 +46,7 @@ class FlashCaptureOptions(PortraitOptions):
     gain_deviation : float
         Standard deviation of the flashes' strengths, their mean being 1.
     room : float
-        Strength of the room's light, of which the flashes know nothing, relative to a flash.
+        Strength of the room's light relative to a flash.
     levels : int
         Of subdivision of the mesh, as in `PortraitOptions`.
 
@@ -87,7 +87,7 @@ class FlashCapture(GlossyFace):
     skin : (J, S, S) bool
         Pixels that show the face, and not hair.
     view, light : (J,) int64
-        Numbers of the cameras that took, and of the flashes that lit them.
+        Numbers of each pair's camera and flash.
     head_rotations, head_translations : (P, 3, 3), (P, 3) float64
         Poses of the head before each camera, x_cam = R x + t; flash k stands where camera k does. Cameras
         after the first `views` took no pictures.
@@ -135,8 +135,8 @@ def flash_capture(
 ) -> FlashCapture:
     """Return pictures of a random person with one flash at a time.
 
-    Skin reflects as `VertexReflectance` says; hair, clothes and the rest of the head are there, too, hide
-    and cast shadows. Radiance comes from code of its own, rays from Open3D.
+    Skin reflects as `VertexReflectance` describes; hair, clothes and the rest of the head hide the face and
+    cast shadows, too. The radiance is not computed by `reflectance`, and rays are Open3D's.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RawLikeOptions:
-    """How raw the scan gets.
+    """How the scan differs from the clean face.
 
     Parameters
     ----------

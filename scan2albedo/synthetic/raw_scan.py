@@ -64,7 +64,7 @@ class RawScanOptions:
 
 @dataclass(frozen=True)
 class SyntheticTruth:
-    """Everything about a synthetic scan that the pipeline has to find out.
+    """Everything about a synthetic scan that the pipeline estimates.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Procedural albedo: wood, skin and next to nothing, evaluated at any texture coordinates."""
+"""Procedural albedo: wood, skin and a plain colour, evaluated at any texture coordinates."""
 
 from __future__ import annotations
 
@@ -19,10 +19,7 @@ HEMOGLOBIN = np.array([0.12, 1.0, 0.85])
 
 
 def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Generator) -> FloatArray:
-    """Return (N,) smooth noise of unit variance over the unit square, about `cells` bumps across u and v.
-
-    A lattice of Gaussian numbers is interpolated by cubic splines and wrapped around.
-    """
+    """Return (N,) smooth noise of unit variance, periodic in the unit square, about `cells` bumps along u, v."""
     xy = np.asarray(uv, float)
     shape = tuple(max(4, int(np.ceil(c))) for c in cells)
     lattice = rng.normal(size=shape)

@@ -75,7 +75,7 @@ _EYES = slice(36, 48)
 _BEHIND_MM = 0.5
 """A point this much behind the surface that a ray meets first is still that surface's."""
 _WAVES_PX = 6.0
-"""Length over which a mask's outline wanders."""
+"""Correlation length of the error of a mask's outline."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class WearerOptions:
     label_noise_px: float = 1.0
     """Standard deviation of the labels along each axis."""
     mask_noise_px: float = 1.0
-    """Standard deviation by which a mask's outline is off, wandering over some six pixels."""
+    """Standard deviation of the smooth error of a mask's outline, correlated over some six pixels."""
     outliers: int = 0
     """Labels a view that lie anywhere within 150 px."""
     missing: int = 0
@@ -106,10 +106,10 @@ class WearerOptions:
 
 @dataclass(frozen=True)
 class Wearer:
-    """World frame: the face model's, mm, looking along +z."""
+    """A person who wears glasses, in the face model's frame: mm, looking along +z."""
 
     glasses: SyntheticEyeglasses
-    """In its own frame; `rest_vertices` is what is known of it, `vertices` how it is bent."""
+    """In its own frame: `rest_vertices` known before the bend, `vertices` bent."""
     world_from_glasses: FloatArray
     """(4, 4) rigid."""
     sitter: Sitter
