@@ -221,10 +221,7 @@ def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
 
 
 def cell_image(level: Level, values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
-    """Return (H, W) `values` (N,) of the cells at the texels of `mask` that lie in them, 0 elsewhere.
-
-    Texels in cells without a usable texel get the value of the nearest cell.
-    """
+    """Return (H, W) `values` (N,) of each texel's cell, or of the nearest one, within `mask`; 0 elsewhere."""
     row, column = level.cell.T
     factor = level.factor
     shape = tuple(-(-side // factor) for side in mask.shape)

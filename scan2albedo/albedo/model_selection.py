@@ -24,7 +24,7 @@ _LIGHT_SHARE = 0.1
 _LIGHT_ANGLE_RAD = 0.26
 """Angle between two lights below which they may be one broad light: an image fits both."""
 _LIGHT_DIRECTION_RAD = 0.12
-"""Standard deviation that the direction of one more light may have: light that is not from a lamp has no definite one."""
+"""Standard deviation that the direction of one more light may have: only a lamp's is so definite."""
 
 _SPECULAR_EFFECT = 0.004
 """Root mean square share of the image that a highlight has to have."""

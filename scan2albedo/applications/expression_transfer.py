@@ -1,4 +1,4 @@
-"""`transfer_expression`: what one person's face did, done by another's."""
+"""`transfer_expression`: one person's expression on another person's face."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Correspondence = Literal["auto", "refined", "as-fitted"]
 
 _ROUNDS = 20
 _STILL_MM, _STILL_PERCENTILE = 0.1, 25
-"""What moves less than this counts as still, whatever the rest does; a smile leaves a quarter so."""
+"""Points that move less than this count as still; a smile leaves a quarter of the face so."""
 REFIT = FitOptions(
     bending_mm=(20.0, 2.0),
     tangential=0.0,
@@ -44,7 +44,7 @@ class TransferOptions:
     strength: float = 1.0
     """Factor of the displacement; less than 1 is a milder expression."""
     align: bool = True
-    """First lay A's expression rigidly on A at rest, by what did not move."""
+    """First align A's expression rigidly with A at rest, by the points that did not move."""
     correspondence: Correspondence = "auto"
     """"as-fitted" believes that A's two fits put each vertex on one point of the skin; "refined" fits A at
     rest to the surface with the expression; "auto" refines faces on the model's own mesh, and no others."""

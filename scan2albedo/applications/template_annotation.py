@@ -111,7 +111,7 @@ class _FittedDefault:
 def _carried_regions(
     source: _FittedDefault, model: AnnotatedSurface
 ) -> tuple[NDArray[np.uint8], dict[str, Region]]:
-    """Give each control face the region that lies on it; what closes the mouth's own hole is film."""
+    """Give each control face the region that lies on it; faces that close the mouth's own hole are film."""
     first = 1 + max(region.index for region in model.regions.values())
     added = {
         name: replace(region, index=first + region.index) for name, region in source.default.regions.items()

@@ -1,4 +1,4 @@
-"""Real spherical harmonics of any order, with gradients, as polynomials without poles; projection of light."""
+"""Real spherical harmonics of any order, with gradients, as polynomials without poles; and light in them."""
 
 from __future__ import annotations
 

@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
 
 def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figure:
-    """Return a figure of identification rate against rank, a curve for each name.
-
-    ValueError when there is no curve, or their confidences differ.
-    """
+    """Return identification rate against rank, a curve a name; ValueError for none or mixed confidences."""
     figure, axis = _figure(curves)
     for name, curve in curves.items():
         shown = curve.rank <= most_ranks
@@ -39,10 +36,7 @@ def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figur
 
 
 def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
-    """Return a figure of true against false accept rate, the latter logarithmic, a curve for each name.
-
-    ValueError when there is no curve, or their confidences differ.
-    """
+    """Return true over logarithmic false accept rate; ValueError for no curve or mixed confidences."""
     figure, axis = _figure(curves)
     for name, curve in curves.items():
         shown = curve.false_accept_rate > 0

@@ -1,4 +1,4 @@
-"""Pictures of reflectances: albedo, weights of the lobes, what is identified, and faces relit."""
+"""Pictures of reflectances: albedo, weights of the lobes, which of them is identified, and faces relit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MARGIN_PX = 8
 
 
 def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None) -> list[Panel]:
-    """Return panels of albedo and weights and, of a fit, of the identified part; from +z, unknown grey."""
+    """Return panels of albedo, weights and a fit's certainty; the mesh from +z, unknown vertices grey."""
     view = View.around(mesh.vertices)
     one = mesh.reflectance
     weights = one.weights[one.known]
@@ -116,7 +116,7 @@ def _heat(mesh: MeshReflectance, values: FloatArray, most: float, view: View) ->
 
 
 def _window(shown: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Return the part of a picture that holds what is shown."""
+    """Return the part of a picture that holds the shown face."""
     spans = []
     for axis in (1, 0):
         there = np.flatnonzero(shown.any(axis))

@@ -31,21 +31,19 @@ _OFFSET_MM = 0.15
 
 @dataclass(frozen=True)
 class SeenSurface:
-    """Surface points (N) that a picture of S x S pixels shows."""
+    """N surface points that a picture of S x S pixels shows; arrays are (N, 3), positions in mm.
+
+    `pixel` (N,) are the numbers of their pixels, row by row; `on_face` (N,) marks the face.
+    """
 
     pixel: IntArray
-    """(N,) numbers of their pixels, row by row."""
     size: int
     position: FloatArray
-    """(N, 3) mm."""
     normal: FloatArray
     toward_camera: FloatArray
     diffuse_linear: FloatArray
-    """(N, 3)."""
     weights: FloatArray
-    """(N, 3)."""
     on_face: BoolArray
-    """(N,)."""
 
     def picture(self, radiance: FloatArray) -> NDArray[np.float32]:
         """Return (S, S, 3), black where there is nothing."""

@@ -19,7 +19,7 @@ HEMOGLOBIN = np.array([0.12, 1.0, 0.85])
 
 
 def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Generator) -> FloatArray:
-    """Return (N,) smooth noise of unit variance, periodic in the unit square, about `cells` bumps along u, v."""
+    """Return (N,) smooth noise of unit variance and period 1, with about `cells` bumps across u and v."""
     xy = np.asarray(uv, float)
     shape = tuple(max(4, int(np.ceil(c))) for c in cells)
     lattice = rng.normal(size=shape)

@@ -252,10 +252,7 @@ class StageChart:
 
 
 def read_trace(file: Path) -> list[TraceRow]:
-    """Return the rows of a `trace.csv`; those without a finite error are left out.
-
-    Scan2AlbedoError when it cannot be read; the message names the file and the line.
-    """
+    """Return the finite rows of a `trace.csv`; Scan2AlbedoError names file and line that cannot be read."""
     try:
         with file.open(encoding="utf-8", newline="") as opened:
             lines = list(csv.DictReader(opened))

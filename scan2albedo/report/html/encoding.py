@@ -24,12 +24,12 @@ _LEVELS = 65535
 MOST_VERTICES = 60_000
 """Of a chart's mesh; finer ones are thinned."""
 _BRIGHT_PERCENTILE = 99.9
-"""What is brighter than this is clipped in the 8 bits of a texture."""
+"""Linear values above this percentile are clipped in the 8 bits of a texture."""
 
 
 @dataclass(frozen=True)
 class ViewMesh:
-    """What the viewer draws: vertices (V, 3) mm, faces (F, 3), uv (V, 2), unit normals (V, 3)."""
+    """A mesh for the viewer: vertices (V, 3) mm, faces (F, 3), uv (V, 2), unit normals (V, 3)."""
 
     vertices: FloatArray
     faces: IntArray

@@ -1,4 +1,4 @@
-"""What the page shows of one scan."""
+"""The page's section about one scan."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
 
 
 def _warnings(record: ResultRecord) -> tuple[str, ...]:
-    """Return what a person should know before using the result."""
+    """Return the warnings that a person should read before using the result."""
     found = [
         f"{stage.replace('_', ' ')} did not converge: its budget ended, or it stopped improving"
         for stage, figures in record.metrics.items()

@@ -95,10 +95,7 @@ class ViewedFace:
 
 
 def viewed_face(folder: Path, record: ResultRecord) -> ViewedFace:
-    """Return the face of a result; of one without an albedo, its shape in grey.
-
-    Scan2AlbedoError when a file is missing or damaged; the message names it.
-    """
+    """Return a result's face, in grey without an albedo; Scan2AlbedoError names a missing or damaged file."""
     if record.parameters:
         return ViewedFace(load_result(folder), True)
     image = read_geometry_image(folder / "geometry_image.npz")
@@ -176,7 +173,7 @@ def _harmonics(record: ResultRecord) -> list[float] | None:
 
 
 def _frame(face: ProcessedFace) -> dict[str, Any]:
-    """Return what the portrait's camera is made of, as `applications.default_camera` has it."""
+    """Return the parameters of the portrait's camera, as `applications.default_camera` has it."""
     middle, radius, depth = portrait_frame(face.mesh.vertices)
     return {
         "middle": middle.tolist(),
