@@ -54,10 +54,7 @@ class ManifestScan:
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with those that the line sets; a model's path starts from `folder`.
 
-        Raises
-        ------
-        BatchError
-            When a cell is no such option.
+        Raises `BatchError` when a cell is not a valid option.
         """
         given: dict[str, Any] = {}
         try:
@@ -102,13 +99,13 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
 
-    Whether the scans exist is not looked at: a missing one fails alone.
+    The scans need not exist: a missing one fails alone.
 
     Parameters
     ----------
     path : path
     leave_out : path, optional
-        Folder in which no scan is looked for: that of the results.
+        Folder to skip: that of the results.
 
     Returns
     -------

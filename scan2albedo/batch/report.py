@@ -25,7 +25,7 @@ class BatchProgress:
     last : BatchScanRecord or None
         The scan that has just ended.
     note : str
-        What a user should know; empty when a scan has ended.
+        A message for the user; empty when a scan has ended.
     """
 
     total: int
@@ -56,7 +56,7 @@ class BatchProgress:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """What came of a batch.
+    """The result of a batch.
 
     Parameters
     ----------

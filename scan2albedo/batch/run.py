@@ -60,7 +60,7 @@ def run_batch(
     options : ProcessOptions, optional
         For all scans; lines of the manifest may set their own unit, model, lights and seed.
     jobs : int, optional
-        Local processes; one a core when omitted, and never more than the available memory carries.
+        Local processes; one a core when omitted, and never more than fit into the available memory.
     scheduler : str, optional
         Address of a dask scheduler whose workers, with one thread each, process the scans instead. They need
         this package and the same paths.
@@ -81,13 +81,13 @@ def run_batch(
         When a library of the extra `batch`, or `cluster` with a scheduler, is not installed.
     BatchError
         When this is no POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
-        not given, another batch works there, or no worker can be had.
+        not given, another batch works there, or no worker can be started or reached.
     ModelError
         When a model's file is missing.
     OutputError
         When `out` cannot be written.
     ValueError
-        For a number of jobs or seconds that is none.
+        For a number of jobs or seconds that is not positive.
     """
     if jobs is not None and jobs < 1:
         raise ValueError(f"jobs is {jobs}, expected at least 1")
@@ -140,10 +140,7 @@ def _tasks(
 
 
 def _model_sha256(model: str) -> str | None:
-    """Return the SHA-256 of a model's or a template's files; None for "none".
-
-    Raises `ModelError` when there is no such file.
-    """
+    """Return the SHA-256 of a model's or template's files, None for "none"; without them a `ModelError`."""
     if model == "none":
         return None
     path = Path(_default_model() if model == "default" else model)
@@ -317,10 +314,10 @@ _POSIX = os.name == "posix"
 
 
 def _check_machine(scheduler: str | None) -> None:
-    """Refuse a machine that lacks what a batch needs, before any work.
+    """Refuse a machine that is not POSIX, before any work.
 
-    Only POSIX has the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
-    memory of a worker (`resource`) and the change of parent by which a worker sees that it is an orphan.
+    Others lack the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
+    memory of a worker (`resource`) and the change of parent by which a worker notices that it is an orphan.
     """
     if not _POSIX:
         raise BatchError(

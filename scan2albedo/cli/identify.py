@@ -45,7 +45,7 @@ def identify(
     ] = None,
     json_summary: JsonOption = False,
 ) -> None:
-    """Tell which person of a gallery each probe resembles most, by albedo.
+    """Find the person of a gallery whom each probe resembles most, by albedo.
 
     Somebody of the gallery is always the most similar: how similar, and by how much more than the next
     person, shows how reliable that is. Where probes name their person, the rate of right answers is printed.

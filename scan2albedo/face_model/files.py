@@ -102,10 +102,7 @@ def _arrays_of(model: AnnotatedSurface) -> Arrays:
 
 
 def load_model(path: str | Path) -> AnnotatedSurface:
-    """Read a model that `save_model` wrote.
-
-    Raises `ModelError` when a file is missing, no JSON, truncated, or the two do not belong together.
-    """
+    """Read a model that `save_model` wrote; raises `ModelError` when files are damaged or do not match."""
     entry = _read_entry(Path(path))
     arrays_path = Path(path).with_name(entry.arrays)
     arrays = _read_arrays(arrays_path)

@@ -92,7 +92,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
 
 
 def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:
-    """Return what was done to the template, and how far the surface stays from it where that is much."""
+    """Return the changes made to the template, and the surface's distance from it where that is large."""
     cut = len(surface.faces) - int((~template.filled).sum())
     apart = np.linalg.norm(offset[template.source], axis=1)
     possible = (

@@ -82,13 +82,13 @@ class AnnotatedFaceModel(AnnotatedSurface):
             One continuous chart; a new one is drawn when omitted or when it folds over.
         regions : mapping of str to array, optional
             Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
-            what closes a hole of the template is region "filled"; these two names are taken. No scan pulls at
-            a region named "between_lips", into which `annotate` puts what closes the mouth.
+            faces that close a hole are region "filled"; these two names are reserved. Scans exert no force on
+            a region named "between_lips", to which `annotate` assigns the faces that close the mouth.
         landmarks : (68, 3) array of float or (68,) array of int, optional
             Points in the template's frame and unit, or vertex indices, iBUG-68 order.
         control_size : int
             Control vertices aimed at; a template not much larger keeps its own vertices. A template of the
-            whole head spends most of them beside the face: 2500 do there what 1000 do for a face.
+            whole head spends most of them beside the face: 2500 correspond to 1000 for a face.
         annotate : bool
             Find the template's axes, and what annotation is not given, with the default model. Where no
             face is recognised in the template, its axes are taken as they are and `notes` says so.
@@ -117,12 +117,8 @@ class AnnotatedFaceModel(AnnotatedSurface):
         """Make a model out of a template in an OBJ, PLY, GLB, glTF, STL or OFF file.
 
         The vertices keep the file's order. The chart is the file's where every vertex has one texture
-        coordinate, else a new one.
-
-        Raises
-        ------
-        ModelError
-            When the file cannot be read, or `from_mesh` cannot use the template.
+        coordinate, else a new one. Raises `ModelError` when the file cannot be read, or `from_mesh` cannot
+        use the template.
         """
         file = Path(path)
         try:
@@ -143,10 +139,7 @@ def _default_model() -> AnnotatedFaceModel:
 
 
 def vertex_uv(count: int, faces: IntArray, corner_uv: FloatArray) -> FloatArray | None:
-    """Return (V, 2) coordinates where all corners of a vertex agree; None at seams and gaps.
-
-    Vertices without a face get (0, 0).
-    """
+    """Return (V, 2) uv where all corners of a vertex agree, (0, 0) without a face; None at seams and gaps."""
     uv = np.zeros((count, 2))
     uv[faces.ravel()] = corner_uv.reshape(-1, 2)
     agree = np.abs(uv[faces] - corner_uv) < 1e-6
@@ -154,7 +147,7 @@ def vertex_uv(count: int, faces: IntArray, corner_uv: FloatArray) -> FloatArray 
 
 
 def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
-    """Return the model that a user means; None for "none".
+    """Return the model of a user's choice; None for "none".
 
     Parameters
     ----------

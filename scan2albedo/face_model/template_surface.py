@@ -168,7 +168,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
 def _spoilt(faces: IntArray) -> IntArray:
     """Return the faces that keep the mesh from being a surface.
 
-    At an edge with more than two faces those that hang loose go first, all of them where none does; where
+    At an edge of more than two faces these are the faces with a free edge, or all when none has one; where
     surfaces touch at a single point, the faces around it.
     """
     import igl

@@ -87,7 +87,7 @@ def refine_similarity(
 
 
 def _next_reach(forces: ScanForces, reach: float) -> float:
-    """Shrink the gate, but never below what half of the samples need several times over."""
+    """Shrink the gate, but never below several times the distance of half of the samples."""
     needed = REACH_PER_MEDIAN * float(np.median(np.linalg.norm(forces.offset, axis=1)[forces.weight > 0]))
     return min(reach, max(GATE_SHRINK * reach, needed))
 

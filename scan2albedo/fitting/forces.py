@@ -121,7 +121,7 @@ def robust_weights(
 ) -> FloatArray:
     """Return (N,) Geman-McClure weights 1 / (1 + (r / c)^2)^2, c from the median of the used residuals.
 
-    At the `rim` a scan in front of the model (positive residual) has a c with RIM_ROBUST_MM as its floor: a
+    For scan in front of the model (positive residual) at the `rim`, c has the lower floor RIM_ROBUST_MM: a
     wide one would draw the rim onto hair and collars, a little further with every stage.
     """
     if not used.any():

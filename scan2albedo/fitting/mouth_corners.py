@@ -32,12 +32,12 @@ TRIALS = 2
 TRIAL_GAIN = 0.15
 MIN_GAIN = 0.34
 """A pull is tried when it saves TRIAL_GAIN of the distance as it is, and chosen when its coarse fit saves
-MIN_GAIN: between what coarse fits of shut mouths saved (up to 0.32) and those of smiles (0.36 on)."""
+MIN_GAIN: between the savings of shut mouths (up to 0.32) and those of smiles (0.36 on)."""
 ZONE_MM = 45.0
 """Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds."""
 REACH_MM = 8.0
 MIN_COSINE = 0.2
-"""Scan counts where it looks within 78 degrees of the model's way; beyond REACH_MM it counts as that far."""
+"""Scan with normals within 78 degrees of the model's is used; distances are cut off at REACH_MM."""
 
 
 def corners_pulled(deformation: Deformation) -> Deformation:

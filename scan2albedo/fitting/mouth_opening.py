@@ -1,7 +1,7 @@
 """Open the model's mouth before it bends: a search over one angle at the jaw's hinge.
 
 Closest points alone let the lips of a closed model slide along the chin of an open mouth; so opened
-models are tried, and chosen by what a coarse fit makes of them.
+models are tried, and chosen by the result of a coarse fit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ IntArray = NDArray[np.int64]
 EARS = (0, 16)
 BELOW_EARS = (1, 15)
 HINGE_DEPTH = 0.18
-"""The jaw's joint lies this part of the face's width behind the ends of the jaw line."""
+"""The jaw's joint is this part of the face's width behind the ends of the jaw line."""
 STILL = (*range(17, 48), *range(49, 54), 61, 62, 63, *EARS)
 """iBUG-68 indices of brows, nose, eyes, upper lip and the jaw line's ends, which the jaw leaves in place."""
 MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
@@ -37,9 +37,9 @@ MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
 CHIN = 8
 NECK_BELOW_CHIN_MM = 35.0
 FILM_WEIGHT = 1e-3
-"""What lies between the lips ties them together next to not at all."""
+"""Weight of the faces between the lips, which hardly tie them together."""
 LIMIT_FREEDOM = 0.05
-"""How much the control points rather stay than let the surface turn exactly."""
+"""Weight of keeping the control points in place against turning the surface exactly."""
 ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 REACH_MM = 8.0
 MIN_GAIN = 0.12

@@ -39,7 +39,7 @@ USUAL_SPRINGS = 0.5
 
 @dataclass(frozen=True)
 class Deformation:
-    """The inputs that all stages share, in the scan's frame.
+    """The inputs that all stages share, in one frame.
 
     `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
     """
@@ -54,7 +54,7 @@ class Deformation:
     )
 
     def sampled(self, level: int) -> tuple[SurfaceSamples, sparse.csr_matrix]:
-        """Return the samples of a level, and what their usual springs weigh on the control points (C, C)."""
+        """Return the samples of a level, and the stiffness (C, C) of their usual springs."""
         if level not in self._sampled:
             samples = SurfaceSamples.of(self.model, self.reference, level)
             weight = sparse.diags(USUAL_SPRINGS * samples.area)

@@ -1,1 +1,1 @@
-"""Triangle meshes, transforms, subdivision, rays and rasters: what every stage stands on."""
+"""Triangle meshes, transforms, subdivision, rays and rasters: the ground of every stage."""

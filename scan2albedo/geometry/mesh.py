@@ -196,7 +196,7 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
 def far_vertices(vertices: FloatArray, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return (V,) True for vertices 4 times farther from the median of those used than 98 % of them are.
 
-    Scanners throw vertices far away, which swell every box and moment.
+    Scanners produce stray vertices far away, which enlarge every box and moment.
     """
     distance = np.linalg.norm(vertices - np.median(vertices[used], axis=0), axis=1)
     return distance > FAR_FACTOR * np.percentile(distance[used], FAR_PERCENT)
@@ -239,9 +239,9 @@ def _list_corners(faces, place, every):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _sort_rows_once(ends, every, begins):  # type: ignore[no-untyped-def]
-    """Sort each row of `every` and drop what it holds twice, in place; write where rows begin, return N.
+    """Sort each row of `every` and drop duplicates, in place; write where rows begin, return N.
 
-    By insertion, since rows are short; the part kept never overtakes the part read.
+    By insertion, since rows are short; the write position never overtakes the read position.
     """
     count = 0
     for v in range(len(ends) - 1):

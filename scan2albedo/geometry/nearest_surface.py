@@ -60,7 +60,7 @@ class NearestSurface:
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:
-        """What the kernels take: vertices (V, 3), faces (F, 3), ring, ring_start, near, near_start.
+        """Return the kernels' arguments: vertices (V, 3), faces (F, 3), ring, ring_start, near, near_start.
 
         The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], its neighbours
         near[near_start[v] : near_start[v + 1]].

@@ -79,7 +79,7 @@ def geometry_image(
     Raises
     ------
     GeometryImageError
-        When `size` is no size, the fitted face holds NaN, or its chart covers no texel or leaves the unit
+        When `size` is below 8, the fitted face holds NaN, or its chart covers no texel or leaves the unit
         square.
 
     Notes

@@ -1,4 +1,4 @@
-"""Colour of a raw scan at given surface points, with what was badly seen known as such."""
+"""Colour of a raw scan at given surface points, and whether each was well seen."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ MAX_DISTANCE_MM = 4.0
 MIN_NORMAL_COSINE = 0.5
 """The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
 MIN_DENSITY = 0.1
-"""Photograph pixels per mm^2 relative to the scan's median: below, the surface was seen at grazing."""
+"""Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
-"""Part of the queried points' size by which faces may lie outside their box and still be looked at."""
+"""Faces are searched in the queried points' box, enlarged by this part of its size."""
 FEWEST_TAPS, MOST_TAPS = 3, 64
 TAPS_PERCENTILE = 95
 """This part of the texels gets a sample for every pixel of its footprint."""
@@ -148,7 +148,7 @@ class TextureLookup:
 def _past_boundary(
     on_edge: NDArray[np.bool_], barycentric: FloatArray, offset: FloatArray, normals: FloatArray
 ) -> NDArray[np.bool_]:
-    """Points whose closest point lies on the scan's edge while they lie sideways of it: in a hole."""
+    """Points in a hole: their closest point is on the scan's edge, and they are sideways of it."""
     at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
     sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
     return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)

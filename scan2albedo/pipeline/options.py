@@ -72,7 +72,7 @@ class ProcessOptions:
     ------
     ValueError
         For an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced, or is both, a
-        size or number of lights out of range, a seed or budget that is none.
+        size or number of lights out of range, an invalid seed or budget.
 
     Examples
     --------

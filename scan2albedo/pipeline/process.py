@@ -64,7 +64,7 @@ def process(
     ------
     Scan2AlbedoError
         With one clear message: the scan cannot be read, holds no face, cannot be fitted, or the
-        results cannot be written. What the stages warned of before is in its notes (`__notes__`).
+        results cannot be written. Earlier warnings of the stages are in its notes (`__notes__`).
     ValueError
         For options that `ProcessOptions` refuses.
     """

@@ -55,7 +55,7 @@ FILES = frozenset(
 
 @dataclass(frozen=True)
 class ProcessResult:
-    """Everything that came of one scan.
+    """All results of one scan.
 
     Parameters
     ----------

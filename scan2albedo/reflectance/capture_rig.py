@@ -80,7 +80,7 @@ def rig_of_head_poses(
     Raises
     ------
     ReflectanceError
-        When shapes disagree, a matrix is no rotation, or a number is no camera's.
+        When shapes disagree, a matrix is no rotation, or a number refers to no camera.
 
     References
     ----------

@@ -46,7 +46,7 @@ class EnvironmentShading:
 
 @dataclass(frozen=True)
 class LightResponse:
-    """Linear maps from light to what a unit of each reflectance sends to the camera."""
+    """Linear maps from light to the radiance of a unit of each reflectance toward the camera."""
 
     diffuse: FloatArray
     """(V, 81) A_l / pi Y_lm(n)."""
@@ -74,7 +74,7 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
 
 
 def diffuse_response(normals: FloatArray) -> FloatArray:
-    """Return (V, 81) A_l / pi Y_lm(n), what a white diffuse surface without shadows sends to the camera."""
+    """Return (V, 81) A_l / pi Y_lm(n), the response of a white diffuse surface without shadows."""
     return harmonics(normals, ORDER) * lambert_coefficients(ORDER)[_DEGREES]
 
 

@@ -31,18 +31,17 @@ class FineTuneOptions:
     rounds: int = 10
     """Most rounds of fitting all images and changing the model."""
     mean_change: float = 0.1
-    """What anchors the means: standard deviation of how far they may be off, as a share of the mean albedo
+    """Prior of the change of the means: its standard deviation, as a share of the mean albedo
     (the mean sum of weights)."""
     basis_changes: tuple[float, ...] = (0.1, 0.3)
     """The same of the directions, as a share of the means'. The held-out images choose among several."""
     smoothing_mm: float = 6.0
-    """Standard deviation, along the surface, of the bump to which a peak of what is added spreads. Needs the
-    positions of the vertices."""
+    """Standard deviation, along the surface, of the smoothing of changes. Needs vertex positions."""
     smoothing_steps: int = 4
     """Without positions: steps to the neighbours' mean. How far they reach depends on the mesh."""
     significance_level: float = 0.025
-    """Probability that a change which does nothing to images like the held-out ones passes for one that
-    helps; 0.5 asks for their mean alone. One image cannot be tested."""
+    """Probability that a change without effect on images like the held-out ones is accepted; 0.5 tests their
+    mean alone. One image cannot be tested."""
 
     def __post_init__(self) -> None:
         if not self.mean_change > 0:
@@ -62,7 +61,7 @@ class FineTuneOptions:
 
 @dataclass(frozen=True)
 class FineTuning:
-    """A model after `finetune`, and what it did to images it was not tuned with."""
+    """A model after `finetune`, and its errors on images it was not tuned with."""
 
     model: MorphableReflectanceModel
     """The one given when nothing was accepted."""
@@ -132,10 +131,10 @@ def finetune(
     -----
     Images determine the albedo only up to the light, and held-out images do not resolve that either: the
     anchor keeps the albedo. It is Gaussian, for then each vertex has a closed form and a smooth error is
-    corrected everywhere a little; the absolute differences of Han, Wang and Xu favour few vertices. What
-    differs from face to face but is not in the directions, marks for instance, tuning does not add.
+    corrected everywhere a little; the absolute differences of Han, Wang and Xu favour few vertices. Tuning
+    adds no directions: differences between faces beyond them, marks for instance, stay unexplained.
 
-    tools/bench_reflectance_finetune.py prints what tuning does to pictures that neither step used.
+    tools/bench_reflectance_finetune.py measures tuning on pictures that neither step used.
 
     References
     ----------
@@ -286,7 +285,7 @@ def _smoother(
     vertices: ArrayLike | None,
     options: FineTuneOptions,
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return what smooths columns (V, C) over the vertices that the model knows."""
+    """Return a smoother of columns (V, C) over the vertices that the model knows."""
     count = len(model.known)
     triangles = _checked_faces(faces, count)
     triangles = triangles[model.known[triangles].all(1)]

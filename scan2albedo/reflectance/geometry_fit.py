@@ -98,8 +98,9 @@ def refine_geometry(
 
     q in mm at the face's depth, by Levenberg-Marquardt with analytic derivatives on re-weighted squares. In r
     both the image moves under a vertex and the shading turns with its normal. Rays find which vertices U are
-    seen, anew every few steps. The result with photometry is accepted only when the objective over what both
-    shapes show falls, landmarks stay near, and the colours are explained; otherwise that of landmarks is.
+    seen, anew every few steps. The result with photometry is accepted only when the objective over the
+    vertices seen in both shapes falls, landmarks stay near, and the colours are explained; otherwise the
+    result of the landmarks alone is returned.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def refine_geometry(
         When there is neither a landmark nor photometry, no initial pose and too few landmarks to find one,
         another topology, or numbers that are not finite.
     ValueError
-        When shapes are others, or only one of `reflectance` and `light` is given.
+        When shapes disagree, or only one of `reflectance` and `light` is given.
 
     Warns
     -----
@@ -249,7 +250,7 @@ class _Refinement:
         return GeometryObjective.of(self.model, self.options.prior_weight, terms, meter, rigid=rigid)
 
     def _search(self, search: GeometrySearch, photometry: Photometry) -> bool:
-        """Search, finding anew what is seen every few steps; return whether it converged."""
+        """Search, updating the seen vertices every few steps; return whether it converged."""
         converged = False
         for level in range(photometry.levels):
             converged = False

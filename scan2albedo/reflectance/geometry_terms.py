@@ -1,4 +1,4 @@
-"""What a geometry fit minimises: landmarks and colours as functions of where vertices lie."""
+"""The terms of a geometry fit: landmarks and colours as functions of the vertices' positions."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class GeometryFitOptions:
     softness: float = 0.01
     """Differences below this share of the median colour count by their squares (Charbonnier's epsilon)."""
     landmark_softness_mm: float | None = None
-    """Landmarks farther off than this count by their distance, not its square; None for squares alone."""
+    """Errors of landmarks above this enter by their distance, not its square; None for squares alone."""
     contour: bool = True
     """Use landmarks 0 ... 16, along the jaw, which slide over the face where its outline is meant."""
     blur_edges: tuple[float, ...] = (0.3,)
@@ -82,7 +82,7 @@ class WeightedResiduals:
 
 
 class GeometryTerm(Protocol):
-    """A part of the objective that depends on where the vertices (V, 3) lie in the scene."""
+    """A part of the objective that depends on the vertices (V, 3) in the scene."""
 
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where it is not defined."""
@@ -153,7 +153,7 @@ class PhotometricTerm:
     light: FloatArray
     """(81, 3)."""
     unit: float
-    """Colour that counts as 1."""
+    """The colour that differences are relative to."""
     weight: float
     softness: float
 
@@ -269,7 +269,7 @@ class Photometry:
         )
 
     def common_term(self, shapes: Sequence[FloatArray]) -> PhotometricTerm | None:
-        """Return the term in the last image over what all of the shapes (V, 3) show, or None."""
+        """Return the term in the last image over the vertices seen in all of the shapes (V, 3), or None."""
         used = self.usable(shapes[0])
         for vertices in shapes[1:]:
             used = np.intersect1d(used, self.usable(vertices))

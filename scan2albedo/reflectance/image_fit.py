@@ -50,7 +50,7 @@ class ImageFit:
     radiance_linear: FloatArray
     """(V, 3) colours with negatives of the reflectance clipped; NaN where not seen or not known."""
     relative_rmse: float
-    """Root mean square of the differences over that of the image, over what was used."""
+    """Root mean square of the differences over that of the image, at the vertices used."""
     objective: float
     """What was minimised."""
     converged: bool

@@ -64,7 +64,7 @@ class ImageObservation:
 
     @property
     def brightness(self) -> float:
-        """Mean colour of what is seen."""
+        """Mean colour of the seen vertices."""
         return float(np.asarray(self.observed_linear)[np.asarray(self.seen)].mean())
 
     def response(self, used: ArrayLike, lobe: Lobe = "tilted") -> LightResponse:

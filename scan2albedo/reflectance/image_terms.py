@@ -55,7 +55,7 @@ class ImageFitOptions:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Colours (U, 3) of the vertices used, and what they were made of."""
+    """Colours (U, 3) of the vertices used, and their parts."""
 
     color: FloatArray
     diffuse: FloatArray
@@ -67,9 +67,9 @@ class Prediction:
     light: FloatArray
     """(81, 3)."""
     diffuse_light: FloatArray
-    """(U, 3) what a white diffuse surface would send."""
+    """(U, 3) radiance of a white diffuse surface."""
     lobe_light: FloatArray
-    """(U, 3, 3) what each lobe of weight 1 would send, by lobe and channel."""
+    """(U, 3, 3) radiance of each lobe of weight 1, by lobe and channel."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ImageTerms:
         lighting: LightingModel,
         lobe: Lobe,
     ) -> ImageTerms:
-        """Gather what an image's terms need."""
+        """Gather the inputs of an image's terms."""
         used = np.flatnonzero(np.asarray(observation.seen) & model.known)
         last = [
             np.ascontiguousarray(np.moveaxis(basis[:, used], 0, -1))
@@ -156,7 +156,7 @@ class PerceptualValue:
 
     @property
     def first_curvature(self) -> float:
-        """Second derivative of a multiple of the squared distance to what has the value 0."""
+        """Second derivative of a multiple of the squared distance whose least value is 0."""
         return float(np.sum(self.gradient**2)) / (2 * abs(self.value)) if self.value else 0.0
 
 

@@ -57,7 +57,7 @@ class LightingModel:
         Parameters
         ----------
         count, components, seed : int
-            Maps, directions to keep, and what the maps are drawn from.
+            Number of maps, directions to keep, and seed of the maps.
         """
         if count < 2:
             raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")
@@ -227,7 +227,7 @@ def _room(rng: np.random.Generator, brightness: float) -> FloatArray:
 def _panel(
     toward: FloatArray, rng: np.random.Generator, *, low: float, high: float, widest: float
 ) -> NDArray[np.bool_]:
-    """Mask of what lies between two heights and two azimuths."""
+    """Mask of the pixels between two heights and two azimuths."""
     azimuth = np.arctan2(toward[..., 0], toward[..., 2])
     off = np.abs((azimuth - rng.uniform(-np.pi, np.pi) + np.pi) % (2 * np.pi) - np.pi)
     inside: NDArray[np.bool_] = (

@@ -22,7 +22,7 @@ _BLOCK = 4096
 
 @dataclass(frozen=True)
 class ModelChange:
-    """What is added to a model; zeros where it knows nothing."""
+    """Additions to a model; zeros at vertices that it does not know."""
 
     diffuse_mean: FloatArray
     """(V, 3)."""

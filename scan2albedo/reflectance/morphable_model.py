@@ -154,7 +154,7 @@ class MorphableReflectanceModel:
         """Learn a model from K reflectances of one topology.
 
         The deviations X (K x 3V) of the albedo from its mean have the Gram matrix X X^T = U diag(e) U^T;
-        direction i is X^T u_i / sqrt(K - 1), and the deviations of s and w' ride on the same u_i.
+        direction i is X^T u_i / sqrt(K - 1), and the deviations of s and w' use the same u_i.
 
         Raises `ReflectanceError` when there is no sample, topologies differ, or no vertex has the support;
         `ValueError` for options out of range.
@@ -170,7 +170,7 @@ class MorphableReflectanceModel:
 
         Notes
         -----
-        Where a sample does not know a vertex it deviates by nothing from the mean of those that do. This adds
+        Where a sample does not know a vertex, it is taken to be the mean of those that do. This adds
         no direction of its own, but the variance there comes out too small, by about the share of samples
         missing (see `support`). w' of a vertex without a lobe is a gap too, since 0 / 0 is no share. How
         weights vary where the albedo does not is left out, for directions are those of the albedo.

@@ -1,4 +1,4 @@
-"""One light at a time: what the flash alone adds, from pictures with the flash and with the room's light."""
+"""One light at a time: the flash's light alone, from pictures with the flash and with the room's light."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class CaptureDiagnostic:
     left_out: bool
     """Whether the whole pair is."""
     message: str
-    """In words, with what to do."""
+    """In words, with advice."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def extract_olat(
     Raises
     ------
     ValueError
-        When shapes are others.
+        When shapes disagree.
     ReflectanceError
         When there are no pairs, when values are beyond white, or when every pair is darker with its flash.
 

@@ -97,9 +97,9 @@ def observe_photograph(
     ------
     ReflectanceError
         When no vertex counts (names the step at which the last ones were lost), the image is black there,
-        holds other numbers, or the camera or the mesh cannot be used.
+        holds numbers of another type, or the camera or the mesh cannot be used.
     ValueError
-        When shapes are others.
+        When shapes disagree.
 
     Notes
     -----

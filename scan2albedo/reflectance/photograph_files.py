@@ -1,4 +1,4 @@
-"""`photograph.json`: a picture of a face in plain light, its camera, what is known of the face's shape."""
+"""`photograph.json`: a picture of a face in any light, its camera, and data on the face's shape."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class PhotographFiles:
     faces: NDArray[np.int64] | None
     """(F, 3): of the mesh; empty for points alone."""
     landmarks_px: FloatArray | None
-    """(68, 2): NaN for what is hidden."""
+    """(68, 2): NaN for hidden ones."""
 
 
 def read_photograph(path: str | Path) -> PhotographFiles:
@@ -93,7 +93,7 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     Raises
     ------
     ReflectanceError
-        When the file does not fit, or mask and image differ in size; names it and the first fault.
+        When the file is invalid, or mask and image differ in size; names it and the first fault.
     ScanError
         When image, mask or mesh cannot be read.
     """

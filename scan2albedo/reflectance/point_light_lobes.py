@@ -36,7 +36,7 @@ def point_light_lobes(
     Returns
     -------
     (J, V, 4) float64
-        All 0 where the light is behind the vertex. Whether something hides it is not asked.
+        All 0 where the light is behind the vertex. Cast shadows are not tested.
 
     Raises
     ------

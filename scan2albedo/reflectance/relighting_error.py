@@ -53,7 +53,7 @@ def relighting_error(
     held_out : (J,) array_like of bool
         At least one, and not all.
     options : ReflectanceFitOptions
-        With light gains, a flash that lit none of the others counts as of gain 1.
+        With light gains, a flash that lit none of the others has gain 1.
     gamma : float
         Of the display.
 

@@ -61,9 +61,8 @@ class ReflectanceFitOptions:
     prior: ReflectancePrior = ReflectancePrior()
     """Of every vertex."""
     loss: str = "cauchy"
-    """One of "cauchy", "charbonnier", "squares". Of a picture's residual, its three channels together: what
-    no model of the light explains, a shadow that the mesh does not cast for instance, pulls little or not at
-    all."""
+    """One of "cauchy", "charbonnier", "squares". Of a picture's residual, its three channels together:
+    outliers, such as a shadow that the mesh does not cast, get little weight or none."""
     light_gains: bool = False
     """Estimate the strength of each flash in each channel, too; their mean is 1."""
     gain_iterations: int = 50
@@ -105,7 +104,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class RobustFit:
-    """Of the vertices `rows` (N,): what the kernels of the same names say; weight (J, N)."""
+    """Results for the vertices `rows` (N,), filled by the kernels of `vertex_kernels`; weight (J, N)."""
 
     estimate: FloatArray
     center: FloatArray

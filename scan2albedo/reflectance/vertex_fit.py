@@ -129,9 +129,9 @@ def fit_reflectance(
     Intervals come from the Gaussian posterior before the bounds, cut at 0: bounds shorten them, and where a
     number is not identified they are the prior's.
 
-    Intervals know of noise and of the prior, and widen with the misfit; they do not know of normals that are
-    off, which bend all pictures of a vertex alike: with normals off by 1 degree 71 % of them hold the truth,
-    at 1 % noise in 90 pictures, by 3 degrees 42 %.
+    Intervals account for noise and the prior, and widen with the misfit, but not for wrong normals, which
+    bias all pictures of a vertex alike: with normals off by 1 degree 71 % of them hold the truth, at 1 %
+    noise in 90 pictures, by 3 degrees 42 %.
 
     Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less.
 

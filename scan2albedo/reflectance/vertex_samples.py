@@ -1,4 +1,4 @@
-"""`VertexSamples`: what J pictures, each lit by one flash, show of V vertices."""
+"""`VertexSamples`: observations of V vertices in J pictures, each lit by one flash."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class VertexSamples:
     valid: NDArray[np.bool_]
     """(J, V, 3): seen, lit, neither saturated nor missing."""
     lobes: FloatArray
-    """(J, V, 4): what unit albedo and unit weights would send, see `point_light_lobes`."""
+    """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`."""
     light: NDArray[np.int64]
     """(J,): number of the flash."""
 
@@ -153,7 +153,7 @@ def sample_vertices(
     Raises
     ------
     ValueError
-        When shapes are others.
+        When shapes disagree.
     ReflectanceError
         When there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
 

@@ -62,7 +62,7 @@ class VertexVisibility:
         return reached & ~hidden
 
     def seen(self, camera: FloatArray, cosine: float, margin_px: float) -> BoolArray:
-        """Return (V,) vertices that a camera (3, 4) sees at an angle to the normal of at least `cosine`.
+        """Return (V,) vertices that a camera (3, 4) sees, normals at least `cosine` to the line of sight.
 
         The surface must continue `margin_px` to all four sides, without a hole or a depth step beyond its
         slope.

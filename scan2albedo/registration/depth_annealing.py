@@ -114,7 +114,7 @@ def anneal_depth_derivatives(
     seed: int,
     meter: Meter,
 ) -> AnnealedPose:
-    """Anneal the pose within 8 degrees and 8 mm of the start, then more finely near what was found.
+    """Anneal the pose within 8 degrees and 8 mm of the start, then more finely near the result.
 
     Half of the `evaluations` see images of half the `size` (pixels a side). The scale of `start` is kept; the
     meter records the objective's improvements.

@@ -17,10 +17,7 @@ FloatArray = NDArray[np.float64]
 
 
 def import_open3d() -> ModuleType:
-    """Return the open3d module, whose import takes seconds.
-
-    Raises `MissingDependencyError` when it, or a system library it is linked to, is missing.
-    """
+    """Return open3d, whose import takes seconds; raises `MissingDependencyError` without its libraries."""
     try:
         import open3d
     except (ImportError, OSError) as error:

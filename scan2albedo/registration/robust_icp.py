@@ -60,7 +60,7 @@ class Residuals:
     def icp_loss_mm(self, weights: FloatArray, sigma_mm: float) -> float:
         """Return the root of the mean loss that a step of `robust_icp` lowers (Geman-McClure).
 
-        A sample whose normal disagrees, or without a near scan point, counts with the distance sigma.
+        A sample whose normal disagrees, or without a near scan point, has the loss of one far away, sigma.
         """
         trust = np.where(np.isfinite(self.distance_mm), np.maximum(self.agreement, 0) ** 2, 0)
         near = self.plane_mm**2 / (sigma_mm**2 + self.plane_mm**2)

@@ -57,10 +57,7 @@ class FaceScores:
 
     @property
     def certainty(self) -> float:
-        """Return the likeness, raised where the relief is symmetric: separates faces from other bodies.
-
-        Symmetry only ever raises it, since half a face has none to show.
-        """
+        """Return the likeness, raised where the relief is symmetric, which half a face cannot be."""
         return self.likeness + max(0.0, _SYMMETRY_GAIN * (self.symmetry - _CHANCE_SYMMETRY))
 
     @property

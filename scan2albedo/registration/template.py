@@ -42,10 +42,7 @@ class Template:
 
     @classmethod
     def of(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
-        """Sample a model about every `spacing_mm`.
-
-        Raises `RegistrationError` when it has too few control vertices to have the relief of a face.
-        """
+        """Sample a model about every `spacing_mm`; too few control vertices raise a `RegistrationError`."""
         if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
             raise RegistrationError(
                 f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief "

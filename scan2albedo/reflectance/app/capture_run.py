@@ -93,7 +93,7 @@ class FittedCapture:
 
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
-    """Write what each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
+    """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
     with _naming(capture):
         olat = capture.extract_olat()
     names = capture.pair_names()
@@ -222,7 +222,7 @@ def _held_out(usable: BoolArray, every: int) -> BoolArray:
 
 
 def _notes(olat: OlatImages, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what was wrong with pairs; clipped highlights, which every capture has, where they are many."""
+    """Return the faults of pairs; clipped highlights, which every capture has, only where they are many."""
     return tuple(
         f"{names[one.pair]}: {one.message}"
         for one in olat.diagnostics

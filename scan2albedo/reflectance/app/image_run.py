@@ -46,7 +46,7 @@ _ONE_HELD_OUT_OF = 3
 
 @dataclass(frozen=True)
 class FittedPhotograph:
-    """A photograph, its face's vertices (V, 3) in mm in the camera's frame, and what explains it."""
+    """A photograph, its face's vertices (V, 3) in mm in the camera's frame, and the fits."""
 
     photograph: PhotographFiles
     vertices: FloatArray
@@ -59,7 +59,7 @@ class FittedPhotograph:
     """Of all fits, one after the other; each begins at 0 seconds."""
 
     def notes(self) -> tuple[str, ...]:
-        """Return what a reader of the figures has to know."""
+        """Return the caveats of the figures."""
         parts = {"shape": self.geometry, "reflectance and light": self.fit}
         return tuple(
             f"the fit of {name} stopped before it had converged"
