@@ -67,7 +67,7 @@ class ClosestPointQuery:
 
 
 def checked_points(points: ArrayLike) -> FloatArray:
-    """Return points (N, 3) as float64. Raises ValueError for NaN, infinite or overflowing ones."""
+    """Return points (N, 3) as float64; ValueError for NaN, infinity or squared distances that overflow."""
     targets = np.ascontiguousarray(points, np.float64)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
         raise ValueError(

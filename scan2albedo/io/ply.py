@@ -151,7 +151,7 @@ def _linear(colors: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _read_elements(path: Path) -> _PlyFile:
-    """Read all elements. Raises ScanError for a damaged header or a body shorter than it declares."""
+    """Read all elements; ScanError, naming the file, for a damaged header or a body cut short."""
     data = path.read_bytes()
     end = _HEADER_END.search(data[: 1 << 20])
     if not data.lstrip()[:3].lower() == b"ply" or end is None:

@@ -49,8 +49,8 @@ def without_panes(
 ) -> IntArray:
     """Return the faces (F', 3) of the parts that do not lie across the lens's axis.
 
-    Such lenses would stop the rays before the rim. A lens of one piece with the rim stays. Without rim points
-    (K, 3) a small lens is guessed from the mesh's size.
+    A domed lens would stop the rays before they reach the rim. A lens of one piece with the rim stays.
+    Without rim points (K, 3) a small lens is guessed from the mesh's size.
     """
     return faces[~pane_faces(vertices, faces, plane, rim_points)]
 

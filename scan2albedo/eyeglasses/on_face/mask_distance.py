@@ -62,10 +62,11 @@ class MaskDistance:
 def search_edges(
     distance: MaskDistance, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray, facing: float
 ) -> FloatArray:
-    """Return (N,) signed ways along `outward` (N, 2) from `pixels` to where the mask ends; NaN for none.
+    """Return (N,) signed distances along `outward` (N, 2) from `pixels` to the mask's edge; NaN for none.
 
-    The nearest end within `reach_px` (N,) each way counts, if `outward` leaves the mask there within a cosine
-    of `facing`. Distances to the mask's nearest border would find the sides of a bar, never its end.
+    The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask, at
+    a cosine of `facing` or more to the mask's own outward direction. Distances to the mask's nearest border
+    would find the sides of a bar, never its end.
     """
     result = np.full(len(pixels), np.nan)
     if not len(pixels):
