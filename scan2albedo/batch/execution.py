@@ -1,4 +1,4 @@
-"""Tasks through workers, local or of a cluster, whatever becomes of the workers."""
+"""Run tasks in workers, local or of a cluster, also when workers die."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _answered(client: Any, tasks: Sequence[ScanTask]) -> Iterator[tuple[ScanTask
 
 @contextmanager
 def _client(address: str) -> Iterator[Any]:
-    """Give a client of the dask scheduler, which has a worker at least."""
+    """Give a client of the dask scheduler, which has at least one worker."""
     with needs_extra("cluster"):
         from distributed import Client
     try:
@@ -215,7 +215,7 @@ def _reason(error: BaseException) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep loky from warning of a worker that it replaces because its memory grew: that is wanted here."""
+    """Keep loky from warning of a worker that it replaces because its memory grew, which is intended."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         yield

@@ -60,7 +60,7 @@ class Layout:
         return self.rows / f"{name}.json"
 
     def row(self, name: str) -> BatchScanRecord | None:
-        """Return the record of a scan, None when there is none that is whole."""
+        """Return the record of a scan, None when it is missing or incomplete."""
         try:
             return read_record(self.row_file(name), BatchScanRecord)
         except Scan2AlbedoError:
@@ -84,7 +84,7 @@ class Layout:
         write_text(self.out / _KEPT / "run", run)
 
     def end_run(self) -> None:
-        """Let no worker that is left write here any more."""
+        """Keep remaining workers from writing here."""
         with suppress(OSError):
             (self.out / _KEPT / "run").unlink()
         shutil.rmtree(self.running, ignore_errors=True)
@@ -101,7 +101,7 @@ class Layout:
         write_text(self.running / name, json.dumps({"pid": os.getpid(), "started_at": started_at}))
 
     def started_at(self, name: str) -> float | None:
-        """Return since when a scan is being processed, None when it is not, or no longer."""
+        """Return when processing of a scan began, None when it is not in progress."""
         try:
             return float(json.loads((self.running / name).read_text(encoding="utf-8"))["started_at"])
         except (OSError, ValueError, KeyError, TypeError):
@@ -139,7 +139,7 @@ def folder_sha256(folder: Path) -> dict[str, str]:
 
 
 def changed_file(folder: Path, files: Mapping[str, str]) -> str | None:
-    """Return the name of a file that is missing or not as it was, None when all are."""
+    """Return the name of a file that is missing or changed, None when there is none."""
     for name, sha256 in files.items():
         try:
             if file_sha256(folder / name) != sha256:

@@ -1,4 +1,4 @@
-"""How many workers the memory carries."""
+"""How many workers fit into memory."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def available_mb() -> float:
 
 
 def _scan_mb(path: Path) -> float:
-    """Return what a scan adds, from the sizes of its files and textures; 0 where it is missing."""
+    """Return the memory that a scan adds, from the sizes of its files and textures; 0 where it is missing."""
     total = 0.0
     with suppress(OSError, ValueError):
         for file in files_of_scan(path):

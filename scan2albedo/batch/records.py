@@ -14,7 +14,7 @@ Sha256 = Annotated[str, Field(pattern=SHA256)]
 
 
 class BatchScanRecord(Record):
-    """What became of one scan: `OUT/.batch/rows/<name>.json`."""
+    """The outcome of one scan: `OUT/.batch/rows/<name>.json`."""
 
     format_version: Literal[1] = 1
     run: str = Field(description="Of the batch's run that wrote it.")

@@ -100,7 +100,7 @@ class BatchReport:
         }
 
     def summary(self) -> str:
-        """Return a few lines a person can judge the batch by."""
+        """Return a summary of a few lines for a person."""
         progress = self.progress
         parts = [f"{progress.done} of {progress.total} done"]
         if progress.kept:

@@ -1,4 +1,4 @@
-"""What of an earlier run can be kept, and what it left behind."""
+"""Results of earlier runs that can be kept, and their leftovers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Resumed:
 
 
 def verified(tasks: Sequence[ScanTask], layout: Layout) -> Resumed:
-    """Read every result of earlier runs and return those that still hold."""
+    """Read every result of earlier runs and return those that are still valid."""
     with ThreadPoolExecutor(_READERS) as readers:
         found = list(readers.map(lambda task: _looked_at(task, layout), tasks))
     kept = {row.name: row for row, _ in found if row is not None}
@@ -51,7 +51,7 @@ def verified(tasks: Sequence[ScanTask], layout: Layout) -> Resumed:
 
 
 def _looked_at(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
-    """Return the record of a result that holds, or None and why it does not."""
+    """Return the record of a result that is still valid, or None and why it is not."""
     row = layout.row(task.name)
     if row is None:
         return None, "not run"
@@ -88,7 +88,7 @@ def remove_leftovers(layout: Layout) -> int:
 
 
 def _at_work(folder: Path) -> bool:
-    """Return whether the process that made a staging folder, whose number its name holds, lives."""
+    """Return whether the process whose number is in a staging folder's name still runs."""
     import psutil
 
     try:

@@ -1,4 +1,4 @@
-"""`run_batch`: many scans, each in a worker, with a catalogue of what became of them."""
+"""`run_batch`: many scans, each in a worker, with a catalogue of the outcomes."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ class _Run:
     written: float = 0.0
 
     def report(self, tasks: Sequence[ScanTask], resume: bool) -> BatchReport:
-        """Process what is to be done and return what came of all."""
+        """Process the remaining scans and return the report on all."""
         self.layout.begin_run(self.run)
         status: BatchStatus = "interrupted"
         try:
@@ -219,7 +219,7 @@ class _Run:
         )
 
     def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
-        """Keep what holds of earlier runs, remove what they left behind, and return the other tasks."""
+        """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
         if removed := remove_leftovers(self.layout):
             self.note(f"removed {removed} half-written files and folders of a run that was killed")
         self.resumed = verified(tasks, self.layout)
@@ -237,7 +237,7 @@ class _Run:
         self.jobs = jobs
 
     def limited(self, tasks: Sequence[ScanTask]) -> int:
-        """Return how many processes to use for these tasks: what memory carries, by now."""
+        """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
         peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
         limit = job_limit(

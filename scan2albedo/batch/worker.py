@@ -73,7 +73,7 @@ def begin_worker(parent: int) -> None:
 
 
 def process_task(task: ScanTask) -> BatchScanRecord:
-    """Process one scan, write its files and its record, and return that: of a failure too, whatever it is."""
+    """Process one scan, write its files and its record, and return the record, also of any failure."""
     layout = Layout(Path(task.out))
     earlier = layout.row(task.name)
     if earlier is not None and earlier.run == task.run:

@@ -26,7 +26,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readab
 
 
 def echo_json(value: Any) -> None:
-    """Print strict JSON on stdout: what is infinite or unknown is null."""
+    """Print strict JSON on stdout: infinite and unknown numbers are null."""
     from scan2albedo.io.records import plain_json
 
     typer.echo(json.dumps(plain_json(value), indent=2, allow_nan=False))

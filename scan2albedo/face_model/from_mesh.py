@@ -35,7 +35,7 @@ WIDE_OFFSET_MM = 1.0
 
 @dataclass(frozen=True)
 class DenseTemplate:
-    """What `AnnotatedFaceModel.from_mesh` was given; see there."""
+    """The arguments of `AnnotatedFaceModel.from_mesh`; see there."""
 
     vertices: FloatArray
     faces: IntArray

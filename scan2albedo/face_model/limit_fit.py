@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NORMAL_WEIGHT_MM = 12.0
-"""Length that a turn of the normal by one radian counts as when edges are collapsed."""
+"""Length equivalent to a turn of the normal by one radian when edges are collapsed."""
 LEVELS = 2
 ITERATIONS = 4
 SMOOTHNESS = 0.005

@@ -34,7 +34,7 @@ STEP_MM = 1.3
 """Standard deviations of a coefficient, and of the difference between neighbouring ones."""
 NOISE_MM = 1.5
 INDEPENDENT_SAMPLES = 300
-"""Neighbouring residuals err alike, so they weigh against the prior like this many."""
+"""Neighbouring residuals are correlated: against the prior they count as this many independent ones."""
 LAST_GATE_MM = 6.0
 ROBUST_MM = (3.0, 1.5)
 

@@ -83,7 +83,7 @@ class SurfaceAverages:
         return np.where(self._spike, 0.0, count)
 
     def _shares(self, reach_mm: float) -> FloatArray:
-        """Return (N,) weights of each vertex's neighbours; those of a spike's are equal."""
+        """Return (N,) weights of each vertex's neighbours, equal ones for a spike."""
         return _neighbour_shares(self.vertices, *self._joined, self._spike, self._weight, reach_mm)
 
     def _averaged(

@@ -66,7 +66,7 @@ class ScanSurface:
         return weight > 0.999
 
     def turned_outward(self, points: FloatArray, normals: FloatArray, reach_mm: float) -> ScanSurface:
-        """Return the surface looking the way of the model's `normals` at `points`, inside out if need be."""
+        """Return the surface, reversed when most normals disagree with the model's `normals` at `points`."""
         hits = self.nearest.query(points)
         near = hits.distance < reach_mm
         agreement = np.einsum("ij,ij->i", self.normals_at(hits)[near], normals[near])

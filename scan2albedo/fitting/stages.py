@@ -34,7 +34,7 @@ FINEST_MENDING_ROUNDS = 3
 TRIAL_LEVEL, TRIAL_STAGES, TRIAL_STEPS = 1, 2, 5
 """A trial's samples, stages, and steps in each; longer trials choose no better."""
 USUAL_SPRINGS = 0.5
-"""Stiffness of the springs, relative to an open gate's, that the preconditioner reckons with."""
+"""Stiffness of the springs, relative to an open gate's, that the preconditioner assumes."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Deformation:
 
     @cached_property
     def control_area(self) -> FloatArray:
-        """(C,) mm^2 around each control point, never quite 0."""
+        """(C,) mm^2 around each control point, above 0."""
         area = vertex_areas(self.reference, self.model.control_faces)
         return np.maximum(area, 1e-6 * area.mean())
 

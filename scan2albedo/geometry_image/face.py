@@ -25,7 +25,7 @@ _CHART_TOLERANCE = 1e-6
 
 
 class Fitted(Protocol):
-    """What sampling needs of a fitted face (`scan2albedo.fitting.FittedFace`)."""
+    """The parts of a fitted face that sampling needs (`scan2albedo.fitting.FittedFace`)."""
 
     @property
     def vertices(self) -> NDArray[np.float64]:

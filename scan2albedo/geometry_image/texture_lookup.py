@@ -65,7 +65,7 @@ class TextureLookup:
         self._scan, self._options = scan, options
 
     def _near(self, points: FloatArray) -> NDArray[np.int64]:
-        """Return the faces near `points`, all when none is: an index of the whole scan would cost most."""
+        """Return the faces near `points`, all when none is: indexing the whole scan would cost most."""
         vertices, faces = self._scan.vertices, self._scan.faces
         margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
         inside = np.all((vertices >= points.min(0) - margin) & (vertices <= points.max(0) + margin), axis=1)

@@ -115,7 +115,7 @@ class ProcessOptions:
         self._check_ranges()
 
     def _check_ranges(self) -> None:
-        """Refuse what a late stage would refuse, before an early one has worked for nothing."""
+        """Refuse values that a late stage would refuse, before an early one has run."""
         # Imported here: they load compiled code, which the command line does not need to show its help.
         from scan2albedo.albedo.estimate import BRDFS
         from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE
@@ -152,7 +152,7 @@ class ProcessOptions:
         return asdict(self)
 
     def recorded(self, model: AnnotatedFaceModel | None) -> dict[str, Any]:
-        """Return the options as `result.json` has them, defaults replaced by what they came to."""
+        """Return the options as `result.json` has them, defaults replaced by the values used."""
         budget = Budget.of(self.budget)
         return {
             **{name: value for name, value in self.arguments().items() if name not in _RECORDED_OTHERWISE},
@@ -186,7 +186,7 @@ def option_of_text(name: str, text: str) -> int | str:
 
 
 def _check_stages(skip: Sequence[str], force: Sequence[str]) -> None:
-    """Refuse names that are no stage, and what cannot be skipped or forced."""
+    """Refuse names that are no stage, or that cannot be skipped or forced."""
     for name in (*skip, *force):
         if name not in STAGES:
             raise ValueError(f"{name!r} is no stage; stages are {', '.join(STAGES)}")

@@ -274,7 +274,7 @@ def _warnings_as_messages() -> Iterator[list[str]]:
 
 
 def _cautions(fitted: FittedFace | None) -> list[str]:
-    """Return what a person should know of a fit that looks good where there was a scan."""
+    """Return warnings about a fit that looks good only where there was a scan."""
     coverage = 1.0 if fitted is None else fitted.metrics["coverage"]
     if coverage >= WHOLE_FACE:
         return []

@@ -1,4 +1,4 @@
-"""Named presets of quality: what each stage of `process` spends."""
+"""Named presets of quality: the options of each stage of `process`."""
 
 from __future__ import annotations
 

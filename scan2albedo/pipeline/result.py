@@ -1,4 +1,4 @@
-"""`ProcessResult`: everything that came of one scan, and its files, all of them or none."""
+"""`ProcessResult`: all results of one scan, and its files, all of them or none."""
 
 from __future__ import annotations
 
@@ -124,12 +124,12 @@ class ProcessResult:
         return figures
 
     def _unfinished(self) -> list[str]:
-        """Return the stages that a budget ended, or that found no end of their own."""
+        """Return the stages that a budget ended, or that did not converge."""
         stages = {"register": self.registration, "fit": self.fitted, "albedo": self.albedo}
         return [name for name, found in stages.items() if found is not None and not found.converged]
 
     def summary(self) -> str:
-        """Return one line a person can judge the result by."""
+        """Return a summary of one line for a person."""
         parts = [f"{self.scan.name}: done in {sum(self.timings_s.values()):.1f} s"]
         if self.fitted is not None:
             parts.append(f"fit {np.nanmean(self.fitted.residual_mm):.2f} mm mean")

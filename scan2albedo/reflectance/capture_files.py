@@ -33,7 +33,7 @@ class _Part(BaseModel):
 
 
 class PoseEntry(_Part):
-    """Where the head was before one camera: x_cam = R x + t. The flash of that name is there, too."""
+    """Pose of the head before one camera: x_cam = R x + t. The flash of the same name is at that camera."""
 
     name: str = Field(min_length=1)
     rotation: Matrix = Field(description="R, row-major, proper.")

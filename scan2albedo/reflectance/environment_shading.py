@@ -1,4 +1,4 @@
-"""What vertices send to the camera under light from everywhere, and how that changes when they turn."""
+"""Radiance of vertices under light from everywhere, and its derivatives by normals and directions of view."""
 
 from __future__ import annotations
 

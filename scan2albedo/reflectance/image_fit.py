@@ -52,7 +52,7 @@ class ImageFit:
     relative_rmse: float
     """Root mean square of the differences over that of the image, at the vertices used."""
     objective: float
-    """What was minimised."""
+    """Value of the minimised function."""
     converged: bool
     """False when the budget or the steps ended first."""
     iterations: int

@@ -1,4 +1,4 @@
-"""What one image shows of a face whose geometry and pose are known."""
+"""Colours of one image at the vertices of a face, its geometry and pose being known."""
 
 from __future__ import annotations
 

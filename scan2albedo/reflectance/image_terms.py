@@ -1,4 +1,4 @@
-"""What an image fit minimises: predicted colours with derivatives, and a measure of the caller's."""
+"""The terms of an image fit: predicted colours with derivatives, and a measure of the caller's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 FloatArray = NDArray[np.float64]
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
-gradient (V, 3) by the predicted ones; gradients at vertices that are not used are not looked at."""
+gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
 
 _PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
 

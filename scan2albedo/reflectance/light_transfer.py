@@ -1,4 +1,4 @@
-"""What vertices send to the camera under light from everywhere, where the surface shadows itself."""
+"""Response of vertices to light from everywhere, where the surface shadows itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The change of a model's albedo and lobe sums that images ask for, vertex by vertex."""
+"""The change of a model's albedo and lobe sums that explains images best, vertex by vertex."""
 
 from __future__ import annotations
 

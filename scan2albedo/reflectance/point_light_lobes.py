@@ -1,4 +1,4 @@
-"""What a vertex of unit albedo, and of unit weight of each lobe, sends to a camera under a point light."""
+"""Radiance of a vertex of unit albedo, and of unit weight of each lobe, under a point light."""
 
 from __future__ import annotations
 

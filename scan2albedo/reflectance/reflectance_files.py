@@ -31,7 +31,7 @@ _OF_A_FIT = {
     "misfit": "f",
     "light_gain": "f",
 }
-"""What else a fit's file holds; NaN where a vertex is not known."""
+"""Further arrays in a fit's file; NaN where a vertex is not known."""
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,9 @@ class RelightingError:
     psnr_db: float
     """Of displayed values, radiance^(1 / gamma) with the 99th percentile of the observed as white."""
     noise_part: float
-    """What the observations' own sigma makes of `relative_rmse`."""
+    """The part of `relative_rmse` that the observations' own sigma explains."""
     of_picture: FloatArray
-    """(J,): relative RMSE of each picture; NaN where it was not left out or shows nothing that is known."""
+    """(J,): relative RMSE of each picture; NaN where it was not left out or shows no known vertex."""
     observations: int
     """Their number."""
     fit: ReflectanceFit

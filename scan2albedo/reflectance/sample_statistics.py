@@ -1,4 +1,4 @@
-"""What models learned from samples share: means over gaps, principal directions, coefficients."""
+"""Shared by models learned from samples: means over gaps, principal directions, coefficients."""
 
 from __future__ import annotations
 

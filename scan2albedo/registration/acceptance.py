@@ -115,7 +115,7 @@ def _bulge(samples: OrientedPoints) -> float:
 
 
 def _refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate) -> None:
-    """Depth images show both sides of a surface: see that the normals agree as well."""
+    """Refuse a pose whose normals disagree, which depth images do not show."""
     measured = residuals(scan.samples, template.samples, best.pose)
     near = measured.distance_mm < _NEAR_MM
     if near.any() and np.mean(measured.agreement[near] < 0) > 0.5:

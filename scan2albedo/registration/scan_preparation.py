@@ -1,4 +1,4 @@
-"""The scan as the search wants it: checked, without stray vertices, in its principal frame, sampled."""
+"""The scan prepared for the search: checked, without stray vertices, in its principal frame, sampled."""
 
 from __future__ import annotations
 

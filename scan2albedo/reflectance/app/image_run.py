@@ -1,4 +1,4 @@
-"""From photographs in plain light to reflectance and light, to finer models, and their files."""
+"""From photographs in any light to reflectance and light, to finer models, and their files."""
 
 from __future__ import annotations
 
