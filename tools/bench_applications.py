@@ -19,7 +19,7 @@ from scan2albedo.applications.expression_transfer import expression_displacement
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
 from scan2albedo.synthetic.face_shape import person
 from scan2albedo.synthetic.renderer import RayScene, render

@@ -18,10 +18,10 @@ from bench_albedo import light_error_deg, synthetic_case, value_of
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions, albedo_error
 from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.paper_search import DeviationProblem
-from scan2albedo.albedo.residual import ResidualProblem
+from scan2albedo.albedo.residual_objective import ResidualProblem
 from scan2albedo.core import Budget, Meter
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.asrm import Reflectance, Shading, shade_rows
+from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import face
 

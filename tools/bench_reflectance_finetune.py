@@ -34,7 +34,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
-from scan2albedo.reflectance.model_update import best_change
+from scan2albedo.reflectance.finetune_step import best_change
 
 TUNING, HELD_OUT, THIRD = 12, 6, 10
 REPORTED = (0, 1, 2, 3, 4)

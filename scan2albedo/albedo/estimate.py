@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import toward_viewer, usable_texels, value_channel, with_every_normal
-from scan2albedo.albedo.light_model import Solution
+from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.model_selection import limits_step
@@ -27,7 +27,7 @@ from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 
 _LEAST_FACING = 0.1
 """Part of the texels that has to face the viewer."""

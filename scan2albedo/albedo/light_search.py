@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import cell_image
-from scan2albedo.albedo.light_model import LightModel, Solution, cost_removed
+from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.model_selection import (
     LIGHT_GAIN,
@@ -21,7 +21,7 @@ from scan2albedo.albedo.model_selection import (
     light_evidence,
     undecided,
 )
-from scan2albedo.albedo.residual import ResidualProblem, descend, one_step
+from scan2albedo.albedo.residual_objective import ResidualProblem, descend, one_step
 from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
 from scan2albedo.core.plan import PlanStep
 

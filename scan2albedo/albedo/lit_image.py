@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import Level, brightest_around, build_level
-from scan2albedo.albedo.light_model import LightModel, Solution
+from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.shadows import ShadowLattice, shadow_caster
 from scan2albedo.albedo.uncertainty import LightUncertainty

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.light_model import LightModel, Solution, cost_removed
+from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.albedo.residual import ResidualProblem, descend
+from scan2albedo.albedo.residual_objective import ResidualProblem, descend
 from scan2albedo.core.plan import PlanStep
 
 FloatArray = NDArray[np.float64]

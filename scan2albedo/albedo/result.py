@@ -14,7 +14,7 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.asrm import Reflectance, Shading, shade_points
+from scan2albedo.lighting.shading import Reflectance, Shading, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import Level
-from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage, Occluder

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.light_model import Solution, cost_removed
-from scan2albedo.albedo.residual import ResidualProblem
+from scan2albedo.albedo.light_parameters import Solution, cost_removed
+from scan2albedo.albedo.residual_objective import ResidualProblem
 from scan2albedo.core.point_light import PointLight
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.texture_swap import continued, trusted
 from scan2albedo.errors import ApplicationError
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 
 _OWN_END = 0.05
 """Closer than this to weight 0 or 1 badly seen texels fade to the face's own: the ends are the faces."""

@@ -15,7 +15,7 @@ from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, Processe
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
-from scan2albedo.lighting.asrm import Reflectance, shade_points
+from scan2albedo.lighting.shading import Reflectance, shade_points
 
 if TYPE_CHECKING:
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance

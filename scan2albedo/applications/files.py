@@ -24,7 +24,7 @@ from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record, write_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord, ResultRecord
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate

@@ -14,7 +14,7 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

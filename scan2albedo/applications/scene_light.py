@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.lighting.asrm import Reflectance, lamp_factors
 from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 FloatArray = NDArray[np.float64]
@@ -82,9 +82,9 @@ def shade(
 
         diffuse = ambient + sum_k V_k E_k f(n, l_k, v),  specular = k_s sum_k V_k E_k phong(n, l_k, v)
 
-    as in `lighting.asrm`, with a colour a lamp and a viewer a point: `view`, (3,) or (N, 3), unit. Both are
-    linear in the lamps. `specular_scale` (N,) multiplies the highlights. A shadow ray and a reflectance are
-    computed for each lamp and point that faces it.
+    as in `lighting.shading`, with a colour a lamp and a viewer a point: `view`, (3,) or (N, 3), unit. Both
+    are linear in the lamps. `specular_scale` (N,) multiplies the highlights. A shadow ray and a reflectance
+    are computed for each lamp and point that faces it.
     """
     position, normal = shadows.position, shadows.normal
     toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))

@@ -62,7 +62,7 @@ def canonicalize(
         )
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import EyeglassesError
-    from scan2albedo.eyeglasses.app.canonicalization import (
+    from scan2albedo.eyeglasses.app.canonicalize_run import (
         FailedFrame,
         canonicalize_frames,
         read_frames,
@@ -165,7 +165,7 @@ def register(
     """
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
-    from scan2albedo.eyeglasses.app.registration import register_frame, write_registration_files
+    from scan2albedo.eyeglasses.app.register_run import register_frame, write_registration_files
     from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
     from scan2albedo.io.atomic import check_writable
 

@@ -3,7 +3,7 @@
 `scan2albedo.geometry_image` is the function; import modules of this folder by their full names.
 """
 
-from scan2albedo.geometry_image.face import geometry_image
+from scan2albedo.geometry_image.fitted_face import geometry_image
 from scan2albedo.geometry_image.model_free import geometry_image_of_scan
 from scan2albedo.geometry_image.texture_lookup import LookupOptions
 

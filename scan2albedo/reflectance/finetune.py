@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
+from scan2albedo.reflectance.finetune_step import ModelChange, best_change, neighbour_smoothing, no_change
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.model_update import ModelChange, best_change, neighbour_smoothing, no_change
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 
 _SMALLEST_STEP = 0.25

@@ -8,10 +8,10 @@ from scipy.optimize import minimize
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.levels import brightest_around, build_level, usable_texels, value_channel
-from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import CONE_RAD, LitImage
-from scan2albedo.albedo.residual import Residual, ResidualProblem, descend, one_step
+from scan2albedo.albedo.residual_objective import Residual, ResidualProblem, descend, one_step
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.core import Budget, Meter
 from scan2albedo.geometry.rays import RayCaster

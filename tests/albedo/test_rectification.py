@@ -10,7 +10,7 @@ from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
 from scan2albedo.albedo.rectification import rectify, shadow_outline
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import face, light_at
 
 SIZE = 128

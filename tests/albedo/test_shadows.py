@@ -8,7 +8,7 @@ import pytest
 
 from scan2albedo.albedo import EstimateOptions, shadows
 from scan2albedo.albedo.levels import build_level
-from scan2albedo.albedo.light_model import LightModel
+from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.lit_image import CONE_RAD
 from scan2albedo.albedo.shadows import LEAST_SHADOW, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter

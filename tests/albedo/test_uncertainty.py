@@ -8,8 +8,8 @@ import pytest
 
 from scan2albedo.albedo import EstimateOptions, estimate_albedo
 from scan2albedo.albedo.levels import build_level, usable_texels
-from scan2albedo.albedo.light_model import LightModel, Solution
-from scan2albedo.albedo.residual import ResidualProblem
+from scan2albedo.albedo.light_parameters import LightModel, Solution
+from scan2albedo.albedo.residual_objective import ResidualProblem
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty, light_uncertainty
 from scan2albedo.core import Budget, Meter

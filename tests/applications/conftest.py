@@ -10,7 +10,7 @@ from scan2albedo.applications import ProcessedFace
 from scan2albedo.core import Trace
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.operators import linear_refinement
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.pipeline.result import ProcessResult, write_result
 from scan2albedo.synthetic import Material, face, light_at
 

@@ -7,7 +7,7 @@ import pytest
 
 from scan2albedo.applications import blend_faces, relight
 from scan2albedo.errors import ApplicationError
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import light_at
 
 

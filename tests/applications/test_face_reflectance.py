@@ -19,7 +19,7 @@ from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.core import PointLight
 from scan2albedo.errors import ApplicationError, ReflectanceError
 from scan2albedo.geometry.operators import linear_refinement
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.reflectance import lobe_weights_of_phong, point_light_lobes, point_light_radiance
 from scan2albedo.synthetic.face_paint import paint_face
 

@@ -10,7 +10,7 @@ from scan2albedo.applications import ProcessedFace, default_camera, relight
 from scan2albedo.applications.relighting import RelightOptions
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.pinhole import project
-from scan2albedo.lighting.asrm import Reflectance, shade_points
+from scan2albedo.lighting.shading import Reflectance, shade_points
 from scan2albedo.synthetic import hemisphere, light_at
 from scan2albedo.synthetic.renderer import RayScene, render
 

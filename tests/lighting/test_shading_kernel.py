@@ -7,7 +7,7 @@ import pytest
 from brdf_reference import minnaert, oren_nayar, phong
 
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
+from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 
 LIGHTS = (PointLight(0.5, 0.2, 400.0, 2.0), PointLight(-1.1, 0.4, math.inf, 0.7))
 VIEW = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])

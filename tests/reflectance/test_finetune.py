@@ -23,7 +23,7 @@ from scan2albedo.reflectance import (
 )
 from scan2albedo.reflectance.environment_shading import light_response
 from scan2albedo.reflectance.finetune import is_improvement
-from scan2albedo.reflectance.model_update import best_change, neighbour_smoothing, no_change
+from scan2albedo.reflectance.finetune_step import best_change, neighbour_smoothing, no_change
 
 POINTS = distant_directions(500)
 POINTS = POINTS[POINTS[:, 2] > 0]

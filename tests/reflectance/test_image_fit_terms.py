@@ -21,8 +21,8 @@ from scan2albedo.reflectance import (
     generated_environment,
 )
 from scan2albedo.reflectance.environment_shading import light_response
+from scan2albedo.reflectance.finetune_step import best_change
 from scan2albedo.reflectance.image_terms import ImageTerms
-from scan2albedo.reflectance.model_update import best_change
 
 DIRECTIONS = distant_directions(700)
 NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]

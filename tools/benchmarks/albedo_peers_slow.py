@@ -21,7 +21,7 @@ from scipy.optimize import dual_annealing
 
 import scan2albedo as s2a
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
+from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 FloatArray = NDArray[np.float64]

@@ -21,7 +21,7 @@ from scan2albedo.applications import (
     transfer_expression,
 )
 from scan2albedo.core import PointLight
-from scan2albedo.lighting.asrm import Reflectance
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import Material, face, light_at
 from stability_cases.case import Cases, assert_finite
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from scan2albedo.core import PointLight
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.asrm import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.harmonics import harmonics, harmonics_gradient, project_environment
+from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
 from stability_cases.case import Cases, assert_finite
 

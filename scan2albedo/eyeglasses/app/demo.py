@@ -25,7 +25,7 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.eyeglasses.app.input import keypoints_beside
 from scan2albedo.eyeglasses.app.lens_files import run_lenses
 from scan2albedo.eyeglasses.app.lens_input import read_lens_input
-from scan2albedo.eyeglasses.app.registration import PlacedFrame, register_frame, write_registration_files
+from scan2albedo.eyeglasses.app.register_run import PlacedFrame, register_frame, write_registration_files
 from scan2albedo.eyeglasses.app.registration_input import RegistrationFiles, read_registration
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import fit

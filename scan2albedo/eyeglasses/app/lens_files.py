@@ -14,7 +14,7 @@ from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import InsertedLens, LensMaterial, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.app.lens_input import LensInput
-from scan2albedo.eyeglasses.app.lenses import LensView, RenderedLenses, render_lenses
+from scan2albedo.eyeglasses.app.lenses_run import LensView, RenderedLenses, render_lenses
 from scan2albedo.eyeglasses.app.records import FileRecord, LensesRecord, LensRecord, LensViewRecord
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.glb import GlbPart, write_parts_glb

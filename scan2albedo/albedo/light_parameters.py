@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.lighting.asrm import Reflectance, light_from_direction
+from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
 
 FloatArray = NDArray[np.float64]

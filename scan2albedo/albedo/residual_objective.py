@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.color_guide import ColorGuide, color_guide
 from scan2albedo.albedo.levels import Level, local_mean
-from scan2albedo.albedo.light_model import LightModel, Solution
+from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.normal_equations import block_albedos, cluster_scores, normal_equations
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.core import Meter

@@ -25,7 +25,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app import lens_files as glasses_lens_files
 from scan2albedo.eyeglasses.app.lens_input import material_pair, read_lens_input, surface_of
-from scan2albedo.eyeglasses.app.lenses import render_lenses, soft_environment
+from scan2albedo.eyeglasses.app.lenses_run import render_lenses, soft_environment
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb

@@ -36,7 +36,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app import registration as glasses_registration_files
 from scan2albedo.eyeglasses.app.demo import write_wearer
-from scan2albedo.eyeglasses.app.registration import register_frame, write_registration_files
+from scan2albedo.eyeglasses.app.register_run import register_frame, write_registration_files
 from scan2albedo.eyeglasses.app.registration_input import RegistrationFiles, read_registration
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.io import load_scan
