@@ -34,8 +34,8 @@ _MODELS_KEPT = 4
 class ScanTask:
     """One scan to process; paths are absolute, for workers may run elsewhere.
 
-    `run` is the batch's, so that a worker of an older run writes nothing; `version` is that of the package
-    that made the task; after `timeout_s` seconds the worker's process ends itself.
+    `run` names the run of the batch, since a worker of an older run writes nothing; `version` is that of the
+    package that made the task; after `timeout_s` seconds the worker's process ends itself.
     """
 
     name: str

@@ -66,7 +66,7 @@ class ScanForces:
         return force, stiffness
 
     def mutual(self, samples: FloatArray, area: FloatArray) -> NDArray[np.bool_]:
-        """Return (N,) True where the scan point y closest to a sample x has x's surroundings as nearest.
+        """Return (N,) True where the sample nearest to the closest point y of a sample x is near x.
 
         Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
         behind a part of the model that y belongs to, about as far as y is: such pairs must not pull. Kept are

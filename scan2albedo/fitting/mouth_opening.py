@@ -178,7 +178,7 @@ class MouthSearch:
         return float(self.weight[jaw] @ distance / max(self.weight.sum(), 1e-300))
 
     def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
-        """Return the least opened candidate whose coarse fit ends about nearest (ABOUT).
+        """Return the index of the least opened candidate whose coarse fit ends about nearest (ABOUT).
 
         It is the first, the mouth as it is, unless another gains MIN_GAIN.
         """

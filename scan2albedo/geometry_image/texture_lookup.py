@@ -114,8 +114,8 @@ class TextureLookup:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
-        Also return whether its centre is in the photograph: coordinates repeat it by whole periods of a face,
-        but not within one.
+        Also return whether its centre is in the photograph: texture coordinates wrap around by whole periods
+        for a face, but not within one.
         """
         scan = self._scan
         assert scan.uv is not None

@@ -121,7 +121,7 @@ class RobustFit:
 def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions, meter: Meter) -> RobustFit:
     """Fit the vertices `rows` (N,): least squares first, then weights by residuals until none moves.
 
-    Converged vertices drop out. The step in which the budget runs out is the last.
+    Converged vertices are left out of further steps. The step in which the budget ends is the last.
     """
     state, robust = _State.start(data), options.loss != "squares"
     observations = max(int((data.precision[:, rows] > 0).sum()), 1)

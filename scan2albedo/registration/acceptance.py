@@ -83,8 +83,8 @@ def _refuse_inside_out(
 ) -> None:
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
 
-    Seen from behind it has just enough relief to be accepted; with the triangles reversed it has far more. So
-    the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward.
+    Seen from behind, its relief is just enough to be accepted; with the triangles reversed it is far greater.
+    So the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward.
     """
     certain = best.scores.certainty >= _BEYOND_DOUBT
     if certain or (best.is_face() and _bulge(scan.samples) >= _CLEARLY_OUTWARD):
@@ -181,7 +181,7 @@ def _next_ranking(candidates: tuple[Candidate, ...]) -> float:
 
 
 def _confidence(candidates: tuple[Candidate, ...]) -> float:
-    """Return how far the scores lie above the threshold for refusal and above any other pose's, 0 ... 1.
+    """Return the margin of the scores over the threshold for refusal and over any other pose's, 0 ... 1.
 
     Where part of the face is missing the threshold is higher: half a face that resembles the model little
     slides along it by a centimetre.
