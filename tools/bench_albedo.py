@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions, albedo_error
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.synthetic import (
     Material,
     SyntheticScene,
@@ -32,8 +33,6 @@ from scan2albedo.synthetic import (
     light_at,
     with_normal_error,
 )
-
-FloatArray = NDArray[np.float64]
 
 TEXTURES = ("wood", "skin", "plain")
 GRAINS = (1.0, 2.5)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from benchmarks.scan_files import face_data
-from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.applications import FaceMesh, ProcessedFace, TransferOptions, personal_model, relight
 from scan2albedo.applications.expression_transfer import expression_displacement
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
@@ -55,8 +55,6 @@ SIDE_MM = 6.0
 SYNTHETIC = ("smile", "frown", "pout", "surprise")
 NEAR_MM = 2.0
 """Vertices farther than this from the fitted face at rest do not belong to it."""
-
-FloatArray = NDArray[np.float64]
 
 
 def relit_errors(scene: SyntheticScene, given: ProcessedFace, unit: float) -> tuple[float, float]:
@@ -106,7 +104,7 @@ class Pair:
     moving: FloatArray
     b: FloatArray
     truth: FloatArray
-    faces: NDArray[np.int64]
+    faces: IntArray
     inner: int
 
 
@@ -160,7 +158,7 @@ def synthetic_pairs() -> list[Pair]:
     ]
 
 
-def fitted(vertices: FloatArray, faces: NDArray[np.int64], model: s2a.AnnotatedFaceModel) -> FittedFace:
+def fitted(vertices: FloatArray, faces: IntArray, model: s2a.AnnotatedFaceModel) -> FittedFace:
     scan = s2a.RawScan(vertices, faces)
     return s2a.fit(scan, model, s2a.register(scan, model))
 

@@ -32,18 +32,15 @@ from benchmarks.eyeglasses_canonical import bench_canonical
 from benchmarks.eyeglasses_registration import bench_registration
 from benchmarks.eyeglasses_rims import bench_real, bench_synthetic
 from benchmarks.weights import fixed_nodes, igl_bbw, kuhn_tetrahedra
-from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual
 from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
 from scan2albedo.eyeglasses.weighting.lattice import biharmonic_energy
 from scan2albedo.eyeglasses.weighting.weights import solve_lattice, solve_weights
 from scan2albedo.io import load_scan
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FRAMES = ("frame_giraut.stl", "sunglasses_khronos.glb")

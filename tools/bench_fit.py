@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from benchmarks import fit_peers
 from benchmarks.scan_files import face_data
-from numpy.typing import NDArray
 
 import scan2albedo as s2a
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.fit import CROP_MARGIN
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
@@ -32,9 +32,6 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, random_rotation, transform_points
 from scan2albedo.synthetic.head import grid_faces, join, with_holes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PEERS = Path(fit_peers.__file__)
 SHAPES = (

@@ -21,17 +21,14 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, uniform_filter
 from skimage.restoration import inpaint_biharmonic
 
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.saturation import inpainted
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MAKERS = {"hemisphere": hemisphere, "face": face}
 TEXTURES = (("skin", 1.0), ("skin", 2.5), ("wood", 1.0))

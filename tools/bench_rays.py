@@ -19,12 +19,11 @@ import brdf_reference
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import face
-
-FloatArray = NDArray[np.float64]
 
 DIRECTIONS = ((0.0, 0.0, 1.0), (0.7, 0.1, 0.7), (-0.5, -0.4, 0.75), (0.9, 0.0, 0.3))
 OFFSET_MM = 0.2

@@ -37,11 +37,11 @@ from benchmarks.reflectance_captures import (
     samples_of,
 )
 from benchmarks.reflectance_pictures import EXPOSURE, albedo_at, build_scene
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from skimage.metrics import structural_similarity
 from threadpoolctl import threadpool_limits
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.reflectance import (
     OlatOptions,
     ReflectanceFit,
@@ -58,8 +58,6 @@ from scan2albedo.reflectance.app.capture_run import FittedCapture, fit_capture, 
 from scan2albedo.reflectance.app.demo import write_synthetic_capture
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
-
-FloatArray = NDArray[np.float64]
 
 MEAN = np.array([0.5, 0.5, 0.5, 0.15, 0.15, 0.15])
 PRIOR = 1 / np.array([2.5, 2.5, 2.5, 0.25, 0.25, 0.25]) ** 2
@@ -170,8 +168,8 @@ class Accuracy:
 
 def accuracy(
     capture: Capture,
-    used: NDArray[np.bool_],
-    held_out: NDArray[np.bool_],
+    used: BoolArray,
+    held_out: BoolArray,
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
     **how: float,
 ) -> Accuracy:

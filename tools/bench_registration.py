@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 from benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 from benchmarks.scan_files import face_data
-from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.core import Budget
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import (
@@ -42,8 +42,6 @@ from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
 from scan2albedo.registration.template import Template
 from scan2albedo.synthetic import RawLikeOptions, raw_like
-
-FloatArray = NDArray[np.float64]
 
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 FACE_PART = 6706
@@ -87,7 +85,7 @@ class Shapes:
     """The published shapes in the default model's frame."""
 
     vertices: dict[str, FloatArray]
-    faces: NDArray[np.int64]
+    faces: IntArray
     model_from_generic: FloatArray
 
     @classmethod

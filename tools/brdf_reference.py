@@ -8,9 +8,9 @@ and the light's irradiance. All are 0 where the light is behind the surface and 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 COSINE_FLOOR = 1e-4
 """Cosines below this count as this where a model divides by them."""

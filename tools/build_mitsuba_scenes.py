@@ -30,12 +30,11 @@ from benchmarks.mitsuba_set import (
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.synthetic import face, hemisphere, light_at, with_normal_error
 from scan2albedo.synthetic.camera import auto_exposure, photograph
-
-FloatArray = NDArray[np.float64]
 
 SIZE = 128
 DEPTH = 6

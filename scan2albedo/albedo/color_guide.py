@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import Level, local_mean
-
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 _ROUNDS = 8
 _ROBUST = 0.01

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _WINDOW = 3
 """Side, in texels, of the neighbourhood toward whose mean a noisy texel is drawn."""

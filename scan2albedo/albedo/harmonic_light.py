@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from scan2albedo.albedo.levels import Level, build_level
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.lighting.harmonics import harmonics
-
-FloatArray = NDArray[np.float64]
 
 _LIGHT_FLOOR = 0.02
 """Shading below this part of its mean counts as this: harmonics may turn negative, light may not."""
@@ -24,7 +22,7 @@ _ROUNDS = 20
 
 
 def fit_harmonic_light(
-    image: GeometryImage, usable: NDArray[np.bool_], options: EstimateOptions, meter: Meter
+    image: GeometryImage, usable: BoolArray, options: EstimateOptions, meter: Meter
 ) -> FloatArray:
     """Return (9, 3) coefficients of the shading of each channel, each of mean 1 over the usable texels.
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 _NEIGHBOURS = 14
 _PROBES = 12

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
-
-FloatArray = NDArray[np.float64]
 
 _BLACK = 1e-6
 """Parts of the brightest texel up to which a texel is black."""
@@ -46,7 +45,7 @@ class Level:
     scale: FloatArray
     unit: float
     color: FloatArray
-    cell: NDArray[np.int64]
+    cell: IntArray
     center: FloatArray
     texels: int
     factor: int
@@ -75,7 +74,7 @@ def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
     return np.maximum(np.maximum(red, green), blue).astype(np.float64)
 
 
-def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.bool_]) -> FloatArray:
+def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> FloatArray:
     """Return (H, W) the channel that is the brightest on average around each texel.
 
     V itself is the largest of three noisy channels, and so brighter than the surface, most where the channels
@@ -89,7 +88,7 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: NDArray[np.boo
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
-def known_normals(image: GeometryImage) -> NDArray[np.bool_]:
+def known_normals(image: GeometryImage) -> BoolArray:
     """Return (H, W) where the normal is known: not 0."""
     return np.asarray(lengths(image.normal) > _SHORT)
 
@@ -103,12 +102,12 @@ def with_every_normal(image: GeometryImage) -> GeometryImage:
     return replace(image, normal=np.where(known[..., None], image.normal, image.normal[tuple(nearest)]))
 
 
-def toward_viewer(image: GeometryImage, usable: NDArray[np.bool_], view: tuple[float, float, float]) -> float:
+def toward_viewer(image: GeometryImage, usable: BoolArray, view: tuple[float, float, float]) -> float:
     """Return which part of the usable texels faces the viewer."""
     return float(np.mean((image.normal @ np.asarray(view))[usable] > 0))
 
 
-def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.bool_]:
+def usable_texels(image: GeometryImage, options: EstimateOptions) -> BoolArray:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
     LightingError when there is no texture, or fewer than `options.minimal_texels` such texels; says why.
@@ -140,7 +139,7 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> NDArray[np.
 
 def build_level(
     image: GeometryImage,
-    usable: NDArray[np.bool_],
+    usable: BoolArray,
     size: int,
     values: NDArray[np.floating] | None = None,
 ) -> Level:
@@ -220,7 +219,7 @@ def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
     return means.reshape(values.shape)
 
 
-def cell_image(level: Level, values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+def cell_image(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) `values` (N,) of each texel's cell, or of the nearest one, within `mask`; 0 elsewhere."""
     row, column = level.cell.T
     factor = level.factor

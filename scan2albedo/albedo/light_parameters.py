@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
-
-FloatArray = NDArray[np.float64]
 
 _DEFAULT_EXPONENT = 16.0
 

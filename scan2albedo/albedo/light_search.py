@@ -9,7 +9,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import cell_image
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
@@ -23,9 +22,8 @@ from scan2albedo.albedo.model_selection import (
 )
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend, one_step
 from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
-
-FloatArray = NDArray[np.float64]
 
 _FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
 """Intensities at which the directions of the only light, and of one more, are tried."""

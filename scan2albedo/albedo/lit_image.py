@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.levels import Level, brightest_around, build_level
 from scan2albedo.albedo.light_parameters import LightModel, Solution
@@ -14,13 +13,12 @@ from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.shadows import ShadowLattice, shadow_caster
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import cone_directions
-
-FloatArray = NDArray[np.float64]
 
 CONE_RAD = 1.92
 """Half angle around the view direction in which lights are sought: a little behind the face."""
@@ -48,7 +46,7 @@ class LitImage:
     """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer."""
 
     image: GeometryImage
-    usable: NDArray[np.bool_]
+    usable: BoolArray
     brdf: str
     view: tuple[float, float, float]
     options: EstimateOptions

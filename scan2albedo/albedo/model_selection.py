@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
-
-FloatArray = NDArray[np.float64]
 
 LIGHT_GAIN = 0.025
 """Part of the cost that one more light has to remove."""

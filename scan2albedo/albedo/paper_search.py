@@ -7,19 +7,17 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
 from scan2albedo.albedo.model_selection import allowed_parts, undecided
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 from scan2albedo.optimization import AnnealingOptions, simulated_annealing
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK_AREA = 0.125
 """Area of one block as a part of the chart's: larger than the texture's grain."""

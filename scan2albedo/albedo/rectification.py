@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label, maximum_filter
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.plan import PlanStep
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _BAND = 1 / 128
 """Half width of the repaired band as a part of the image's side."""

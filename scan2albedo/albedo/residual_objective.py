@@ -14,10 +14,9 @@ from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.normal_equations import block_albedos, cluster_scores, normal_equations
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.lighting.kernels import shade_with_derivatives
 from scan2albedo.optimization import Damping, NormalEquations, damped_step, minimize
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK_AREA = 0.06
 """Area of a block, over which the texture's mean is constant, as a part of the chart's: larger than the
@@ -199,7 +198,7 @@ class Residual:
         return result
 
 
-def _clusters(level: Level) -> NDArray[np.int64]:
+def _clusters(level: Level) -> IntArray:
     """Return (N,) the patch of the surface that each cell belongs to."""
     side = max(2.0, math.sqrt(_CLUSTER_AREA * len(level.value)))
     row, column = (level.cell // side).astype(np.int64).T

@@ -9,11 +9,9 @@ from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import resynthesize, surroundings
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are no highlight but over-exposure."""
@@ -108,7 +106,7 @@ def missed_highlight(
     return binary_propagation(seeds, mask=allowed & (excess > 2))
 
 
-def restore_channels(albedo: FloatArray, lost: NDArray[np.bool_], source: BoolArray) -> FloatArray:
+def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> FloatArray:
     """Return `albedo` (H, W, 3) with the lost channels of texels predicted from their surviving ones.
 
     The camera's channels clip one after another, on skin red long before blue. Around each texel (40 texels

@@ -12,12 +12,12 @@ from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.geometry_image import GeometryImage, Occluder
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap
 
-FloatArray = NDArray[np.float64]
 Visibility = NDArray[np.float32]
 
 LEAST_SHADOW = 0.01

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.light_parameters import Solution, cost_removed
 from scan2albedo.albedo.residual_objective import ResidualProblem
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
-
-FloatArray = NDArray[np.float64]
 
 _NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
 """An alternative costs more by less than this part, and its lights are this far away."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.applications.personal_model import limit_control_points, refinement_level
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_common_chart
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -18,7 +18,6 @@ from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
-FloatArray = NDArray[np.float64]
 Correspondence = Literal["auto", "refined", "as-fitted"]
 
 _ROUNDS = 20

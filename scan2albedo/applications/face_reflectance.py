@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.applications.files import ProcessedScan, load_result
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace, same_mesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
@@ -20,8 +20,6 @@ from scan2albedo.lighting.shading import Reflectance, shade_points
 if TYPE_CHECKING:
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _LEAST_TRUSTED = 0.5
 """Part of a vertex's texels, by weight, that must have been seen."""
@@ -46,7 +44,7 @@ class FaceReflectance:
         return self.mesh.vertices
 
     @property
-    def faces(self) -> NDArray[np.int64]:
+    def faces(self) -> IntArray:
         """(F, 3)."""
         return self.mesh.faces
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
-
-FloatArray = NDArray[np.float64]
 
 _MOST_LEVELS = 4
 _SAME_SURFACE_MM = 0.05

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import (
     camera_centers,
@@ -21,8 +22,6 @@ from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pi
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.lighting.shadow_map import ShadowMap
-
-FloatArray = NDArray[np.float64]
 
 DISTANCE_MM = 700.0
 """From the default camera to the middle of the face: a portrait's."""
@@ -154,7 +153,7 @@ def photograph(
     return Picture(pooled[..., :3], pooled[..., 3])
 
 
-def _curved(mesh: FaceMesh, corners: NDArray[np.int64], weight: FloatArray) -> FloatArray:
+def _curved(mesh: FaceMesh, corners: IntArray, weight: FloatArray) -> FloatArray:
     """Return (N, 3) the points of a mesh at barycentric coordinates (N, 3) of triangles (N, 3).
 
     The triangles between texels of a chart's mesh are below the curved surface, and its finer occluder would
@@ -175,7 +174,7 @@ def _curved(mesh: FaceMesh, corners: NDArray[np.int64], weight: FloatArray) -> F
 
 def _visible_samples(
     mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Return the N of the samples `fine` (H, W) that show the outside of the face.
 
     Their index (N,) row by row, the vertices (N, 3) of the triangle seen, barycentric coordinates (N, 3) and
@@ -196,7 +195,7 @@ def _visible_samples(
 
 def _window(
     mesh: FaceMesh, camera: FloatArray, fine: tuple[int, int], samples: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[IntArray, IntArray]:
     """Return rows and columns of samples that the mesh can cover; all when part of it is behind the eye."""
     pixels, depth = project(camera, mesh.vertices)
     if not (depth > 0).all():

@@ -9,15 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.lighting.shading import Reflectance
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NO_MODEL = "none"
 
@@ -56,13 +54,13 @@ class FaceMesh:
         """(V, 3) unit normals."""
         return vertex_normals(self.vertices, self.faces)
 
-    def on_chart(self, values: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    def on_chart(self, values: FloatArray, mask: BoolArray) -> FloatArray:
         """Return (N, C) values of the masked texels from values (V, C) of the vertices."""
         if self.from_chart:
             return values
         return interpolate(rasterize_uv(self.uv, self.faces, mask.shape), self.faces, values)[mask]
 
-    def chart_normals(self, mask: NDArray[np.bool_]) -> FloatArray:
+    def chart_normals(self, mask: BoolArray) -> FloatArray:
         """Return (N, 3) unit normals of the masked texels."""
         return normalized(self.on_chart(self.normals, mask))
 
@@ -165,7 +163,7 @@ class ProcessedFace:
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
 
     @property
-    def mask(self) -> NDArray[np.bool_]:
+    def mask(self) -> BoolArray:
         """(H, W) texels of the surface."""
         return self.image.mask
 
@@ -203,7 +201,7 @@ class ProcessedFace:
         return replace(self, name=name, image=image, mesh=mesh)
 
 
-def on_grid(mask: NDArray[np.bool_], values: FloatArray) -> FloatArray:
+def on_grid(mask: BoolArray, values: FloatArray) -> FloatArray:
     """Return (H, W, C) with values (N, C) on the masked texels and zeros elsewhere."""
     grid = np.zeros((*mask.shape, *values.shape[1:]))
     grid[mask] = values

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

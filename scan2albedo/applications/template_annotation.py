@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model import AnnotatedFaceModel, Region
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS, MOUTH_REGION, AnnotatedSurface
@@ -24,9 +25,6 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import face_normals, without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.registration import register
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SAME_AXES_DEG = 25.0
 """Templates look up or down by some degrees; only templates turned further get other axes."""

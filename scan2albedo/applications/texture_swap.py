@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either."""

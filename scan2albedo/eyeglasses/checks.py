@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def checked_points(name: str, values: ArrayLike) -> FloatArray:

@@ -6,12 +6,11 @@ from typing import overload
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
-
-FloatArray = NDArray[np.float64]
 
 PRIOR = 0.1
 """Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
@@ -127,7 +126,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     return result
 
 
-def known_bones(points: FloatArray) -> NDArray[np.int64]:
+def known_bones(points: FloatArray) -> IntArray:
     """Return (B, 2) bones in both directions whose ends are finite."""
     bones = np.array(SKELETON)
     both = np.concatenate([bones, bones[:, ::-1]])

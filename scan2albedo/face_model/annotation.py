@@ -9,12 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.operators import linear_refinement
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LANDMARK_LEVELS = 3
 """Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
@@ -149,7 +147,7 @@ class AnnotatedSurface:
             table[region.index] = float(getattr(region, attribute))
         return table
 
-    def in_region(self, name: str) -> NDArray[np.bool_]:
+    def in_region(self, name: str) -> BoolArray:
         """Return (F_C,) which control faces lie in the region `name`; none where there is no such region."""
         if name not in self.regions:
             return np.zeros(len(self.control_faces), bool)

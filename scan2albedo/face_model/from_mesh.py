@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS, AnnotatedSurface, Region, surface_frames
 from scan2albedo.face_model.limit_fit import ControlMesh, decimated, fit_limit_surface, project
@@ -18,9 +19,6 @@ from scan2albedo.face_model.template_cleaning import CleanTemplate, clean_templa
 from scan2albedo.face_model.template_surface import TemplateSurface
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 REST_REGION = "face"
 FILLED_REGION = "filled"

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import adjacency, vertex_normals
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NORMAL_WEIGHT_MM = 12.0
 """Length equivalent to a turn of the normal by one radian when edges are collapsed."""

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
 from scan2albedo.errors import ModelError, ScanError
 from scan2albedo.face_model.annotation import AnnotatedSurface
@@ -19,9 +19,6 @@ from scan2albedo.face_model.files import load_model, save_model
 from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_surface
 from scan2albedo.face_model.template_surface import template_surface
 from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

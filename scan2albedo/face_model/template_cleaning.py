@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.template_surface import TemplateSurface, largest_component
 from scan2albedo.geometry.mesh import edges_with_faces, without_unreferenced
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MAX_FILLED_LOOP = 600
 BACK_OF_HEAD = 0.35
@@ -30,7 +27,7 @@ class CleanTemplate:
 
     vertices: FloatArray
     faces: IntArray
-    filled: NDArray[np.bool_]
+    filled: BoolArray
     source: IntArray
     all_vertices: FloatArray
     holes: int
@@ -58,7 +55,7 @@ def _front_of_closed(xyz: FloatArray, faces: IntArray) -> IntArray:
     return largest_component(len(xyz), front)
 
 
-def _holes_filled(xyz: FloatArray, faces: IntArray) -> tuple[IntArray, NDArray[np.bool_], int]:
+def _holes_filled(xyz: FloatArray, faces: IntArray) -> tuple[IntArray, BoolArray, int]:
     """Close every boundary loop but the one with the greatest length in mm."""
     loops = [loop for loop in boundary_loops(faces) if len(loop) >= 3]
     length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
@@ -114,7 +111,7 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
     return np.array(patch, np.int64).reshape(-1, 3)
 
 
-def _joined(vertex_count: int, faces: IntArray, ring: IntArray) -> NDArray[np.bool_]:
+def _joined(vertex_count: int, faces: IntArray, ring: IntArray) -> BoolArray:
     """Return (n, n) True where the mesh has an edge between two vertices of the loop."""
     place = np.full(vertex_count, -1)
     place[ring] = np.arange(len(ring))

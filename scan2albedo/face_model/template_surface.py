@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.mesh import (
     edges_with_faces,
@@ -16,9 +16,6 @@ from scan2albedo.geometry.mesh import (
     vertex_components,
 )
 from scan2albedo.geometry.rigid import compose
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MIN_VERTICES = 100
 HEAD_SIZE_MM = (80.0, 600.0)

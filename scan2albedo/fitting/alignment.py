@@ -8,17 +8,15 @@ first; the bending starts from there.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
-
-FloatArray = NDArray[np.float64]
 
 SETTLED_MM = 0.01
 SEARCH_EVERY = 6

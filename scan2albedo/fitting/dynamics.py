@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import FitError
 
-FloatArray = NDArray[np.float64]
 Springs = Callable[[FloatArray], FloatArray]
 
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -23,8 +24,6 @@ from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
-
-FloatArray = NDArray[np.float64]
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.geometry.mesh import neighbouring_faces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MAX_HALVINGS = 8
 FOLD_COSINE = -0.866

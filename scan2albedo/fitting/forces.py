@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.nearest_surface import nearest_around, walk_downhill
-
-FloatArray = NDArray[np.float64]
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""
@@ -55,9 +53,9 @@ class ScanForces:
     offset: FloatArray
     normal: FloatArray
     near_mm: FloatArray
-    vertex: NDArray[np.int64]
+    vertex: IntArray
 
-    def springs(self, area: FloatArray, mutual: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    def springs(self, area: FloatArray, mutual: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return force (N, 3) and stiffness (N, 6) of samples that stand for `area` (N,), where `mutual`."""
         weight = np.where(mutual, area * self.weight, 0.0)
         force, stiffness = springs(
@@ -65,7 +63,7 @@ class ScanForces:
         )
         return force, stiffness
 
-    def mutual(self, samples: FloatArray, area: FloatArray) -> NDArray[np.bool_]:
+    def mutual(self, samples: FloatArray, area: FloatArray) -> BoolArray:
         """Return (N,) True where the sample nearest to the closest point y of a sample x is near x.
 
         Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
@@ -117,7 +115,7 @@ def scan_forces(
 
 
 def robust_weights(
-    residual: FloatArray, used: NDArray[np.bool_], gates: ForceGates, rim: FloatArray | None = None
+    residual: FloatArray, used: BoolArray, gates: ForceGates, rim: FloatArray | None = None
 ) -> FloatArray:
     """Return (N,) Geman-McClure weights 1 / (1 + (r / c)^2)^2, c from the median of the used residuals.
 

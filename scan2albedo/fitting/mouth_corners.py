@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.nearest_surface import NearestSurface
-
-FloatArray = NDArray[np.float64]
 
 CORNERS = (48, 54)
 EARS = (0, 16)
@@ -103,7 +101,7 @@ class MouthScan:
 
     points: FloatArray
     normals: FloatArray
-    left: NDArray[np.bool_]
+    left: BoolArray
     samples: SurfaceSamples
 
     @classmethod

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
@@ -22,9 +22,6 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.loop_subdivision import limit_matrix
 from scan2albedo.geometry.operators import laplacian
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 EARS = (0, 16)
 BELOW_EARS = (1, 15)
@@ -188,7 +185,7 @@ class MouthSearch:
         return int(np.argmax(costs <= (1 + ABOUT) * costs.min()))
 
 
-def _harmonic(matrix: sparse.csr_matrix, fixed: NDArray[np.bool_], one: NDArray[np.bool_]) -> FloatArray:
+def _harmonic(matrix: sparse.csr_matrix, fixed: BoolArray, one: BoolArray) -> FloatArray:
     """Solve L w = 0 with w = 1 where `fixed` and `one`, 0 where `fixed` only."""
     weight = (fixed & one).astype(float)
     free = np.flatnonzero(~fixed)

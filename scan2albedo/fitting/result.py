@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Trace
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -17,8 +18,6 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
 from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
-
-FloatArray = NDArray[np.float64]
 
 RESIDUAL_GATE_MM = 5.0
 """Residuals beyond this count as "no scan near"."""
@@ -67,7 +66,7 @@ class FittedFace:
     """
 
     vertices: FloatArray
-    faces: NDArray[np.int64]
+    faces: IntArray
     uv: FloatArray
     region: NDArray[np.uint8]
     control_points: FloatArray
@@ -137,7 +136,7 @@ def fitted_face(
 
 
 def residuals_mm(
-    scan: ScanSurface, vertices: FloatArray, faces: NDArray[np.int64], gate_mm: float, *, exact: bool = True
+    scan: ScanSurface, vertices: FloatArray, faces: IntArray, gate_mm: float, *, exact: bool = True
 ) -> FloatArray:
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
     exact = exact and len(scan.faces) <= MAX_EXACT_FACES
@@ -160,7 +159,7 @@ def _metrics(vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdiv
     }
 
 
-def _strain(before: FloatArray, after: FloatArray, faces: NDArray[np.int64]) -> float:
+def _strain(before: FloatArray, after: FloatArray, faces: IntArray) -> float:
     """Return the RMS of log(length after / length before) over the edges of the control mesh."""
     edges, _ = edges_with_faces(faces)
     lengths = [

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 RIM_MM = 30.0
 

@@ -7,13 +7,9 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import neighbour_lists, usual_edge
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SPREAD_PER_PASS = 0.43
 """Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.scan_smoothing import SurfaceAverages
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import (
@@ -19,10 +19,6 @@ from scan2albedo.geometry.mesh import (
 from scan2albedo.geometry.nearest_surface import NearestHits, NearestSurface
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import ThinnedSurface, thinned
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 WELD_STEP_MM = 1e-3
 CELL = 1.25

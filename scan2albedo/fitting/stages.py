@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.folds import FoldFinder, guarded
@@ -19,8 +19,6 @@ from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
-
-FloatArray = NDArray[np.float64]
 
 GAIN_WINDOW = 5
 SEARCH_EVERY = 10
@@ -183,7 +181,7 @@ def _stiffer(deformation: Deformation, q: FloatArray) -> FloatArray:
     return np.where(around[deformation.model.control_faces].any(1), STIFFENING, 1.0)
 
 
-def _around_folds(deformation: Deformation, q: FloatArray) -> NDArray[np.bool_]:
+def _around_folds(deformation: Deformation, q: FloatArray) -> BoolArray:
     """Return (C,) True at the corners of control faces with a fold."""
     model, faces = deformation.model, deformation.model.control_faces
     subdivision = model.subdivision(deformation.options.result_levels)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 _ON_EDGE = 1e-9
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,7 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
 
 
 def _edge_rule(
-    vertex_count: int, faces: IntArray, edges: IntArray, edge_of: IntArray, boundary: NDArray[np.bool_]
+    vertex_count: int, faces: IntArray, edges: IntArray, edge_of: IntArray, boundary: BoolArray
 ) -> sparse.csr_matrix:
     end_weight = np.where(boundary, 0.5, 0.375)
     index = np.arange(len(edges))

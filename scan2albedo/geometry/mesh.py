@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 FAR_FACTOR, FAR_PERCENT = 4.0, 98.0
 _LONG_ROW = 64
@@ -99,7 +97,7 @@ def boundary_edges(faces: IntArray) -> IntArray:
     return edges[counts == 1]
 
 
-def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> NDArray[np.bool_]:
+def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> BoolArray:
     """Return (V,) True for vertices on a boundary edge."""
     mask = np.zeros(vertex_count, bool)
     mask[boundary_edges(faces).ravel()] = True
@@ -148,7 +146,7 @@ def _component_labels(count, faces):  # type: ignore[no-untyped-def]
     return labels
 
 
-def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:
+def turned_against_neighbours(faces: IntArray) -> BoolArray:
     """Return (F,) True for the faces to reverse so that neighbours wind alike.
 
     In every part joined by edges of two faces the fewer faces are reversed. A one-sided part (a Moebius
@@ -172,7 +170,7 @@ def turned_against_neighbours(faces: IntArray) -> NDArray[np.bool_]:
     return np.where(balance[part] >= 0, ~side, side) & (kept != reverse)
 
 
-def neighbouring_faces(faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
+def neighbouring_faces(faces: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
     """Return pairs of faces that alone share an edge, and whether both run along it the same way."""
     start, end = faces.ravel().astype(np.int64), faces[:, [1, 2, 0]].ravel().astype(np.int64)
     key = np.minimum(start, end) * (int(faces.max(initial=0)) + 1) + np.maximum(start, end)
@@ -193,7 +191,7 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
     return kept, renumber[faces]
 
 
-def far_vertices(vertices: FloatArray, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
     """Return (V,) True for vertices 4 times farther from the median of those used than 98 % of them are.
 
     Scanners produce stray vertices far away, which enlarge every box and moment.

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.closest_points import (
     ClosestHits,
     ClosestPointQuery,
@@ -17,9 +18,6 @@ from scan2albedo.geometry.closest_points import (
 )
 from scan2albedo.geometry.mesh import face_lists, neighbour_lists
 from scan2albedo.geometry.triangle_tree import weights_nearest_origin
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

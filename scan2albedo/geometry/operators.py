@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.loop_subdivision import refine
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_cross_products, vertex_areas
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _WIDEST = 1e3
 MAX_COTANGENT = 5.0

@@ -7,13 +7,10 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_cross_products
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _MAX_RAW_SAMPLES = 400_000
 _MAX_SAMPLES_PER_FACE = 256

@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas, vertex_components
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,

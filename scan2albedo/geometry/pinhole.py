@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
-
-FloatArray = NDArray[np.float64]
 
 
 def normalized_cameras(cameras: ArrayLike) -> FloatArray:

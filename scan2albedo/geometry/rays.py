@@ -9,10 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.blocks import blocks, each_block
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _CHUNK = 8192
 
@@ -63,7 +61,7 @@ class RayCaster:
         xyz = np.ascontiguousarray(points, np.float64)
         return _centered(xyz, self._center, 1 / self._scale)
 
-    def occluded(self, origins: ArrayLike, directions: ArrayLike) -> NDArray[np.bool_]:
+    def occluded(self, origins: ArrayLike, directions: ArrayLike) -> BoolArray:
         """Return (N,) True where the ray from `origins` (N, 3) along `directions` hits anything.
 
         Directions (N, 3) are of any length; one direction (3,) for all rays is faster.
@@ -71,13 +69,13 @@ class RayCaster:
         start = np.asarray(origins, np.float64)
         return self._occluded(len(start), lambda block: self.to_local(start[block]), directions)
 
-    def occluded_local(self, origins: NDArray[np.float32], directions: ArrayLike) -> NDArray[np.bool_]:
+    def occluded_local(self, origins: NDArray[np.float32], directions: ArrayLike) -> BoolArray:
         """Return what `occluded` does, for origins that went through `to_local` once and serve many times."""
         return self._occluded(len(origins), lambda block: origins[block], directions)
 
     def _occluded(
         self, count: int, origins: Callable[[slice], NDArray[np.float32]], directions: ArrayLike
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         heading = _single(directions)
         # Embree wants a direction a ray: one block of a common direction serves every block of rays.
         common = np.tile(heading, (min(count, _CHUNK), 1)) if heading.ndim == 1 else None

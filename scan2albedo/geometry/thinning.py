@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 _MOST_CELLS = 2**20
 """Along a side of the grid."""

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import FloatArray, IntArray
 
 LEAF_FACES = 4
 """Triangles of a box that is not divided further."""

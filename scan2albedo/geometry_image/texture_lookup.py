@@ -8,13 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.io.texture_atlas import in_first_period
-
-FloatArray = NDArray[np.float64]
 
 MAX_DISTANCE_MM = 4.0
 """Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
@@ -41,12 +40,12 @@ class LookupOptions:
 
 def texture_on_chart(
     scan: RawScan | None,
-    inside: NDArray[np.bool_],
+    inside: BoolArray,
     points: FloatArray,
     normals: FloatArray,
     steps: FloatArray,
     options: LookupOptions = LookupOptions(),
-) -> tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None]:
+) -> tuple[NDArray[np.float32] | None, BoolArray | None]:
     """Return linear colour (H, W, 3) and whether it was well seen (H, W); None for scans without colour.
 
     `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W).
@@ -64,7 +63,7 @@ class TextureLookup:
     def __init__(self, scan: RawScan, options: LookupOptions = LookupOptions()) -> None:
         self._scan, self._options = scan, options
 
-    def _near(self, points: FloatArray) -> NDArray[np.int64]:
+    def _near(self, points: FloatArray) -> IntArray:
         """Return the faces near `points`, all when none is: indexing the whole scan would cost most."""
         vertices, faces = self._scan.vertices, self._scan.faces
         margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
@@ -74,7 +73,7 @@ class TextureLookup:
 
     def sample(
         self, points: FloatArray, normals: FloatArray, steps: FloatArray
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.float32], BoolArray]:
         """Return linear colour (N, 3) and whether it was well seen (N,).
 
         `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
@@ -98,7 +97,7 @@ class TextureLookup:
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
         return color, valid
 
-    def _dense_enough(self) -> NDArray[np.bool_]:
+    def _dense_enough(self) -> BoolArray:
         """(F,) whether a face has enough photograph pixels for its area."""
         assert self._scan.uv is not None
         uv = self._scan.uv
@@ -110,8 +109,8 @@ class TextureLookup:
         return density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
 
     def _photograph(
-        self, near: NDArray[np.int64], hits: ClosestHits, steps: FloatArray
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        self, near: IntArray, hits: ClosestHits, steps: FloatArray
+    ) -> tuple[NDArray[np.float32], BoolArray]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
         Also return whether its centre is in the photograph: texture coordinates wrap around by whole periods
@@ -129,7 +128,7 @@ class TextureLookup:
         taps = self._options.taps or _needed_taps(footprint)
         return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
-    def _uv_gradients(self, near: NDArray[np.int64]) -> FloatArray:
+    def _uv_gradients(self, near: IntArray) -> FloatArray:
         """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
         scan = self._scan
         assert scan.uv is not None
@@ -146,8 +145,8 @@ class TextureLookup:
 
 
 def _past_boundary(
-    on_edge: NDArray[np.bool_], barycentric: FloatArray, offset: FloatArray, normals: FloatArray
-) -> NDArray[np.bool_]:
+    on_edge: BoolArray, barycentric: FloatArray, offset: FloatArray, normals: FloatArray
+) -> BoolArray:
     """Points in a hole: their closest point is on the scan's edge, and they are sideways of it."""
     at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
     sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
@@ -162,9 +161,7 @@ def _needed_taps(footprint: FloatArray) -> int:
     return int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
 
 
-def texel_steps(
-    vertices: FloatArray, uv: FloatArray, faces: NDArray[np.int64], shape: tuple[int, int]
-) -> FloatArray:
+def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
     """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
     corners, chart = vertices[faces], uv[faces]
     edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], 2)

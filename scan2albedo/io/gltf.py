@@ -15,6 +15,7 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.glb import glb_bytes
@@ -24,7 +25,6 @@ from scan2albedo.io.repair import require_valid_indices
 if TYPE_CHECKING:
     import trimesh
 
-FloatArray = NDArray[np.float64]
 
 _JSON_START = 20
 """Of a GLB's text: behind the file's header and the first chunk's."""
@@ -174,7 +174,7 @@ def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
     return (colors[:, :3] / top).astype(np.float32)
 
 
-def _placed(part: ParsedMesh, transform: NDArray[np.float64]) -> ParsedMesh:
+def _placed(part: ParsedMesh, transform: FloatArray) -> ParsedMesh:
     """Apply a transform, (4, 4) or one a vertex (V, 4, 4); mirrored faces are turned to face out again."""
     linear, shift = transform[..., :3, :3], transform[..., :3, 3]
     flipped = np.median(np.linalg.det(linear)) < 0

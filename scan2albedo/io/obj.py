@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
@@ -20,9 +21,6 @@ from scan2albedo.io.mtl import (
     texture_by_name,
 )
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 
 class _Lines:

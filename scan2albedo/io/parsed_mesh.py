@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class ParsedMesh:
     when omitted and there are materials; `vertex_color_linear` (V, 3).
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float64] | None = None
-    material: NDArray[np.int64] | None = None
+    vertices: FloatArray
+    faces: IntArray
+    uv: FloatArray | None = None
+    material: IntArray | None = None
     materials: tuple[Material, ...] = ()
     vertex_color_linear: NDArray[np.float32] | None = None
     notes: tuple[str, ...] = ()

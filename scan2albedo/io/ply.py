@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io.color import decode_srgb_integers, srgb_to_linear
 from scan2albedo.io.mtl import MaterialText, load_material
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
 from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines, walk_rows
-
-IntArray = NDArray[np.int64]
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -108,7 +107,7 @@ def _textures(names: tuple[str, ...], folder: Path) -> tuple[tuple[Material, ...
     return tuple(m for m, _ in loaded), tuple(note for _, note in loaded if note)
 
 
-def _texture_of_face(face: Columns, polygon: NDArray[np.int64], count: int) -> NDArray[np.int64] | None:
+def _texture_of_face(face: Columns, polygon: IntArray, count: int) -> IntArray | None:
     number = face.get("texnumber")
     if count < 2 or not isinstance(number, np.ndarray):
         return None
@@ -117,8 +116,8 @@ def _texture_of_face(face: Columns, polygon: NDArray[np.int64], count: int) -> N
 
 
 def _corner_uv(
-    vertex: Columns, face: Columns, index: _ListColumn, faces: NDArray[np.int64], corners: NDArray[np.int64]
-) -> NDArray[np.float64] | None:
+    vertex: Columns, face: Columns, index: _ListColumn, faces: IntArray, corners: IntArray
+) -> FloatArray | None:
     listed = face.get("texcoord")
     if isinstance(listed, _ListColumn):
         complete = listed.counts == 2 * index.counts
@@ -219,7 +218,7 @@ def _ascii_columns(path: Path, body: bytes, elements: list[_Element]) -> dict[st
     return columns
 
 
-def _columns_of_table(path: Path, element: _Element, table: NDArray[np.float64], read: IntArray) -> Columns:
+def _columns_of_table(path: Path, element: _Element, table: FloatArray, read: IntArray) -> Columns:
     """Split rows of numbers (N, width) into properties; a list takes its count and its entries."""
     columns: Columns = {}
     column = np.zeros(element.count, np.int64)
@@ -242,7 +241,7 @@ def _columns_of_table(path: Path, element: _Element, table: NDArray[np.float64],
     return columns
 
 
-def _converted(path: Path, element: _Element, prop: _Property, values: NDArray[np.float64]) -> NDArray[Any]:
+def _converted(path: Path, element: _Element, prop: _Property, values: FloatArray) -> NDArray[Any]:
     """Return numbers of a text file in the property's own type; raise for what an integer cannot hold."""
     if prop.item_type.kind in "iu":
         limits = np.iinfo(prop.item_type)

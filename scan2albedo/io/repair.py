@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.io.parsed_mesh import ParsedMesh
-
-IntArray = NDArray[np.int64]
 
 _AREA_FLOOR = 1e-12
 """A face whose doubled area is below this share of its squared longest edge has no usable normal."""
@@ -103,7 +102,7 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     return _drop_vertices(_wound_alike(cleaned), merged)
 
 
-def _used(mesh: ParsedMesh) -> NDArray[np.bool_]:
+def _used(mesh: ParsedMesh) -> BoolArray:
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.faces] = True
     return used
@@ -140,7 +139,7 @@ def _wound_alike(mesh: ParsedMesh) -> ParsedMesh:
     )
 
 
-def _zero_area(vertices: NDArray[np.float64], faces: IntArray) -> NDArray[np.bool_]:
+def _zero_area(vertices: FloatArray, faces: IntArray) -> BoolArray:
     """Return (F,) True for faces without a usable normal, in blocks to spare memory."""
     flat = np.empty(len(faces), bool)
     for start in range(0, len(faces), 1 << 20):

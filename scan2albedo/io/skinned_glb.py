@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.io.glb import METRES_PER_MM, GlbFile
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _A_SET = 4
 """Joints of a vertex in one pair of attributes JOINTS_n, WEIGHTS_n."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 GUTTER = 2
@@ -62,8 +62,8 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
 
 
 def _tiles(
-    mesh: ParsedMesh, texture_of_face: NDArray[np.int64]
-) -> tuple[list[Image], NDArray[np.int64], FloatArray, tuple[str, ...]]:
+    mesh: ParsedMesh, texture_of_face: IntArray
+) -> tuple[list[Image], IntArray, FloatArray, tuple[str, ...]]:
     """Return (tiles, tile of each face (F,), uv inside its tile (F, 3, 2), notes)."""
     assert mesh.uv is not None
     uv = np.full(mesh.uv.shape, 0.5)
@@ -111,7 +111,7 @@ def in_first_period(uv: FloatArray, texture_shape: tuple[int, ...]) -> FloatArra
     return uv - np.floor(uv.min(axis=1, keepdims=True) + texel)
 
 
-def _lay_out(tiles: list[Image]) -> tuple[Image, NDArray[np.int64]]:
+def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
     """Place tiles on shelves of about square total; return (atlas, (left, top, width, height) of each)."""
     sizes = [(t.shape[1] + 2 * GUTTER, t.shape[0] + 2 * GUTTER) for t in tiles]
     width = max(max(w for w, _ in sizes), math.ceil(math.sqrt(sum(w * h for w, h in sizes))))
@@ -129,7 +129,7 @@ def _lay_out(tiles: list[Image]) -> tuple[Image, NDArray[np.int64]]:
     return atlas, boxes
 
 
-def _into_boxes(uv: FloatArray, box: NDArray[np.int64], shape: tuple[int, ...]) -> FloatArray:
+def _into_boxes(uv: FloatArray, box: IntArray, shape: tuple[int, ...]) -> FloatArray:
     """Map uv of a tile into its box of the atlas; texel centres stay texel centres."""
     left, top, width, height = (box[:, i, None].astype(float) for i in range(4))
     across = (left + uv[..., 0] * width) / shape[1]

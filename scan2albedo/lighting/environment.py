@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
-
-FloatArray = NDArray[np.float64]
 
 _FINEST_ROWS = 256
 """Texels of coarser maps are cut up to this many rows, so that cells of many lights keep their share."""

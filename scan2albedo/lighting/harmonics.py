@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.lighting.environment import DistantLights
-
-FloatArray = NDArray[np.float64]
 
 _NODES = 160
 """Least number of quadrature nodes from pole to pole: degree 8 is then integrated to 1e-7."""
 
 
-def harmonic_degrees(order: int) -> NDArray[np.int64]:
+def harmonic_degrees(order: int) -> IntArray:
     """Return the degree l of each of the (order + 1)^2 harmonics.
 
     >>> harmonic_degrees(2).tolist()

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting import kernels
-
-FloatArray = NDArray[np.float64]
 
 _BRDFS = {"oren-nayar": kernels.OREN_NAYAR, "lambert": kernels.OREN_NAYAR, "minnaert": kernels.MINNAERT}
 

@@ -9,9 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
-
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 _SMALLEST_DIAGONAL = 1e-9
 """As a part of the largest: damps parameters that the cost does not depend on, so that they stay."""

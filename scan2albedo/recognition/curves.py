@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.identification import Identification
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class CmcCurve:
         Of the intervals.
     """
 
-    rank: NDArray[np.int64]
+    rank: IntArray
     rate: FloatArray
     low: FloatArray
     high: FloatArray
@@ -76,7 +75,7 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
     return CmcCurve(rank, hits / probes, low, high, probes, confidence)
 
 
-def _rate_interval(hits: NDArray[np.int64], trials: int, confidence: float) -> tuple[FloatArray, FloatArray]:
+def _rate_interval(hits: IntArray, trials: int, confidence: float) -> tuple[FloatArray, FloatArray]:
     """Return Clopper and Pearson's bounds of the rate of `hits` in `trials`, elementwise."""
     from scipy.special import betaincinv
 
@@ -216,11 +215,11 @@ def roc_curve(
 class _Claims:
     """All claims in order of falling similarity."""
 
-    genuine: NDArray[np.bool_]
-    prober: NDArray[np.int64]
+    genuine: BoolArray
+    prober: IntArray
     """Index of the person on the probe."""
-    claimed: NDArray[np.int64]
-    last: NDArray[np.int64]
+    claimed: IntArray
+    last: IntArray
     """Of each run of equal similarities, which a threshold takes whole."""
     persons: int
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions
 from scan2albedo.recognition.similarity import similarity_matrix
 from scan2albedo.recognition.templates import Templates
 
-FloatArray = NDArray[np.float64]
 Combine = Literal["best", "mean"]
 
 
@@ -43,9 +43,9 @@ class Identification:
     persons: tuple[str, ...]
     probe_names: tuple[str, ...]
     similarities: FloatArray
-    ranks: NDArray[np.int64]
+    ranks: IntArray
     predicted: tuple[str, ...]
-    tied: NDArray[np.bool_]
+    tied: BoolArray
     combine: Combine
 
     def rate(self, rank: int = 1) -> float:
@@ -53,7 +53,7 @@ class Identification:
         return float((self.ranks <= rank).mean())
 
     @property
-    def genuine(self) -> NDArray[np.bool_]:
+    def genuine(self) -> BoolArray:
         """(P, G): whether the probe shows the person."""
         return np.array(self.probe_names)[:, None] == np.array(self.persons)[None]
 
@@ -178,7 +178,7 @@ def _similarities_by_person(
     return persons, _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
 
 
-def _by_person(scores: FloatArray, person: NDArray[np.int64], count: int, combine: Combine) -> FloatArray:
+def _by_person(scores: FloatArray, person: IntArray, count: int, combine: Combine) -> FloatArray:
     """Return (P, count) of scores (P, images), images of `person` (images,) taken together."""
     if combine == "best":
         result = np.full((count, len(scores)), -np.inf)
@@ -233,8 +233,8 @@ class ProbeMatches:
     persons: tuple[str, ...]
     probe_persons: tuple[str | None, ...]
     similarities: FloatArray
-    ranks: NDArray[np.int64]
-    order: NDArray[np.int64]
+    ranks: IntArray
+    order: IntArray
     named: Identification | None
 
     def predicted(self, place: int = 1) -> tuple[str, ...]:

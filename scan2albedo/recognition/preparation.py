@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.options import Channel
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _DARKEST = 1 / 255
 """Of the brightest value: below it a ratio of channels is noise."""

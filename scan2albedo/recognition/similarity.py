@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
 from scan2albedo.recognition.templates import Templates, common_chart, image_coefficients
-
-FloatArray = NDArray[np.float64]
 
 STABILIZER = 1e-3
 """K of the index, in squared coefficients summed over a window: windows with less energy count as alike.
@@ -87,7 +86,7 @@ def cw_ssim(
 def pair_similarity(
     a: NDArray[np.complexfloating],
     b: NDArray[np.complexfloating],
-    mask: NDArray[np.bool_],
+    mask: BoolArray,
     options: SimilarityOptions = SimilarityOptions(),
 ) -> float:
     """Return `cw_ssim` of coefficients (O, h, w) over windows inside a mask (h, w)."""
@@ -181,7 +180,7 @@ class _Planes:
     imaginary: NDArray[np.float32]
     energy: NDArray[np.float32]
     """(O, N, h', w') of each window."""
-    inside: NDArray[np.bool_]
+    inside: BoolArray
     """(N, h', w'): windows inside the mask."""
 
     @classmethod
@@ -243,7 +242,7 @@ def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
     return result
 
 
-def _flat(inside: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _flat(inside: BoolArray) -> NDArray[np.float32]:
     return inside.reshape(len(inside), -1).astype(np.float32)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
@@ -20,8 +21,6 @@ from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.photograph_files import read_skin_mask
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _SIGMAS = 6.0
 """Brighter than noise, of millions of pixels."""
 Row = tuple[float, float, float]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras
-
-FloatArray = NDArray[np.float64]
 
 _ROTATION_TOLERANCE = 1e-4
 
@@ -27,7 +26,7 @@ class CaptureRig:
     third."""
     light_positions: FloatArray
     """(J, 3): of the flash that lit each picture, in mm."""
-    light: NDArray[np.int64]
+    light: IntArray
     """(J,): number of that flash, 0, 1, ..."""
 
     def __post_init__(self) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
@@ -19,8 +20,6 @@ from scan2albedo.reflectance.lobe_coefficients import (
     tilted_lobe_slopes,
 )
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
-
-FloatArray = NDArray[np.float64]
 
 _DEGREES = harmonic_degrees(ORDER)
 HARMONICS = len(_DEGREES)

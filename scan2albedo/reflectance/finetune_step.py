@@ -7,15 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import adjacency
 from scan2albedo.reflectance.image_fit import ImageFit
 from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK = 4096
 
@@ -67,9 +65,7 @@ class ModelChange:
         return ModelChange(diffuse[0], diffuse[1], total[0], total[1])
 
 
-def neighbour_smoothing(
-    count: int, faces: NDArray[np.int64], steps: int
-) -> Callable[[FloatArray], FloatArray]:
+def neighbour_smoothing(count: int, faces: IntArray, steps: int) -> Callable[[FloatArray], FloatArray]:
     """Return a smoother: `steps` times, each vertex with neighbours moves half way to their mean."""
     links = adjacency(count, faces)
     degree = np.asarray(links.sum(1)).ravel()

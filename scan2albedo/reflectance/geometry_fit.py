@@ -6,9 +6,10 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.pinhole import normalized_cameras, project
@@ -24,8 +25,6 @@ from scan2albedo.reflectance.geometry_terms import (
 from scan2albedo.reflectance.picture_samples import SmoothImage
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
-
-FloatArray = NDArray[np.float64]
 
 _RIGID_STEPS, _LANDMARK_STEPS = 20, 100
 """Most steps with landmarks alone: of the pose, then of pose and shape."""

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.operators import cross_matrices
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.optimization import Damping, NormalEquations, minimize
 from scan2albedo.reflectance.geometry_terms import GeometryTerm
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
-
-FloatArray = NDArray[np.float64]
 
 _TOLERANCE, _FLAT_STEPS = 1e-4, 3
 """Converged when the objective falls by less than this part, so many steps running."""

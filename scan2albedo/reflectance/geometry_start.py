@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
@@ -13,8 +14,6 @@ from scan2albedo.reflectance.geometry_search import GeometryState
 from scan2albedo.reflectance.geometry_terms import GeometryFitOptions, LandmarkTerm
 from scan2albedo.reflectance.sample_statistics import checked_coefficients
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
-
-FloatArray = NDArray[np.float64]
 
 _CONTOUR = 17
 """Landmarks of the jaw's outline come first."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import vertex_normal_jacobian
 from scan2albedo.geometry.pinhole import camera_centers, project
@@ -18,9 +18,6 @@ from scan2albedo.reflectance.environment_shading import shade_environment, shadi
 from scan2albedo.reflectance.picture_samples import SmoothImage
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
 """Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer

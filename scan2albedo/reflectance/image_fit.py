@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.optimization import Descent, NormalEquations, minimize
 from scan2albedo.reflectance.image_observation import ImageObservation
@@ -24,8 +24,6 @@ from scan2albedo.reflectance.image_terms import (
 )
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
-
-FloatArray = NDArray[np.float64]
 
 _STEPS = 200
 """Most steps; 10 to 20 are usual."""

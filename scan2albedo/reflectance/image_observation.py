@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.environment_shading import HARMONICS, LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.lobe_coefficients import Lobe
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.environment_shading import LightResponse
 from scan2albedo.reflectance.image_observation import ImageObservation
@@ -15,7 +16,6 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.lobe_coefficients import Lobe
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 
-FloatArray = NDArray[np.float64]
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
 gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
@@ -83,7 +83,7 @@ class ImageTerms:
         L_j = exp(t_j) (mean + sum g_i basis_i)_j.
     """
 
-    used: NDArray[np.int64]
+    used: IntArray
     observed: FloatArray
     response: LightResponse
     mean: tuple[FloatArray, FloatArray, FloatArray]
@@ -164,7 +164,7 @@ class PerceptualTerm:
     """The caller's function over the vertices `used` (U,) of `count`; checks what it returns."""
 
     def __init__(
-        self, distance: PerceptualDistance, used: NDArray[np.int64], observed_linear: FloatArray, count: int
+        self, distance: PerceptualDistance, used: IntArray, observed_linear: FloatArray, count: int
     ) -> None:
         self._distance, self._used, self._count = distance, used, count
         self._observed = self._spread(observed_linear)

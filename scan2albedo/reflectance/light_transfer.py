@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.blocks import blocks, each_block
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
@@ -16,8 +17,6 @@ from scan2albedo.reflectance.lobe_coefficients import ORDER
 from scan2albedo.reflectance.picture_samples import checked_mesh, checked_normals
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
 from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK = 128
 _DIRECTIONS = 64, 100_000
@@ -130,9 +129,7 @@ def _highlights(lit_cosine: FloatArray, n: FloatArray, v: FloatArray, toward: Fl
     return [(s + 2) / (8 * np.pi) * n_h**s for s in EXPONENTS]
 
 
-def _shadowed(
-    free: FloatArray, cosine: FloatArray, lit: NDArray[np.bool_], weighted: FloatArray
-) -> FloatArray:
+def _shadowed(free: FloatArray, cosine: FloatArray, lit: BoolArray, weighted: FloatArray) -> FloatArray:
     """Return diffuse coefficients (B, 81) with shadows, from those without and max(0, n.w) (B, D)."""
     whole = cosine @ weighted / np.pi
     part = np.where(lit, cosine, 0.0) @ weighted / np.pi

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.harmonics import map_directions, row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
-
-FloatArray = NDArray[np.float64]
 
 COMPONENTS = 80
 _WHITE = np.sqrt(4 * np.pi)
@@ -226,13 +225,11 @@ def _room(rng: np.random.Generator, brightness: float) -> FloatArray:
 
 def _panel(
     toward: FloatArray, rng: np.random.Generator, *, low: float, high: float, widest: float
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Mask of the pixels between two heights and two azimuths."""
     azimuth = np.arctan2(toward[..., 0], toward[..., 2])
     off = np.abs((azimuth - rng.uniform(-np.pi, np.pi) + np.pi) % (2 * np.pi) - np.pi)
-    inside: NDArray[np.bool_] = (
-        (off < rng.uniform(0.15, widest)) & (toward[..., 1] > low) & (toward[..., 1] < high)
-    )
+    inside: BoolArray = (off < rng.uniform(0.15, widest)) & (toward[..., 1] > low) & (toward[..., 1] < high)
     return inside
 
 

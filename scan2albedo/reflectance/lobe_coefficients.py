@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
+
 Lobe = Literal["tilted", "full"]
 """`tilted`: the true lobe of each view, averaged around its mean direction. `full`, as Han, Wang and Xu
 have it: the lobe of v = n over the whole sphere, turned to the mirrored view."""

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.sample_statistics import (
@@ -20,9 +21,6 @@ from scan2albedo.reflectance.sample_statistics import (
     stack_samples,
 )
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _CLIP_TOLERANCE = 1e-9
 """Negatives smaller than this are rounding and not counted."""
@@ -115,7 +113,7 @@ class MorphableReflectanceModel:
 
     known: BoolArray
     """(V,): vertices the model knows; arrays hold zeros elsewhere."""
-    support: NDArray[np.int64]
+    support: IntArray
     """(V,): samples that know each vertex."""
     diffuse_mean: FloatArray
     diffuse_basis: FloatArray

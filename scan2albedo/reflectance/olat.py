@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.picture_samples import linear_values, picture_values
 
-FloatArray = NDArray[np.float64]
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 
 _SIGMAS = 4.0
@@ -68,9 +68,9 @@ class OlatImages:
     """(J, H, W, 3) float32: negative where noise made it so; 0 where not valid."""
     sigma: NDArray[np.float32]
     """(J, H, W, 3) float32: standard deviation."""
-    valid: NDArray[np.bool_]
+    valid: BoolArray
     """(J, H, W, 3): finite, not saturated, of a pair that is not left out."""
-    saturated: NDArray[np.bool_]
+    saturated: BoolArray
     """(J, H, W, 3): in either picture."""
     diagnostics: tuple[CaptureDiagnostic, ...] = ()
     """Pair by pair."""
@@ -179,9 +179,7 @@ def _variance(values: FloatArray, options: OlatOptions) -> FloatArray:
     return (options.noise * slope) ** 2
 
 
-def _diagnostics(
-    pair: int, finite: NDArray[np.bool_], saturated: NDArray[np.bool_]
-) -> list[CaptureDiagnostic]:
+def _diagnostics(pair: int, finite: BoolArray, saturated: BoolArray) -> list[CaptureDiagnostic]:
     found = []
     missing, clipped = 1 - float(finite.all(-1).mean()), float(saturated.any(-1).mean())
     if missing > 0:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -22,9 +23,6 @@ from scan2albedo.reflectance.picture_samples import (
     picture_values,
 )
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _VIEW_COSINE = 0.1
 """n.v must be above this."""

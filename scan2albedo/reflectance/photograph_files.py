@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
@@ -17,7 +18,6 @@ from scan2albedo.io.records import read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.reflectance.shape_model import LANDMARKS
 
-FloatArray = NDArray[np.float64]
 _Row = tuple[float, float, float, float]
 _Pixel = tuple[float, float]
 
@@ -67,13 +67,13 @@ class PhotographFiles:
     """What the file holds, in its own unit."""
     image: NDArray[np.generic]
     """(H, W, 3) uint8, uint16 or float32: values."""
-    mask: NDArray[np.bool_] | None
+    mask: BoolArray | None
     """(H, W)."""
     camera: FloatArray
     """(3, 4): from points in mm."""
     vertices: FloatArray | None
     """(V, 3): of the mesh, mm."""
-    faces: NDArray[np.int64] | None
+    faces: IntArray | None
     """(F, 3): of the mesh; empty for points alone."""
     landmarks_px: FloatArray | None
     """(68, 2): NaN for hidden ones."""
@@ -136,11 +136,11 @@ def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
     write_record(path, content, indent=1)
 
 
-def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> BoolArray:
     return read_skin_mask(file.parent / name, shape, f"photograph {file}")
 
 
-def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> NDArray[np.bool_]:
+def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
     """Return a mask (H, W), True where its image is brighter than half of its brightest value.
 
     Raises `ReflectanceError` when its size is not `shape` (H, W), `ScanError` when it cannot be read.

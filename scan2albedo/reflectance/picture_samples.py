@@ -8,11 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_normals
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
 
 _UNIT = 1e-3
 """How far a normal's length may be from 1."""
@@ -20,7 +18,7 @@ _LEAST_WEIGHT = 1e-6
 """Of valid pixels around a gap, below which it is not filled."""
 
 
-def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, NDArray[np.int64]]:
+def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and faces (F, 3), or raise `ValueError` for other shapes."""
     xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
     if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
@@ -28,7 +26,7 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, NDA
     return xyz, index
 
 
-def checked_normals(xyz: FloatArray, faces: NDArray[np.int64], normals: ArrayLike | None) -> FloatArray:
+def checked_normals(xyz: FloatArray, faces: IntArray, normals: ArrayLike | None) -> FloatArray:
     """Return the normals (V, 3) given, or those of the mesh; 0 where there are none.
 
     Raises `ValueError` for another shape, `ReflectanceError` when vertices or normals are not finite, normals
@@ -168,9 +166,7 @@ class SmoothImage:
         inside = (pixels > 0) & (pixels < [width - 1, height - 1])
         return np.asarray(slopes * inside[:, None, :])
 
-    def _cells(
-        self, pixels: FloatArray
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+    def _cells(self, pixels: FloatArray) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
         """Return column and row of the upper left pixel, and the way from it (N, 1)."""
         height, width = self.valid.shape
         x, y = np.clip(pixels[:, 0], 0, width - 1), np.clip(pixels[:, 1], 0, height - 1)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
-
-FloatArray = NDArray[np.float64]
 
 PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
 """Of the lobes: where h is the normal."""

@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ARRAYS = {"vertices": "f", "faces": "iu", "known": "b", "diffuse_linear": "f", "weights": "f"}
 _OF_A_FIT = {

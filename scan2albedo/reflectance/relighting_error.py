@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.point_light_lobes import point_light_radiance
 from scan2albedo.reflectance.robust_fit import ReflectanceFitOptions
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit, fit_reflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
-
-FloatArray = NDArray[np.float64]
 
 _BLACK = 1e-30
 """Mean square below which light is rounding."""
@@ -111,7 +110,7 @@ def relighting_error(
     )
 
 
-def _gains(fit: ReflectanceFit, light: NDArray[np.int64]) -> FloatArray:
+def _gains(fit: ReflectanceFit, light: IntArray) -> FloatArray:
     """Return (J, 1, 3) the gain of each picture's flash, 1 where there is none."""
     known = np.ones((int(light.max()) + 1, 3))
     count = min(len(known), len(fit.light_gain))

@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.blocks import blocks, each_block
 from scan2albedo.reflectance import vertex_kernels as kernels
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _BLOCK = 128
 """Vertices whose normal equations fit the first cache."""
@@ -112,7 +109,7 @@ class RobustFit:
     normal: FloatArray
     misfit: FloatArray
     weight: FloatArray
-    settled: NDArray[np.bool_]
+    settled: BoolArray
     bounded_albedos: int
     iterations: int
     residual: float

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _RANK_TOLERANCE = 1e-12
 """Eigenvalues below this share of the largest are rounding."""

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LANDMARKS = 68
 """In iBUG-68 order."""

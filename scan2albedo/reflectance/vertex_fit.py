@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.point_light_lobes import PEAKS
 from scan2albedo.reflectance.robust_fit import (
@@ -19,9 +19,6 @@ from scan2albedo.reflectance.robust_fit import (
 )
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _TWO_SIDED_95 = 1.959964
 _SINGULAR = 1e-14
@@ -46,7 +43,7 @@ class ReflectanceFit:
     low: FloatArray
     high: FloatArray
     """`low`, `high`: (V, 6): 95 % intervals, >= 0; they hold the estimate."""
-    pair_count: NDArray[np.int64]
+    pair_count: IntArray
     """(V,): pictures used; 0 for unseen vertices."""
     condition: FloatArray
     """(V,): condition number of the observations' matrix, columns not scaled, without the prior; inf where it
@@ -57,7 +54,7 @@ class ReflectanceFit:
     identifiability: FloatArray
     """(V, 6): posterior over prior standard deviation, the former before the misfit: 1 where pictures add
     nothing."""
-    identified: NDArray[np.bool_]
+    identified: BoolArray
     """(V, 6): identifiability is small enough; False where not known."""
     misfit: FloatArray
     """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
@@ -68,7 +65,7 @@ class ReflectanceFit:
     """Unit of the prior."""
     bounded_albedos: int
     """Vertices where an albedo is held at 0."""
-    settled: NDArray[np.bool_]
+    settled: BoolArray
     """(V,): known and done when the fit ended."""
     converged: bool
     """All known vertices are, and the gains; False when the budget or the iterations ended the fit first."""

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
-
-FloatArray = NDArray[np.float64]
 
 EXPONENTS = (1.0, 8.0, 64.0)
 """Of the three Blinn-Phong lobes."""
@@ -36,7 +35,7 @@ class VertexReflectance:
     """(V, 3): albedo c, not negative; NaN where it is not known."""
     weights: FloatArray
     """(V, 3): of the lobes with `EXPONENTS`, not negative, achromatic; NaN where they are not known."""
-    known: NDArray[np.bool_]
+    known: BoolArray
     """(V,): vertices with numbers."""
 
     def __post_init__(self) -> None:
@@ -146,4 +145,4 @@ def reflectance_from_albedo(
         raise ReflectanceError(f"weights are {lobes.shape}, expected (3,) or {albedo.shape}")
     finite = np.isfinite(albedo).all(1)
     kept = finite if known is None else np.asarray(known)
-    return VertexReflectance(albedo, np.broadcast_to(lobes, albedo.shape), cast("NDArray[np.bool_]", kept))
+    return VertexReflectance(albedo, np.broadcast_to(lobes, albedo.shape), cast("BoolArray", kept))

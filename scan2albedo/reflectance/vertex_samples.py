@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance.capture_rig import CaptureRig
@@ -15,8 +16,6 @@ from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.picture_samples import bilinear_samples, checked_mesh, checked_normals
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_SIGMA = 1e-100
 """Its square's inverse must be a number."""
@@ -64,11 +63,11 @@ class VertexSamples:
     """(J, V, 3): linear, negative where noise made it so; 0 where not valid."""
     sigma: FloatArray
     """(J, V, 3): standard deviation, > 0 where valid."""
-    valid: NDArray[np.bool_]
+    valid: BoolArray
     """(J, V, 3): seen, lit, neither saturated nor missing."""
     lobes: FloatArray
     """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`."""
-    light: NDArray[np.int64]
+    light: IntArray
     """(J,): number of the flash."""
 
     def __post_init__(self) -> None:
@@ -106,7 +105,7 @@ class VertexSamples:
         object.__setattr__(self, "light", light.astype(np.int64))
 
     @property
-    def pair_count(self) -> NDArray[np.int64]:
+    def pair_count(self) -> IntArray:
         """(V,) pictures with an observation of a vertex."""
         return np.asarray(self.valid.any(-1).sum(0), np.int64)
 
@@ -172,8 +171,8 @@ def sample_vertices(
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     visibility = VertexVisibility(xyz, index, normal)
-    seen: dict[bytes, NDArray[np.bool_]] = {}
-    lit: dict[bytes, NDArray[np.bool_]] = {}
+    seen: dict[bytes, BoolArray] = {}
+    lit: dict[bytes, BoolArray] = {}
     for j in range(len(olat)):
         camera, light = rig.cameras[j], rig.light_positions[j]
         key, light_key = camera.tobytes(), light.tobytes()
@@ -189,6 +188,6 @@ def sample_vertices(
     return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light)
 
 
-def _facing(xyz: FloatArray, normal: FloatArray, light: FloatArray, cosine: float) -> NDArray[np.bool_]:
+def _facing(xyz: FloatArray, normal: FloatArray, light: FloatArray, cosine: float) -> BoolArray:
     toward = light - xyz
     return np.einsum("vc,vc->v", normal, toward) > cosine * np.linalg.norm(toward, axis=1)

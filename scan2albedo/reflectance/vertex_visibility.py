@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _SIDES = np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
 RAY_OFFSET_MM = 0.2

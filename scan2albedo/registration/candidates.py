@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.coarse_search import CoarsePoses, Poses
@@ -18,8 +18,6 @@ from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, ro
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.scoring import FaceScores, normal_relief
 from scan2albedo.registration.template import Template
-
-FloatArray = NDArray[np.float64]
 
 COVERAGE_NEEDED = 0.25
 """Least part of the model's depth image that the scan must cover to be a face."""
@@ -78,7 +76,7 @@ def batches(
     """
     poses, model = coarse.poses, template.first(_SAMPLES)
 
-    def by_relief(count: int) -> NDArray[np.int64]:
+    def by_relief(count: int) -> IntArray:
         """Return the first `count` poses in the order of the relief that the scan's normals show there."""
         relief = [
             normal_relief(coarse.grid, model, poses.rotations[i], poses.translations[i]) for i in range(count)

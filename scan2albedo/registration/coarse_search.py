@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.oriented_points import OrientedPoints, farthest_points
 from scan2albedo.geometry.rigid import super_fibonacci_rotations
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.template import Template
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ANCHOR_LIMIT = 600
 """Greatest number of anchors: a scan of a whole room is searched more coarsely."""

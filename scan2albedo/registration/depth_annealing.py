@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image, render_depth
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
@@ -17,9 +17,6 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm, tightened
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _TRUNCATION = 0.5
 _LARGEST_ANGLE_RAD = np.deg2rad(8.0)

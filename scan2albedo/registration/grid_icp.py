@@ -8,9 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
-
-FloatArray = NDArray[np.float64]
 
 _MAX_CELLS = 1_500_000
 
@@ -37,7 +36,7 @@ class NearestGrid:
         nearest = _nearest_by_sweeps(samples.points, low, cell, shape[0], shape[1], shape[2])
         return cls(samples, nearest, low, cell)
 
-    def nearest_samples(self, points: FloatArray) -> NDArray[np.int64]:
+    def nearest_samples(self, points: FloatArray) -> IntArray:
         """Return the index of (nearly) the nearest sample of each (N, 3) point, -1 outside the grid."""
         cell = np.floor((points - self.origin) / self.cell_mm).astype(np.int64)
         inside = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)

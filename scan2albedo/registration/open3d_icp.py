@@ -7,13 +7,11 @@ from contextlib import contextmanager
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.oriented_points import OrientedPoints
-
-FloatArray = NDArray[np.float64]
 
 
 def import_open3d() -> ModuleType:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace, checked_seed
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid
@@ -20,8 +18,6 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.robust_icp import rms_mm, tightened
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
-
-FloatArray = NDArray[np.float64]
 
 _HUMAN_SCALE = (0.75, 1.3)
 """Sizes of people's faces, children's too, relative to the model's."""

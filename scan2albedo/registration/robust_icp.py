@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.registration.template import Template
-
-FloatArray = NDArray[np.float64]
 
 _SCALE_PRIOR = 0.1
 _PRIOR_SHARE = 0.02

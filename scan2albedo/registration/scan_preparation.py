@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import without_far_vertices
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _FEWEST_VERTICES = 50
 _FEWEST_SAMPLES = 150

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.depth_image import DepthFrame, depth_image
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.grid_icp import NearestGrid
 
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Mask = BoolArray
 
 _NEAR_SAMPLE_MM = 15.0
 _LEAST_NORMAL_Z = 0.3
@@ -69,7 +69,7 @@ class FaceScores:
 class FaceImage:
     """The model's depth image, to score posed scans by: of its vertices (V, 3) mm and faces (F, 3)."""
 
-    def __init__(self, vertices: FloatArray, faces: NDArray[np.int64]) -> None:
+    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         low, high = vertices.min(0), vertices.max(0)
         center = (low + high) / 2
         self.frame = DepthFrame((float(center[0]), float(center[1])), 1.02 * float(np.max(high - low)), _SIZE)
@@ -82,7 +82,7 @@ class FaceImage:
     def scores(
         self,
         vertices: FloatArray,
-        faces: NDArray[np.int64],
+        faces: IntArray,
         model_from_scan: FloatArray,
         rms_mm: float = 0.0,
     ) -> FaceScores:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.scoring import FaceImage
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LEVELS = 1
 _FEWEST_CONTROL_VERTICES = 20

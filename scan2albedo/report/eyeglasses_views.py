@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import Camera, LensPicture, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, in_own_axes
@@ -20,9 +21,6 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.report.overview import Panel
 from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Mesh = tuple[FloatArray, IntArray]
 
 CANONICAL_COLUMNS, LENS_COLUMNS = 4, 2
@@ -239,6 +237,6 @@ def lens_panels(pictures: Sequence[tuple[str, LensPicture]], exposure: float) ->
     return panels
 
 
-def preview(linear: NDArray[np.float64], exposure: float) -> NDArray[np.uint8]:
+def preview(linear: FloatArray, exposure: float) -> NDArray[np.uint8]:
     """Return sRGB bytes (H, W, 3)."""
     return encode_srgb_bytes(exposure * linear)

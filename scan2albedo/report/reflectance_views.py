@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
@@ -16,8 +17,6 @@ from scan2albedo.report.rendering import View, heat_colors, render_mesh
 if TYPE_CHECKING:
     from scan2albedo.reflectance import MeshReflectance, ReflectanceFit
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _SIZE = 360
 _BRIGHT = 0.8
@@ -67,8 +66,8 @@ def relit_panels(
     name: str,
     photograph: FloatArray,
     relit: FloatArray,
-    shown: NDArray[np.bool_],
-    valid: NDArray[np.bool_],
+    shown: BoolArray,
+    valid: BoolArray,
 ) -> list[Panel]:
     """Return panels of a photograph, of a face relit as it was, both (H, W, 3) linear, and the difference.
 
@@ -94,7 +93,7 @@ def relit_panels(
 
 def draw_in_camera(
     camera: FloatArray, shape: tuple[int, int], vertices: FloatArray, faces: IntArray, color: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+) -> tuple[FloatArray, BoolArray]:
     """Return colours (V, 3) as a camera (3, 4) sees them (H, W, 3), and where they are all known (H, W)."""
     pixels, depth = project(camera, vertices)
     known = np.isfinite(color).all(1)
@@ -115,7 +114,7 @@ def _heat(mesh: MeshReflectance, values: FloatArray, most: float, view: View) ->
     return _colored(mesh, heat_colors(values, 0.0, most), view)
 
 
-def _window(shown: NDArray[np.bool_]) -> tuple[slice, slice]:
+def _window(shown: BoolArray) -> tuple[slice, slice]:
     """Return the part of a picture that holds the shown face."""
     spans = []
     for axis in (1, 0):

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import rotation_from_vector
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def _textured(raster: Raster, uv: FloatArray, image: NDArray[np.uint8]) -> Float
     return picture
 
 
-def heat_colors(values: ArrayLike, low: float, high: float, colormap: str = "viridis") -> NDArray[np.float64]:
+def heat_colors(values: ArrayLike, low: float, high: float, colormap: str = "viridis") -> FloatArray:
     """Return (N, 3) sRGB colours in [0, 1] of values mapped linearly from [low, high]; NaN is grey."""
     from matplotlib import colormaps
 

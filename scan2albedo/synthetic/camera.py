@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.io.color import srgb_to_linear
-
-FloatArray = NDArray[np.float64]
 
 BRIGHTEST = 0.98
 """Level of the brightest pixel at exposure 1."""

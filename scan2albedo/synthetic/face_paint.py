@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
-
-FloatArray = NDArray[np.float64]
 
 _SCLERA = np.array([0.66, 0.60, 0.55])
 _BROW = np.array([0.060, 0.042, 0.030])
@@ -88,7 +86,7 @@ def _curve(points: FloatArray, *, closed: bool, count: int = 240) -> FloatArray:
     return spline(np.linspace(0, knots[-1], count, endpoint=not closed))
 
 
-def _near(uv: FloatArray, points: FloatArray, margin: float) -> NDArray[np.bool_]:
+def _near(uv: FloatArray, points: FloatArray, margin: float) -> BoolArray:
     """Return (N,) which coordinates lie in the points' bounding box widened by `margin`."""
     return ((uv > points.min(0) - margin) & (uv < points.max(0) + margin)).all(1)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
@@ -14,9 +15,6 @@ from scan2albedo.synthetic.camera import PortraitOptions, exposure_for, portrait
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
 from scan2albedo.synthetic.sitter import sit_down
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _BEHIND_MM = 3.0
 """A landmark this much behind the surface that a ray meets first is still seen."""
@@ -74,7 +72,7 @@ class FacePhotograph(GlossyFace):
     """
 
     image: NDArray[np.generic]
-    skin: NDArray[np.bool_]
+    skin: BoolArray
     camera: FloatArray
     landmarks_px: FloatArray
     exposure: float

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -15,9 +16,6 @@ from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.synthetic.textures import smooth_noise
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Expression = Literal["neutral", "smile", "frown", "pout", "puff", "surprise"]
 

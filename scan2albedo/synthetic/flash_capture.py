@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.synthetic.camera import (
     TARGET_MM,
@@ -19,9 +20,6 @@ from scan2albedo.synthetic.camera import (
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson, SeenSurface
 from scan2albedo.synthetic.sitter import sit_down
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _SIDE_DEG = 60.0
 _HIGH_FLASHES_DEG = ((-20.0, 25.0), (20.0, 25.0))
@@ -101,7 +99,7 @@ class FlashCapture(GlossyFace):
 
     flash: NDArray[np.generic]
     room: NDArray[np.generic]
-    skin: NDArray[np.bool_]
+    skin: BoolArray
     view: IntArray
     light: IntArray
     head_rotations: FloatArray

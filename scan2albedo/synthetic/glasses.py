@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import vertex_components, without_unreferenced
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape, bend_points
 from scan2albedo.synthetic.half_glasses import HalfGlasses, build_half
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

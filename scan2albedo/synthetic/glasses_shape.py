@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 RIM_POINTS = 72
 CORNER_RINGS, STRAIGHT_RINGS, BEND_RINGS, TAIL_RINGS = 8, 34, 10, 16

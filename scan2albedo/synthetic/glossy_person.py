@@ -10,16 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, Sitter
 from scan2albedo.synthetic.textures import smooth_noise
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 EXPONENTS = (1, 8, 64)
 _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])

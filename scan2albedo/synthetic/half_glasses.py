@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.glasses_shape import (
     BEND_RINGS,
@@ -17,9 +17,6 @@ from scan2albedo.synthetic.glasses_shape import (
     rim_curve,
     temple_path,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def ring_faces(rings: IntArray) -> IntArray:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized, without_unreferenced
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.textures import smoothstep
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Mesh = tuple[FloatArray, IntArray]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -17,8 +17,6 @@ from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.sitter import sit_down
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_ANGLE_DEG = 30.0
 """Between two flashes, which would else be one; no more than the cone they are drawn from allows."""

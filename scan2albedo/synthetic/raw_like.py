@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
@@ -20,8 +21,6 @@ from scan2albedo.synthetic.head import (
     with_holes,
 )
 from scan2albedo.synthetic.scanner import capture, two_pods
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def raw_like(
 
 
 def disturbed(
-    vertices: FloatArray, faces: NDArray[np.int64], rng: np.random.Generator, noise_mm: float, spikes: int
+    vertices: FloatArray, faces: IntArray, rng: np.random.Generator, noise_mm: float, spikes: int
 ) -> FloatArray:
     """Return the vertices with Gaussian noise along their normals and a few thrown far off."""
     offset = rng.normal(scale=noise_mm, size=len(vertices))

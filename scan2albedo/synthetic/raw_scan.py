@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
@@ -20,9 +21,6 @@ from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.scanner import Pod, RangeMesh, capture, flash_pictures, two_pods
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
 from scan2albedo.synthetic.sitter import Sitter, sit_down
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _PICTURE_CENTER_FROM_NOSE_MM = np.array([0.0, -15.0, -70.0])
 _PICTURE_REACH_MM = 205.0

@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.mesh import normalized
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -61,9 +59,7 @@ class RayScene:
         barycentric[face < 0] = 0
         return SceneHits(face, barycentric, distance)
 
-    def occluded(
-        self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf
-    ) -> NDArray[np.bool_]:
+    def occluded(self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf) -> BoolArray:
         """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""
         rays = self._rays(origins, directions)
         limit = np.asarray(reach, np.float64)
@@ -118,7 +114,7 @@ class Rendered:
     radiance_linear: FloatArray
     shading: FloatArray
     specular: FloatArray
-    visible: NDArray[np.bool_]
+    visible: BoolArray
 
 
 def render(

@@ -9,15 +9,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.renderer import Material, RayScene, Rendered, render
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import FACE, Sitter
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -206,7 +204,7 @@ def _radiance(
     material: Material,
     size: int,
     colors: FloatArray | None,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+) -> tuple[FloatArray, BoolArray]:
     """Return what one pod sees (H, H, 3) and which pixels show the face (H, H)."""
     rays = pod.directions(2 * texel_coordinates(size) - 1)
     hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -19,7 +20,6 @@ from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, fa
 from scan2albedo.synthetic.renderer import Material, RayScene, render
 from scan2albedo.synthetic.textures import plain, skin, smooth_noise, wood
 
-FloatArray = NDArray[np.float64]
 TextureName = Literal["plain", "skin", "wood"]
 
 HEMISPHERE_RADIUS_MM = 80.0
@@ -77,7 +77,7 @@ class SyntheticScene:
     image: GeometryImage
     albedo_linear: NDArray[np.float32]
     lights: tuple[PointLight, ...]
-    shadow: NDArray[np.bool_]
+    shadow: BoolArray
     shading: FloatArray
     specular: FloatArray
     gain: float

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.synthetic.face_paint import paint_face
@@ -15,8 +15,6 @@ from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surfa
 from scan2albedo.synthetic.head import boundary_loop, hair_shell, head_around, join, shoulder_sheet
 from scan2albedo.synthetic.textures import skin, smooth_noise
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Painter = Callable[[FloatArray], FloatArray]
 
 FACE, HEAD, HAIR, CLOTHES = range(4)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 _LIGHT_WOOD = np.array([0.62, 0.40, 0.22])
 _DARK_WOOD = np.array([0.24, 0.11, 0.05])

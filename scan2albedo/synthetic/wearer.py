@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
@@ -16,10 +16,6 @@ from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
 from scan2albedo.synthetic.head import join
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import HAIR, Sitter, sit_down
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _FAR_MM = 300.0
 _CLEARANCE_MM = 0.4

@@ -14,9 +14,8 @@ from benchmarks.light_normalization import multi_scale_retinex
 from benchmarks.presets import preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, albedo_error, estimate_albedo
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
-
-FloatArray = NDArray[np.float64]
 
 _SIZE, _QUICK_SIZE = 256, 48
 _TWO_LIGHTS = (light_at(50, 10), light_at(-40, 5, intensity=2))

@@ -6,13 +6,10 @@ All take and return V (H, W) of a geometry image; scale is unknown to all of the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.light_normalization import DARKEST, blurred_inside
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.lighting.harmonics import harmonics
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 def homomorphic(value: FloatArray, mask: BoolArray, sigma: float = 1 / 8) -> FloatArray:

@@ -16,16 +16,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import dual_annealing
 
 import scan2albedo as s2a
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WHITE = 0.995
 """Texels from here on say nothing about light."""
@@ -138,7 +135,7 @@ def block_residual(
     return (total / len(blocks) + excess) / float(np.sum(weight * value))
 
 
-def _blocks(mask: NDArray[np.bool_]) -> IntArray:
+def _blocks(mask: BoolArray) -> IntArray:
     """Return (4, N) block indices: squares of `BLOCK_AREA` of the chart, moved by half a block each way."""
     side = math.sqrt(BLOCK_AREA * mask.sum())
     row, column = np.nonzero(mask)

@@ -9,12 +9,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.budgets import REPEATS, BudgetedStage, BudgetRow, checked_budgets
 from scan2albedo.core import GeometryImage, ProgressCallback
+from scan2albedo.core.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Make = Callable[[], BudgetedStage]
 
 

@@ -6,13 +6,11 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import CanonicalizationOptions, bounded_biharmonic_weights, canonicalize
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.synthetic import GlassesBend, SyntheticEyeglasses, eyeglasses
-
-FloatArray = NDArray[np.float64]
 
 SMALL = {
     "tips 8 mm out": GlassesBend(temple_spread_mm=8),
@@ -39,7 +37,7 @@ class Figures:
     ms: float
 
 
-def volume(vertices: FloatArray, faces: NDArray[np.int64]) -> float:
+def volume(vertices: FloatArray, faces: IntArray) -> float:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from benchmarks.glasses import WornGlasses, worn_glasses
 from scan2albedo.core import Budget, Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
@@ -33,8 +33,6 @@ from scan2albedo.eyeglasses.on_face.registration_report import mark_deviations
 from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer
-
-FloatArray = NDArray[np.float64]
 
 CASES = {
     "exact": WearerOptions(label_noise_px=0, mask_noise_px=0),
@@ -57,7 +55,7 @@ def register(worn: Wearer, seed: int, **changes: Any) -> RegisteredEyeglasses:
     return register_on_face(frame, worn.labels, cameras=worn.cameras, **given)
 
 
-def rms(found: RegisteredEyeglasses, worn: Wearer, where: NDArray[np.bool_]) -> float:
+def rms(found: RegisteredEyeglasses, worn: Wearer, where: BoolArray) -> float:
     return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[where] ** 2).mean()))
 
 

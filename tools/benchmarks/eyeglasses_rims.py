@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import LensRim, find_lens_rim
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_components
@@ -14,8 +14,6 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.images import write_png
 from scan2albedo.report.rendering import View, render_mesh
 from scan2albedo.synthetic import GlassesBend, eyeglasses
-
-FloatArray = NDArray[np.float64]
 
 BENT = GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)
 
@@ -52,7 +50,7 @@ def bench_synthetic(seeds: int) -> None:
     )
 
 
-def drawn_rim(rim: LensRim, vertices: FloatArray, faces: NDArray[np.int64], path: Path) -> None:
+def drawn_rim(rim: LensRim, vertices: FloatArray, faces: IntArray, path: Path) -> None:
     """Write the frame seen along the lens's axis with measured points of the rim green, others red."""
     x = rim.points[0] - rim.center
     x = x - (x @ rim.normal) * rim.normal
@@ -104,9 +102,7 @@ def bench_real(data: Path, pictures: Path | None) -> None:
                 drawn_rim(rim, scan.vertices, scan.faces, pictures / f"rim_{Path(name).stem}_{side}.png")
 
 
-def rims_of(
-    vertices: FloatArray, faces: NDArray[np.int64], axis: int
-) -> dict[str, tuple[NDArray[np.bool_], FloatArray]]:
+def rims_of(vertices: FloatArray, faces: IntArray, axis: int) -> dict[str, tuple[BoolArray, FloatArray]]:
     """Return faces and centre of both rims: parts of lens width, or the halves of a front in one piece."""
     if axis == 1:  # round rims, centred 33 mm off the middle
         across = vertices[faces].mean(1)[:, 0]

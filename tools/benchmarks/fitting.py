@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import fit_peers
 from benchmarks.presets import preset_settings
@@ -29,15 +28,13 @@ from benchmarks.sweep import (
     varied,
     within,
 )
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.fit import CROP_MARGIN
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LEVEL = 2
 """Refinement of the model's surface at which corresponding points are compared."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.presets import preset_settings
 from benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
@@ -18,8 +18,6 @@ from scan2albedo.eyeglasses import (
     register_on_face,
 )
 from scan2albedo.synthetic import Wearer, WearerOptions, wearer
-
-FloatArray = NDArray[np.float64]
 
 _SCENES, _QUICK_SCENES = 4, 1
 QUICK_WEARER = WearerOptions(picture_size=256, focal_px=450.0)

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import scan2albedo as s2a
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ABOVE_MM = 0.3
 """Camera rays start this far from the texel, so that nothing nearer the viewer hides it."""
@@ -133,7 +130,7 @@ class Bake:
         vertices: FloatArray,
         normals: FloatArray,
         faces: IntArray,
-        mask: NDArray[np.bool_],
+        mask: BoolArray,
         albedo_linear: FloatArray,
         bsdf: dict[str, Any],
         albedo_slot: str,

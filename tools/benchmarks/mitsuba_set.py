@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.color import srgb_to_linear
-
-FloatArray = NDArray[np.float64]
 
 FOLDER = Path(__file__).resolve().parents[2] / "tests" / "albedo" / "mitsuba_scenes"
 POSITION_STEP_MM = 0.005
@@ -60,7 +59,7 @@ class MitsubaScene:
     albedo_linear: NDArray[np.float32]
     lights: tuple[s2a.PointLight, ...]
     light_on_value: FloatArray
-    clipped: NDArray[np.bool_]
+    clipped: BoolArray
     texture: str
 
 

@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.reflectance import VertexReflectance, VertexSamples, point_light_lobes
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class Capture:
     truth: VertexReflectance
     cameras: FloatArray
     lights: FloatArray
-    light: NDArray[np.int64]
+    light: IntArray
 
     @property
     def parameters(self) -> FloatArray:
@@ -49,7 +47,7 @@ def arc(azimuths_deg: FloatArray, elevation_deg: float = 0.0, radius_mm: float =
     )
 
 
-def studio(views: int = 9, flashes: int = 11) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+def studio(views: int = 9, flashes: int = 11) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return cameras, lights (J, 3) and light numbers (J,) of all pairs: an arc, two flashes above it."""
     cameras = arc(np.linspace(-60, 60, views))
     lights = np.concatenate([arc(np.linspace(-60, 60, max(flashes - 2, 1))), arc(np.array([-20.0, 20]), 25)])[
@@ -84,7 +82,7 @@ def head_capture(
     )
 
 
-def radiance(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
+def radiance(capture: Capture) -> tuple[FloatArray, BoolArray]:
     """Return radiance (J, V, 3) by the equation, and where (J, V) n.v > 0.1 and n.l > 0."""
     shape = (len(capture.cameras), len(capture.vertices))
     result, faced = np.zeros((*shape, 3)), np.zeros(shape, bool)
@@ -134,7 +132,7 @@ def turned(normals: FloatArray, angle_deg: float, rng: np.random.Generator) -> F
     return np.cos(angle) * normals + np.sin(angle) * side
 
 
-def of_pairs(capture: Capture, pairs: NDArray[np.int64]) -> Capture:
+def of_pairs(capture: Capture, pairs: IntArray) -> Capture:
     """Return the capture with some of its pictures."""
     return replace(
         capture, cameras=capture.cameras[pairs], lights=capture.lights[pairs], light=capture.light[pairs]

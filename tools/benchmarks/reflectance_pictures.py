@@ -6,12 +6,10 @@ For the benchmark and the tests; nothing of it is the code under test.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
 from scan2albedo.reflectance import CaptureRig
-
-FloatArray = NDArray[np.float64]
 
 RADIUS, BALL_RADIUS, BALL = 90.0, 14.0, np.array([20.0, 10.0, 135.0])
 SHAPE = (170, 170)
@@ -70,14 +68,14 @@ class Scene:
 
     rig: CaptureRig
     vertices: FloatArray
-    faces: NDArray[np.int64]
+    faces: IntArray
     normals: FloatArray
-    head: NDArray[np.bool_]
+    head: BoolArray
     flash: FloatArray
     room: FloatArray
 
 
-def ball_mesh(rows: int, columns: int) -> tuple[FloatArray, NDArray[np.int64]]:
+def ball_mesh(rows: int, columns: int) -> tuple[FloatArray, IntArray]:
     """A closed ball of radius 1 around 0: vertices and faces."""
     theta, phi = np.linspace(0, np.pi, rows), 2 * np.pi * np.arange(columns) / columns
     grid = np.stack(

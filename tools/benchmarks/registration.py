@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.presets import preset_settings
 from benchmarks.registration_peers import (
@@ -30,11 +29,10 @@ from benchmarks.sweep import (
     within,
 )
 from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.registration import RegistrationOptions, register
-
-FloatArray = NDArray[np.float64]
 
 REFUSED_MM = 300.0
 """What a refusal, and a pose farther off, counts as."""

@@ -7,12 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import compose
-
-FloatArray = NDArray[np.float64]
 
 VOXEL_MM = 5.0
 FEATURE_RADIUS_MM = 25.0
@@ -24,7 +22,7 @@ class Surface:
     """A mesh, in mm."""
 
     vertices: FloatArray
-    faces: NDArray[np.int64]
+    faces: IntArray
 
 
 Peer = Callable[[Surface, RawScan], FloatArray]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.presets import SizeOptions, preset_settings
 from benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed
 from scan2albedo.core import GeometryImage, RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.mesh import face_areas, face_normals
@@ -20,8 +21,6 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_directions, trans
 from scan2albedo.geometry_image import LookupOptions, geometry_image
 from scan2albedo.geometry_image.texture_lookup import TextureLookup
 from scan2albedo.synthetic import RawScanOptions, raw_scan
-
-FloatArray = NDArray[np.float64]
 
 SIZES = (64, 96, 128, 192, 256, 384, 512, 768, 1024)
 _POINTS = 40_000
@@ -90,8 +89,8 @@ def _run(scene: SampledFace, setting: Setting) -> Outcome:
 
 
 def _interpolated(
-    image: GeometryImage, values: Any, uv: FloatArray, usable: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], FloatArray]:
+    image: GeometryImage, values: Any, uv: FloatArray, usable: BoolArray
+) -> tuple[BoolArray, FloatArray]:
     """Return which points (N,) have four usable texels around them, and the values bilinear there."""
     column, row = pixels_from_uv(uv, image.shape).T
     left = np.clip(np.floor(column).astype(int), 0, image.shape[1] - 2)

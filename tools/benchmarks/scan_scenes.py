@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
@@ -16,8 +16,6 @@ from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.face_shape import Expression
-
-FloatArray = NDArray[np.float64]
 
 EXPRESSIONS: tuple[Expression, ...] = ("neutral", "smile", "surprise", "frown", "pout", "puff")
 _PLAIN = RawScanOptions(picture_size=48, size=128)
@@ -58,7 +56,7 @@ class ScanScene:
         film = image.region == list(self.model.regions).index(MOUTH_REGION)
         return image.position[image.mask & ~film].astype(np.float64)
 
-    def scanned(self, points: FloatArray) -> NDArray[np.bool_]:
+    def scanned(self, points: FloatArray) -> BoolArray:
         """Return which points (N, 3) of the true skin were scanned: not those under hair or in holes."""
         return scanned_skin(self.scan, self.truth, points)
 
@@ -72,7 +70,7 @@ class ScanScene:
         return self.model.subdivision(level).matrix @ self.truth.control_points
 
 
-def scanned_skin(scan: RawScan, truth: SyntheticTruth, points: FloatArray) -> NDArray[np.bool_]:
+def scanned_skin(scan: RawScan, truth: SyntheticTruth, points: FloatArray) -> BoolArray:
     """Return which points (N, 3) of the true skin, in the truth's frame, have scan within `SCANNED_MM`."""
     raw = ClosestPointQuery(transform_points(truth.model_from_scan, scan.vertices), scan.faces)
     return raw.query(points).distance < SCANNED_MM

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.presets import SpacingOptions, preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import solve_weights
 from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
 from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
 from scan2albedo.synthetic import GlassesBend, SyntheticEyeglasses, eyeglasses
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _REFERENCE_MM, _QUICK_REFERENCE_MM = 1.25, 2.5
 _SPACINGS_MM = (1.5, 1.75, 2.0, 2.2, 2.35)

@@ -19,15 +19,13 @@ from face_model_generator.regions import (
     in_one_piece,
     without_spikes,
 )
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS, MOUTH_REGION
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.parametrization import parametrize_disc
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 CURVE_EDGE_MM = {
     "upper_lid": 2.9,
@@ -138,7 +136,7 @@ def _face_neighbours(faces: IntArray) -> list[list[int]]:
 
 
 def _landmark_points(
-    control: FloatArray, faces: IntArray, film: NDArray[np.bool_], targets: dict[int, FloatArray]
+    control: FloatArray, faces: IntArray, film: BoolArray, targets: dict[int, FloatArray]
 ) -> SurfacePoints:
     """Return the 68 landmarks: closest points of the limit surface but its film, the right half mirrored."""
     numbers = sorted(targets)
@@ -160,6 +158,6 @@ def _landmark_points(
     return SurfacePoints(face, weights)
 
 
-def _on_midline(weights: FloatArray, corner_on_midline: NDArray[np.bool_]) -> FloatArray:
+def _on_midline(weights: FloatArray, corner_on_midline: BoolArray) -> FloatArray:
     kept = np.where(corner_on_midline, weights, 0.0)
     return kept / kept.sum()

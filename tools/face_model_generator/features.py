@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from face_model_generator.anthropometry import Measurements
 from face_model_generator.sections import Midline, Offset, Sections
-
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 PUPIL_HEIGHT_MM = -3.0
 """Of the pupil over the nasion."""

@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from face_model_generator.anthropometry import Measurements
 from face_model_generator.features import LID_MARGIN_MM, PUPIL_HEIGHT_MM, Eye, Nose, arch_drop
 from face_model_generator.profile import midline, tragion
 from face_model_generator.sections import Midline, Sections
-
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 SPACING_MM = 9.0
 """Of key points along a section."""

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from face_model_generator.sections import Midline, Sections
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import FloatArray
 
 LEFT_TO_RIGHT = (
     (16, 0), (15, 1), (14, 2), (13, 3), (12, 4), (11, 5), (10, 6), (9, 7),

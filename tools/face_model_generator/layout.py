@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import Delaunay
 
 from face_model_generator.key_points import HalfFace
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.parametrization import ChartOptions, flatten_disc
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 CYLINDER_DEPTH_MM = -45.0
 """Depth of the vertical axis about which key points are unrolled before flattening."""
@@ -85,7 +82,7 @@ def _counter_clockwise(flat: FloatArray, faces: IntArray) -> IntArray:
 
 
 def mirrored_mesh(
-    points: FloatArray, faces: IntArray, middle: NDArray[np.bool_]
+    points: FloatArray, faces: IntArray, middle: BoolArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
     """Return (points, faces, mirror index) of a half mesh joined to its mirror image at `middle`."""
     count = len(points)
@@ -98,7 +95,7 @@ def mirrored_mesh(
     return whole, np.concatenate([faces, image[faces][:, [0, 2, 1]]]), mirror
 
 
-def inside_polygon(points: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
+def inside_polygon(points: FloatArray, polygon: FloatArray) -> BoolArray:
     """Return (N,) whether plane points (N, 2) lie in a closed polygon (M, 2): even-odd rule."""
     ax, ay = polygon.T
     bx, by = np.roll(polygon, -1, axis=0).T

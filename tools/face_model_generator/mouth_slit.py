@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from face_model_generator.meshing import HalfMesh
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import BoolArray, IntArray
 
 HALF_GAP_MM = 0.4
 TAPER = 2
@@ -30,7 +27,7 @@ class SlitMesh:
     """
 
     mesh: HalfMesh
-    film: NDArray[np.bool_]
+    film: BoolArray
 
 
 def with_mouth_slit(mesh: HalfMesh) -> SlitMesh:
@@ -59,7 +56,7 @@ def with_mouth_slit(mesh: HalfMesh) -> SlitMesh:
     return SlitMesh(HalfMesh(flat, whole, curves), np.arange(len(whole)) >= len(faces))
 
 
-def _below(mesh: HalfMesh, line: IntArray) -> NDArray[np.bool_]:
+def _below(mesh: HalfMesh, line: IntArray) -> BoolArray:
     """Return (F,) whether a face's centre lies below the line: exact for faces that touch it."""
     centre, points = mesh.flat[mesh.faces].mean(1), mesh.flat[line]
     return np.asarray(centre[:, 1] < np.interp(centre[:, 0], points[:, 0], points[:, 1]))

@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from face_model_generator.anthropometry import Measurements
-
-FloatArray = NDArray[np.float64]
+from scan2albedo.core.arrays import FloatArray
 
 GLABELLA_HEIGHT_MM = 16.0
 """Height of the glabella above the nasion: between the brows' heads."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from face_model_generator.layout import inside_polygon
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model.annotation import MOUTH_REGION, Region
-
-FloatArray = NDArray[np.float64]
 
 MIDDLE_REGIONS = ("forehead", "nose", "upper_lip", "lower_lip", "chin", MOUTH_REGION)
 """Regions that straddle the midline; the others exist left and right."""

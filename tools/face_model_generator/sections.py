@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from face_model_generator.anthropometry import Measurements
 from face_model_generator.profile import Plumb, gonion, tragion
+from scan2albedo.core.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Midline = dict[str, tuple[float, float, float]]
 
 RIM_HEIGHT_MM, CHEEK_HEIGHT_MM, WING_HEIGHT_MM = -17.0, -30.0, -46.0

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from benchmarks.light_normalization import histogram_equalized, multi_scale_retinex
-from numpy.typing import NDArray
 
 from recognition_experiment.options import RecognitionExperimentOptions
 from recognition_experiment.sessions import TEXTURE, Session
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.recognition import Templates, albedo_templates
 from scan2albedo.recognition.preparation import one_channel
-
-FloatArray = NDArray[np.float64]
 
 RAW, RAW_SRGB = "raw texture", "raw texture, sRGB"
 RETINEX, EQUALIZED = "multi-scale retinex", "histogram equalisation"

@@ -7,9 +7,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import (
     CanonicalizationOptions,
     DistantLights,
@@ -33,7 +33,6 @@ from stability_cases.case import Cases, Measured, assert_finite
 
 CASES = Cases()
 STAGE = "eyeglasses"
-FloatArray = NDArray[np.float64]
 SPACING = 3.0
 FRONT = DistantLights([[0, 0, 1]], [np.pi])
 
@@ -57,14 +56,14 @@ def _weights(vertices: Any, faces: Any, handles: Any, spacing: Any = SPACING) ->
     return weights
 
 
-def _box(center: Any, half: float) -> tuple[FloatArray, NDArray[np.int64]]:
+def _box(center: Any, half: float) -> tuple[FloatArray, IntArray]:
     import trimesh
 
     box = trimesh.creation.box([2 * half] * 3)
     return np.asarray(box.vertices) + center, np.asarray(box.faces)
 
 
-def _joined(vertices: FloatArray, faces: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
+def _joined(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
     frame = _frame()
     return np.vstack([frame.vertices, vertices]), np.vstack([frame.faces, faces + len(frame.vertices)])
 

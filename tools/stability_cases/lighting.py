@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 from brdf_reference import minnaert, oren_nayar, phong
-from numpy.typing import NDArray
 
 from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.harmonics import harmonics, harmonics_gradient, project_environment
@@ -21,7 +21,6 @@ from stability_cases.case import Cases, assert_finite
 CASES = Cases()
 STAGE = "lighting"
 UP = (0.0, 0.0, 1.0)
-FloatArray = NDArray[np.float64]
 
 
 def _angles(count: int = 2001) -> tuple[FloatArray, FloatArray, FloatArray]:

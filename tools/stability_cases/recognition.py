@@ -7,8 +7,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.recognition import (
     Identification,
     SimilarityOptions,
@@ -27,7 +27,6 @@ from stability_cases.case import Cases, Measured, assert_finite
 
 CASES = Cases()
 STAGE = "recognition"
-FloatArray = NDArray[np.float64]
 
 
 @cache

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from benchmarks.reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
 from benchmarks.reflectance_pictures import Scene, build_scene
-from numpy.typing import NDArray
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.lighting.environment import DistantLights, distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_distant_lights, project_environment
@@ -49,7 +49,6 @@ from stability_cases.case import Cases, Measured, assert_finite
 
 CASES = Cases()
 STAGE = "reflectance"
-FloatArray = NDArray[np.float64]
 
 
 def _quiet(call: Callable[[], Any]) -> Any:
@@ -761,7 +760,7 @@ for _name, _budget in (("1e-3 s", Budget(seconds=1e-3)), ("1 evaluation", Budget
 
 
 @cache
-def _skin_faces() -> NDArray[np.int64]:
+def _skin_faces() -> IntArray:
     from scipy.spatial import ConvexHull
 
     faces = ConvexHull(np.vstack([NORMALS, [0, 0, -0.01]])).simplices

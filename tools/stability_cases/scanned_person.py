@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo import AnnotatedFaceModel, RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.synthetic import RawScanOptions, raw_scan
-
-FloatArray = NDArray[np.float64]
 
 SEED = 0
 
@@ -56,11 +54,11 @@ class Scanned:
         """Return the scan with other vertices."""
         return replace(self, scan=replace(self.scan, vertices=vertices))
 
-    def with_faces(self, faces: NDArray[np.int64]) -> Scanned:
+    def with_faces(self, faces: IntArray) -> Scanned:
         """Return the scan with other faces, without colour."""
         return replace(self, scan=RawScan(self.scan.vertices, faces, name=self.scan.name))
 
-    def kept(self, mask: NDArray[np.bool_]) -> Scanned:
+    def kept(self, mask: BoolArray) -> Scanned:
         """Return what is left of the scan where `mask` (F,) is True."""
         used, faces = without_unreferenced(self.scan.vertices, self.scan.faces[mask])
         return replace(self, scan=RawScan(self.scan.vertices[used], faces, name=self.scan.name))

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
 from scan2albedo.eyeglasses import (
@@ -36,8 +36,6 @@ from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
-
-FloatArray = NDArray[np.float64]
 
 FRAME_RECORD, SET_RECORD = "result.json", "set.json"
 """They come last: a folder that has one is whole."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import ProgressCallback
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import (
     Camera,
     LensMaterial,
@@ -38,8 +38,6 @@ from scan2albedo.io.obj import write_obj
 from scan2albedo.registration import register
 from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Mesh = tuple[FloatArray, IntArray]
 
 Head = Literal["fitted", "true", "none"]

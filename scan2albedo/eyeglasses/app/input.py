@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.io.parsed_mesh import ParsedMesh
 
-FloatArray = NDArray[np.float64]
 
 KEY_POINTS_SUFFIX = ".keypoints.json"
 
@@ -66,7 +65,7 @@ def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") ->
     marks = read_keypoints_with_unit(marks_file)
     mm_per_unit = 0.0
 
-    def decide(parsed: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
+    def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal mm_per_unit
         mm_per_unit, note = _unit_of(parsed, marks, unit, mesh.name, marks_file.name)
         return mm_per_unit, note

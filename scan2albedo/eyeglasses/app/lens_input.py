@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import Camera, LensMaterial, Surface, read_cameras
 from scan2albedo.eyeglasses.app.input import GlassesFrame, keypoints_beside, read_frame
@@ -20,7 +20,6 @@ from scan2albedo.io.load_scan import load_scan
 if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
 
-FloatArray = NDArray[np.float64]
 
 _FRAME_ALBEDO = (0.05, 0.05, 0.06)
 _HEAD_ALBEDO = (0.5, 0.5, 0.5)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     Camera,
@@ -24,8 +25,6 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import without_glass
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import normalized_cameras, pixel_directions
-
-FloatArray = NDArray[np.float64]
 
 _LAMPS = (
     ((-0.6, 0.6, 0.7), 0.82, 7.0),

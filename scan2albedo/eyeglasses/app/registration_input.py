@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     Camera,
@@ -24,10 +24,6 @@ from scan2albedo.eyeglasses.app.input import read_frame
 from scan2albedo.eyeglasses.files.camera_files import mask_path
 from scan2albedo.io import load_scan
 from scan2albedo.io.input_hash import file_sha256, input_sha256
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 CANONICAL = ".npz"
 """Extension of frames that bring their weights, and of results whose pose is a start."""

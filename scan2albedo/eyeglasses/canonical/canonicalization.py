@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.frame_weights import WeightedFrame, frames_of, weigh_frames
 from scan2albedo.eyeglasses.canonical.mean_keypoints import (
@@ -24,9 +25,6 @@ from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.geometry.rigid import transform_points
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _CARRIERS = {"turned": turned_translations, "translated": translations}
 

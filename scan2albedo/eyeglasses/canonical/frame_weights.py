@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import fullest, require_posable
 from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import STAGE, UNIT, metered_weights
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

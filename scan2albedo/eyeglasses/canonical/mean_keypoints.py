@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
-
-FloatArray = NDArray[np.float64]
 
 _OTHER_UNIT = 5.0
 """Ratio of sizes from which two frames cannot be in the same unit: spectacles differ by a third at most."""

@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, ScanError
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
 from scan2albedo.io.records import read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 
-FloatArray = NDArray[np.float64]
 _Row = tuple[float, float, float, float]
-BoolArray = NDArray[np.bool_]
 
 _SINGULAR = 1e-9
 """Volume that the three rows' unit vectors span below which a camera maps space onto a line."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.core import Plan, Trace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
@@ -18,8 +19,6 @@ from scan2albedo.eyeglasses.on_face.interface import RegisteredEyeglasses
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Matrix, plain_json, read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
-
-FloatArray = NDArray[np.float64]
 
 Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 """Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""

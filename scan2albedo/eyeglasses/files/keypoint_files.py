@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.files.camera_files import CameraName, require_distinct_names
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.records import read_record, write_record
-
-FloatArray = NDArray[np.float64]
 
 _Coordinate = Annotated[float, Field(allow_inf_nan=False)]
 _Point = tuple[_Coordinate, _Coordinate, _Coordinate]

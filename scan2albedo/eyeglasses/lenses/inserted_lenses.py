@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim, is_covered, pane_faces
@@ -17,9 +18,6 @@ from scan2albedo.eyeglasses.lenses.refraction import ThinLens
 from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
 from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SIDES = ("left", "right")
 _BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
@@ -203,7 +201,7 @@ class BareFrame:
     """A frame without glass where lenses go."""
 
     surface: Surface
-    kept: NDArray[np.bool_]
+    kept: BoolArray
     """(F,) which faces of the frame are left."""
     notes: tuple[str, ...]
     """What was left out, and what still covers a lens."""
@@ -233,7 +231,7 @@ def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: Flo
     return BareFrame(_with_faces(frame, kept), kept, tuple(notes))
 
 
-def _with_faces(surface: Surface, kept: NDArray[np.bool_]) -> Surface:
+def _with_faces(surface: Surface, kept: BoolArray) -> Surface:
     if kept.all():
         return surface
     uv = None if surface.uv is None else np.asarray(surface.uv)

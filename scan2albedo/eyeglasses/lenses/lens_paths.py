@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene
 from scan2albedo.eyeglasses.lenses.lens_shading import mirror_on_sphere
 from scan2albedo.eyeglasses.lenses.refraction import ThinLens, refract
 from scan2albedo.geometry.rays import RayHits
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _GLANCING = 1e-3
 """Sine of the angle to the lens plane below which a ray does not count as passing the lens."""

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens, without_glass
@@ -28,8 +29,6 @@ from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneColors
 from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.lighting.environment import DistantLights
-
-FloatArray = NDArray[np.float64]
 
 _NO_ENVIRONMENT = "no environment is given: lenses mirror surfaces only, and black"
 
@@ -87,7 +86,7 @@ class LensPicture:
     """(H, W, 3): the photograph itself, or the scene with empty rims."""
     lens: NDArray[np.int8]
     """(H, W) the lens that a pixel's centre sees first: 0 the wearer's left, 1 the right, -1 none."""
-    unknown: NDArray[np.bool_]
+    unknown: BoolArray
     """(H, W) True where a lens shows what the photograph does not, and the colour is a guess."""
     lenses: tuple[InsertedLens, ...]
     """With their rims and meshes."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_paths import LensPaths, trace_lenses
@@ -26,10 +27,6 @@ from scan2albedo.eyeglasses.lenses.traced_rays import (
 )
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 from scan2albedo.lighting.environment import DistantLights, MapCells, map_cells
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _BAND = 2**18
 """Rays that are followed at once: a bound on memory."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
 from scan2albedo.eyeglasses.lenses.rim_outline import (
@@ -20,10 +21,6 @@ from scan2albedo.eyeglasses.lenses.rim_outline import (
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _PLACES = 12
 _INNER = 0.4
@@ -118,7 +115,7 @@ class LensRim:
 
     points: FloatArray
     """(R, 3) at even angles around the centre, counterclockwise seen from the viewer; in the frame's unit."""
-    measured: NDArray[np.bool_]
+    measured: BoolArray
     """(R,) True where a ray hit the rim; the others are filled in."""
     gaps: Literal["none", "interpolated", "subdivided"]
     """How gaps were filled: from the rim on both sides, or by subdivision of the rim's key points."""
@@ -217,7 +214,7 @@ def _plane(
     return LensPlane.at(center, fit_normal(rim_points, vertices))
 
 
-def _longest_gap(measured: NDArray[np.bool_]) -> float:
+def _longest_gap(measured: BoolArray) -> float:
     """Return the widest run of unmeasured angles in rad."""
     hits = np.flatnonzero(measured)
     if len(hits) == 0:
@@ -227,7 +224,7 @@ def _longest_gap(measured: NDArray[np.bool_]) -> float:
 
 
 def _filled(
-    shot: RimProfile, measured: NDArray[np.bool_], outline: RimProfile | None, angles: FloatArray
+    shot: RimProfile, measured: BoolArray, outline: RimProfile | None, angles: FloatArray
 ) -> RimProfile:
     """Return the profile with gaps given the outline's shape, or none, joined to both their ends."""
     zero = np.zeros(len(angles))

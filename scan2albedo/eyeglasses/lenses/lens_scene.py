@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_mesh
 from scan2albedo.eyeglasses.lenses.light_kernels import seen_normals
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster, RayHits
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _SMOOTH = 0.3
 """Cosine to its face below which a smoothed normal is replaced by the face's: its neighbours are wound in two

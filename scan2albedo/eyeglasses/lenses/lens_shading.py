@@ -7,12 +7,11 @@ from typing import Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDING = 1e-12
 
@@ -228,7 +227,7 @@ class LensMaterial:
         return self.alpha == 0 and self.beta == 0 and not self.fresnel
 
     @property
-    def transmission(self) -> NDArray[np.float64]:
+    def transmission(self) -> FloatArray:
         """(3,) share of light that passes at right angles: 1 - alpha - beta, and alpha tint of a filter."""
         passed = np.full(3, max(1 - self.alpha - self.beta, 0.0))
         return passed + self.alpha * np.asarray(self.tint_linear) if self.tinting == "filter" else passed

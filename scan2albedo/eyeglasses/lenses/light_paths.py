@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_scene import SeenPoints
 from scan2albedo.eyeglasses.lenses.light_kernels import (
@@ -24,8 +25,6 @@ from scan2albedo.eyeglasses.lenses.light_kernels import (
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import shadow_origins
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Paths = NDArray[np.uint8]
 
 _STEEPEST = 4.0

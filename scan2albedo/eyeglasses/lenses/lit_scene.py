@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, SeenPoints
 from scan2albedo.eyeglasses.lenses.light_kernels import shade
 from scan2albedo.eyeglasses.lenses.light_paths import PointStage, all_at_once, light_paths, pixel_stages
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, RayColors, SceneRays, Surroundings
 from scan2albedo.geometry.blocks import blocks, each_block
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _MATTE = (0.0, 0.0, 1.0)
 """Roughness, highlight and exponent of painted tints."""
@@ -45,7 +43,7 @@ class LitSamples:
     scene: LitScene
 
     @property
-    def unknown(self) -> NDArray[np.bool_]:
+    def unknown(self) -> BoolArray:
         """(N,) nowhere is the colour a guess."""
         return np.zeros(self.count, bool)
 

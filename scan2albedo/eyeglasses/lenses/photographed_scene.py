@@ -6,17 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, SeenPoints
 from scan2albedo.eyeglasses.lenses.traced_rays import KnownSamples, SceneRays, Surroundings
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _MIXED, _AWAY, _FRAME = -2, -1, 0
 """Labels of pixels: a fringe of nobody's, the background, then numbers of surfaces, the frame's first."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
-
-FloatArray = NDArray[np.float64]
 
 _GRAZING = 1e-9
 """Sine of the angle to the lens plane below which a camera or a ray counts as lying in it."""

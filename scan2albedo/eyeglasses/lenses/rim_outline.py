@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _FLAT = 0.05
 """Spread of rim points across their longest direction below which they are a line and hold no plane."""
@@ -134,7 +131,7 @@ def shoot_rim(
     return RimProfile(np.where(found, radius, np.nan), np.where(found, height, np.nan))
 
 
-def _tilt(angles: FloatArray, height: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+def _tilt(angles: FloatArray, height: FloatArray, known: BoolArray) -> FloatArray:
     """Return heights (R,) of the plane nearest to the known ones; 0 where less than half are."""
     if known.sum() < len(known) / 2:
         return np.zeros(len(angles))
@@ -142,7 +139,7 @@ def _tilt(angles: FloatArray, height: FloatArray, known: NDArray[np.bool_]) -> F
     return basis @ np.linalg.lstsq(basis[known], height[known], rcond=None)[0]
 
 
-def _stray(radius: FloatArray) -> NDArray[np.bool_]:
+def _stray(radius: FloatArray) -> BoolArray:
     """Return (R,) True for hits on pieces that less than half the window sees; NaN is none."""
     count = len(radius)
     steepest = max(_STEP, 2 * np.pi / count)
@@ -154,7 +151,7 @@ def _stray(radius: FloatArray) -> NDArray[np.bool_]:
     return stray
 
 
-def _dents(radius: FloatArray) -> NDArray[np.bool_]:
+def _dents(radius: FloatArray) -> BoolArray:
     """Return (R,) True where the edge lies inside a chord between two points nearby; NaN is no point.
 
     Rims are convex over so short a way. Ends of bridges and solder poke through them.
@@ -192,7 +189,7 @@ def _shoot(caster: RayCaster, plane: LensPlane, angles: FloatArray, heights: Flo
     return caster.first_hit(origins.reshape(-1, 3), headings).distance.reshape(heights.shape)
 
 
-def _local_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+def _local_median(values: FloatArray, known: BoolArray) -> FloatArray:
     """Return (R,) medians of means of two known values at equal distance; 0 where there are none.
 
     Pairs leave a steady slope unchanged, beside gaps too.

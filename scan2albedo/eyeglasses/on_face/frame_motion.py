@@ -7,13 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-
-FloatArray = NDArray[np.float64]
 
 _NEGLIGIBLE = 1e-9
 """Weights below this, which most are, do not count in derivatives; they do in positions."""
@@ -61,7 +59,7 @@ class FrameMotion:
 
     def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
         self.keypoints, self.state = keypoints, state
-        self.known: NDArray[np.bool_] = np.asarray(np.isfinite(keypoints).all(1))
+        self.known: BoolArray = np.asarray(np.isfinite(keypoints).all(1))
         self.center = keypoints[self.known].mean(0)
 
     @cached_property

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""

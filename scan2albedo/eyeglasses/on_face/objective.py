@@ -6,18 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
 from scan2albedo.eyeglasses.on_face.priors import HeadContact, bend_prior
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _CONTACT_MM = 1.0
 """Usual distance between nose and frame."""

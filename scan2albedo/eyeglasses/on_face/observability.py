@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.objective import Linearization, ObservedView
 from scan2albedo.eyeglasses.on_face.outline_samples import OutlineSampler
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import project
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _RIDGE = 1e-12
 """Least eigenvalue of the scaled matrix, as a part of the largest: open directions stay finite."""
@@ -121,7 +118,7 @@ def compare_masks(
     return MaskAgreement(float((own & mask).sum() / max(union.sum(), 1)), differing)
 
 
-def _box_around(mask: BoolArray) -> tuple[tuple[slice, slice], NDArray[np.int64]]:
+def _box_around(mask: BoolArray) -> tuple[tuple[slice, slice], IntArray]:
     """Return the smallest box that holds a mask, which is not empty, and its first row and column."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)

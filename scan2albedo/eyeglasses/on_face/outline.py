@@ -8,11 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.rasterization import nearest_faces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.mask_distance import search_edges
@@ -15,10 +15,6 @@ from scan2albedo.eyeglasses.on_face.outline import Outline, cover, covered_point
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _FACING = 0.3
 """Least cosine between where outside is for the frame's outline and for the observed one."""

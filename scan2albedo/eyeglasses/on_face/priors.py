@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.skinning import known_bones
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, normalized
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _STRETCH = 0.001
 """Part of its length by which a bone is usually stretched."""
@@ -42,7 +39,7 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     return value, np.pad(rows, ((0, 0), (RIGID, 0)))
 
 
-def _stretch(motion: FrameMotion, bones: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+def _stretch(motion: FrameMotion, bones: IntArray) -> tuple[FloatArray, FloatArray]:
     k, j = bones.T
     bent = motion.keypoints + motion.state.shifts
     length = np.linalg.norm(motion.keypoints[j] - motion.keypoints[k], axis=1)
@@ -55,7 +52,7 @@ def _stretch(motion: FrameMotion, bones: NDArray[np.int64]) -> tuple[FloatArray,
     return (np.linalg.norm(along, axis=1) - length) / sigma, rows.reshape(len(bones), -1)
 
 
-def _turn(motion: FrameMotion, bones: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+def _turn(motion: FrameMotion, bones: IntArray) -> tuple[FloatArray, FloatArray]:
     """Relative turns R_j R_k^T; derivatives to first order in them."""
     k, j = bones.T
     sigma = np.select(

@@ -8,10 +8,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.interface import (
@@ -36,8 +37,6 @@ from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
-
-FloatArray = NDArray[np.float64]
 
 _STEPS_A_TRACE, _TOLERANCE_A_TRACE = 6, 1e-3
 """Most steps on one tracing of the outlines, and the part of the cost below which a gain ends them."""

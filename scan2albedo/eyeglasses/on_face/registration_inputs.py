@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.checks import checked_keypoints, checked_mesh, checked_weights
@@ -18,9 +19,6 @@ from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
 from scan2albedo.eyeglasses.on_face.objective import ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Mesh = tuple[FloatArray, IntArray]
 
 _FARTHEST_PX = 1e6

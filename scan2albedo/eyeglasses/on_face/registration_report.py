@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter, Plan, PlanStep
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.interface import (
@@ -35,9 +35,6 @@ from scan2albedo.eyeglasses.on_face.outline_samples import OutlineSampler, hidde
 from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _MODEL_MM = 0.12
 """What weights cannot bend as the frame does, on synthetic frames bent by 10 mm."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
@@ -22,8 +22,6 @@ from scan2albedo.eyeglasses.on_face.objective import (
 from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs
 from scan2albedo.eyeglasses.on_face.triangulation import triangulate
 from scan2albedo.geometry.rigid import compose, procrustes
-
-FloatArray = NDArray[np.float64]
 
 _FEWEST = 4
 """Labels of one view that fix a pose."""

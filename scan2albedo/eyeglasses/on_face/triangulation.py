@@ -6,13 +6,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _STEPS = 50
 """Most steps a point."""

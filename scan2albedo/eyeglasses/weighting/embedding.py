@@ -8,21 +8,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 
 from scan2albedo.core import Plan, PlanStep
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.weighting.lattice import Lattice, join_parts
 from scan2albedo.eyeglasses.weighting.voxelization import enclosed_cells, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_components
 from scan2albedo.geometry.rays import RayCaster
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _REACH = 0.05
 """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.int64)
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import depth_first_order
 from scipy.sparse.linalg import splu
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 _SPARE = 0.2
 """Part of a supernode's entries that may be zeros for the sake of larger dense blocks."""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import ndimage
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from scan2albedo.core.arrays import FloatArray, IntArray
 
 _TOUCH = 1e-9
 """Cells; a triangle this near to a cell touches it, so that rounding does not decide on a tie."""

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
 from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded
@@ -17,9 +18,6 @@ from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions,
 from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy
 from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
 from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _COARSE_NODES = 1500
 """Lattices of more nodes start from the weights of a lattice of twice the spacing."""

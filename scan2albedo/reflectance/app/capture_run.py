@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -40,9 +41,6 @@ from scan2albedo.report.reflectance_views import (
     reflectance_panels,
     relit_panels,
 )
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 HELD_OUT_EVERY = 10
 """One of so many pairs is left out of the fit that is tested on it."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import ProgressCallback
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import make_folder, result_folder, write_text
 from scan2albedo.io.images import write_png
@@ -49,8 +50,6 @@ from scan2albedo.synthetic import (
     face_photograph,
     flash_capture,
 )
-
-FloatArray = NDArray[np.float64]
 
 _CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, hair=False)
 _PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
@@ -217,14 +216,14 @@ def _capture_errors(capture: FlashCapture, found: VertexReflectance) -> tuple[fl
     return float(np.sqrt(np.mean(off**2) / np.mean(truth**2))), float(np.median(np.abs(off / truth)))
 
 
-def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: NDArray[np.bool_]) -> float:
+def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: BoolArray) -> float:
     """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
     used = seen & found.known
     a, b = found.diffuse_linear[used], truth[used]
     return float(np.sqrt(np.mean((a * (np.sum(a * b) / np.sum(a * a)) - b) ** 2) / np.mean(b**2)))
 
 
-def _nearest(models: ModelFolder, truth: FloatArray, seen: NDArray[np.bool_]) -> VertexReflectance:
+def _nearest(models: ModelFolder, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
     """Return the model's face whose albedo is nearest to the truth times some scale, where it was seen."""
     mean, used = models.mean.reflectance, seen & models.model.known
     made = mean
@@ -237,7 +236,7 @@ def _nearest(models: ModelFolder, truth: FloatArray, seen: NDArray[np.bool_]) ->
     return made
 
 
-def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: NDArray[np.bool_]) -> float:
+def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: BoolArray) -> float:
     a, b = found[seen], truth[seen]
     return float(np.linalg.norm(transform_points(procrustes(a, b), a) - b, axis=1).mean())
 
@@ -330,11 +329,11 @@ def _mask(number: int) -> str:
     return f"skin_{number:02d}.png"
 
 
-def _white_where(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _white_where(mask: BoolArray) -> NDArray[np.uint8]:
     return np.repeat(np.where(mask, 255, 0).astype(np.uint8)[..., None], 3, axis=2)
 
 
-def _write_mesh(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+def _write_mesh(path: Path, vertices: FloatArray, faces: IntArray) -> None:
     import trimesh
 
     trimesh.Trimesh(vertices, faces, process=False).export(path)

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
     FineTuning,
@@ -38,8 +38,6 @@ from scan2albedo.reflectance.picture_samples import linear_values, picture_value
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
 
-FloatArray = NDArray[np.float64]
-
 _ONE_HELD_OUT_OF = 3
 """Photographs, when none is given to be held out."""
 
@@ -50,7 +48,7 @@ class FittedPhotograph:
 
     photograph: PhotographFiles
     vertices: FloatArray
-    faces: NDArray[np.int64]
+    faces: IntArray
     observation: ImageObservation
     fit: ImageFit
     geometry: GeometryFit | None
@@ -148,7 +146,7 @@ def fit_photograph(
         raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
 
 
-def observe(photograph: PhotographFiles, vertices: FloatArray, faces: NDArray[np.int64]) -> ImageObservation:
+def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) -> ImageObservation:
     """Look up vertices (V, 3) in a photograph."""
     content = photograph.content
     options = PhotographOptions(gamma=content.gamma, saturation=content.saturation)

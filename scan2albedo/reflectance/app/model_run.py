@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.reflectance import (
@@ -25,8 +26,6 @@ from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
 from scan2albedo.report.rendering import View, render_mesh
-
-FloatArray = NDArray[np.float64]
 
 FIT_FILE, MODEL_FILE, MEAN_FILE = "reflectance.npz", "reflectance_model.npz", "mean.npz"
 SHAPE_FILE = "shape_model.npz"
@@ -118,7 +117,7 @@ def build_model(
     return BuiltModel(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), tuple(sources), shape)
 
 
-def _read_landmark_vertices(path: Path, count: int) -> NDArray[np.int64]:
+def _read_landmark_vertices(path: Path, count: int) -> IntArray:
     try:
         numbers = np.asarray(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError) as error:

@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LEVELS = 65535
 MOST_VERTICES = 60_000
@@ -122,15 +120,13 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     return ViewMesh(full.vertices[used], place[agreed], full.uv[used], full.normals[used])
 
 
-def _coarse(
-    index: IntArray, rows: IntArray, columns: IntArray, step: int, whole: NDArray[np.bool_]
-) -> IntArray:
+def _coarse(index: IntArray, rows: IntArray, columns: IntArray, step: int, whole: BoolArray) -> IntArray:
     corner = [index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)]
     a, b, c, d = corner
     return np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
 
 
-def _fine(full: FaceMesh, image: GeometryImage, step: int, whole: NDArray[np.bool_]) -> IntArray:
+def _fine(full: FaceMesh, image: GeometryImage, step: int, whole: BoolArray) -> IntArray:
     """Return the triangles of the texel grid that no whole block covers."""
     row, column = np.nonzero(image.mask)
     first_row, first_column = row[full.faces].min(1) // step, column[full.faces].min(1) // step
@@ -157,7 +153,7 @@ class TextureStyle:
 
 
 def texture_entry(
-    linear: NDArray[np.floating], mask: NDArray[np.bool_], style: TextureStyle, *, factor: float | None = None
+    linear: NDArray[np.floating], mask: BoolArray, style: TextureStyle, *, factor: float | None = None
 ) -> dict[str, Any]:
     """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
@@ -171,7 +167,7 @@ def texture_entry(
     return {"factor": factor, **picture_entry(pixels, style.quality)}
 
 
-def gray_entry(values: FloatArray, mask: NDArray[np.bool_], style: TextureStyle) -> dict[str, Any]:
+def gray_entry(values: FloatArray, mask: BoolArray, style: TextureStyle) -> dict[str, Any]:
     """Return values (H, W) as 8 bits of their greatest, without loss; the viewer multiplies by `scale`."""
     scale = float(values[mask].max()) if mask.any() else 0.0
     parts = filled_from_nearest(values[..., None], mask) / (scale or 1.0)

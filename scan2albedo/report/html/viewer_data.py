@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.applications.files import fitted_mesh, load_result
 from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.records import read_record
@@ -28,8 +28,6 @@ from scan2albedo.report.html.encoding import (
     thinned_chart,
 )
 from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor
-
-FloatArray = NDArray[np.float64]
 
 _NO_RESIDUAL = 255
 """In the bytes of the residuals: not measured."""
@@ -112,7 +110,7 @@ def viewer_entry(
     record: ResultRecord,
     topologies: Topologies,
     style: TextureStyle,
-    residual_mm: NDArray[np.float64] | None = None,
+    residual_mm: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
@@ -184,6 +182,6 @@ def _frame(face: ProcessedFace) -> dict[str, Any]:
     }
 
 
-def _residual_bytes(residual_mm: NDArray[np.float64]) -> str:
+def _residual_bytes(residual_mm: FloatArray) -> str:
     parts = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
     return encoded(np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(parts)).astype(np.uint8).tobytes())
