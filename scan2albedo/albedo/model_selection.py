@@ -30,6 +30,8 @@ _SPECULAR_BEYOND = 0.02
 """Part of the cells on which it may exceed the darkest channel: white leaves something of each."""
 _SPECULAR_GAIN, _SPECULAR_DEVIATIONS = 0.05, 4.0
 """Part of the cost that it removes, or standard deviations of its strength from 0: one serves."""
+_LEAST_DEVIATIONS = 1.0
+"""Required beside the gain: uniform haze on a plane lowers the cost too, but its strength is undetermined."""
 _LIKELY_GAIN, _LIKELY_DEVIATIONS = 0.02, 2.4
 """The same, where both serve together."""
 _CERTAIN_LOSS, _CERTAIN_DEVIATIONS = 0.03, 12.0
@@ -237,7 +239,7 @@ def _decide_highlight(
         effect >= _SPECULAR_EFFECT
         and beyond <= _SPECULAR_BEYOND
         and (
-            gain >= _SPECULAR_GAIN
+            (gain >= _SPECULAR_GAIN and deviations >= _LEAST_DEVIATIONS)
             or (deviations >= _SPECULAR_DEVIATIONS and gain > 0)
             or (deviations >= _LIKELY_DEVIATIONS and gain >= _LIKELY_GAIN)
             or (deviations >= _CERTAIN_DEVIATIONS and gain >= -_CERTAIN_LOSS)

@@ -20,7 +20,7 @@ from scan2albedo.eyeglasses import (
     write_canonical,
     write_keypoints,
 )
-from scan2albedo.eyeglasses.app import canonicalization as glasses_files
+from scan2albedo.eyeglasses.app import canonicalize_run as glasses_files
 from scan2albedo.eyeglasses.app.canonicalize_run import canonicalize_frames
 from scan2albedo.eyeglasses.app.input import keypoints_beside, read_frame
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points

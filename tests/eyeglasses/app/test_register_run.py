@@ -34,7 +34,7 @@ from scan2albedo.eyeglasses import (
     write_labels,
     write_start,
 )
-from scan2albedo.eyeglasses.app import registration as glasses_registration_files
+from scan2albedo.eyeglasses.app import register_run as glasses_registration_files
 from scan2albedo.eyeglasses.app.demo import write_wearer
 from scan2albedo.eyeglasses.app.register_run import register_frame, write_registration_files
 from scan2albedo.eyeglasses.app.registration_input import RegistrationFiles, read_registration
@@ -374,7 +374,7 @@ def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_
     code = (
         "import sys, time\n"
         "from scan2albedo import cli\n"
-        "from scan2albedo.eyeglasses.app import registration as files\n"
+        "from scan2albedo.eyeglasses.app import register_run as files\n"
         "def slow(*a, **k):\n"
         "    print('drawing', file=sys.stderr, flush=True)\n"
         "    time.sleep(100)\n"
