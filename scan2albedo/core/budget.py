@@ -131,7 +131,7 @@ class Meter:
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the budget's seconds have ended: what costs time but no evaluations may be left out."""
+        """Whether the budget's seconds have ended; work that counts as no evaluation may then be left out."""
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
     def would_overrun(self, seconds: float) -> bool:

@@ -67,7 +67,7 @@ class FoldFinder:
 
 @njit(cache=True, nogil=True)
 def turned_faces(normals, points, faces, min_cosine):  # type: ignore[no-untyped-def]
-    """Return the indices of faces whose normal at `points` leaves unit `normals` (F, 3) by too much."""
+    """Return the faces whose normal, with vertices at `points`, turned too far from unit `normals` (F, 3)."""
     turned = np.zeros(len(faces), np.bool_)
     for f in range(len(faces)):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]

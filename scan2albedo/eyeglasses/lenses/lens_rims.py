@@ -73,7 +73,7 @@ def pane_faces(
 
 
 def is_covered(vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray) -> bool:
-    """Return whether something, of one piece with the rim or not, lies across the lens's axis."""
+    """Return whether a surface, joined to the rim or not, fills most of the lens's opening."""
     met = _met(vertices, faces, plane, _radius(vertices, faces, plane, rim_points))
     return bool((met >= 0).mean() >= _ENOUGH)
 

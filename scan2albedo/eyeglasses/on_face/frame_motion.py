@@ -85,7 +85,7 @@ class FrameMotion:
         return np.asarray(_blend_positions(points.rest, points.weights, self.transforms))
 
     def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
-        """Return covariances (N, 3, 3) of points in the world, where a step has the covariance root root^T.
+        """Return covariances (N, 3, 3) of points in the world that follow from root root^T, a step's own.
 
         `root` is (6, P) for a frame that stays rigid, (6 + 3 K, P) for one that bends.
         """
