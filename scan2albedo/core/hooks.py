@@ -13,9 +13,8 @@ class Hook:
     """A function to be provided from above; `name` says what it is where nobody provided it."""
 
     def __init__(self, name: str) -> None:
-        self._name, self._load = name, None
-
-    _load: Callable[[], Callable[..., Any]] | None
+        self._name = name
+        self._load: Callable[[], Callable[..., Any]] | None = None
 
     def provide(self, load: Callable[[], Callable[..., Any]]) -> None:
         """Keep `load`, which imports and returns the function when it is first asked for."""
