@@ -10,7 +10,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import face_cross_products
+from scan2albedo.geometry.mesh import face_cross_products, normalized
 
 _MAX_RAW_SAMPLES = 400_000
 _MAX_SAMPLES_PER_FACE = 256
@@ -36,6 +36,10 @@ class OrientedPoints:
     def subset(self, index: IntArray) -> OrientedPoints:
         """Return the samples at `index`."""
         return OrientedPoints(self.points[index], self.normals[index], self.areas[index])
+
+    def inside_out(self) -> OrientedPoints:
+        """Return the samples with their normals turned over."""
+        return OrientedPoints(self.points, -self.normals, self.areas)
 
 
 def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> OrientedPoints:
@@ -91,8 +95,20 @@ def _averaged(
     return OrientedPoints(mean[kept], normal[kept] / length[kept, None], total[kept])
 
 
+def anchors(samples: OrientedPoints, *, spacing: float, limit: int, reach: float) -> OrientedPoints:
+    """Return at most `limit` well-spread samples at least `spacing` apart, farthest first.
+
+    Their normals are the averages by area of those within `reach` around them.
+    """
+    chosen = farthest_points(samples.points, spacing, limit)
+    around = samples.tree.query_ball_point(samples.points[chosen], reach)
+    outward = np.array([(samples.normals[i] * samples.areas[i, None]).sum(0) for i in around])
+    return OrientedPoints(samples.points[chosen], normalized(outward.reshape(-1, 3)), samples.areas[chosen])
+
+
 def farthest_points(points: FloatArray, spacing: float, limit: int, first: int = 0) -> IntArray:
     """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
+    limit = min(limit, len(points))
     return _farthest_points(np.ascontiguousarray(points), spacing * spacing, limit, first)
 
 

@@ -10,17 +10,16 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
-from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.candidates import (
     CERTAINTY_NEEDED,
     COVERAGE_NEEDED,
     Candidate,
+    ScanTarget,
     batches,
     with_refined,
 )
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.open3d_icp import ScanTarget
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.robust_icp import residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
@@ -92,15 +91,15 @@ def _refuse_inside_out(
     turned = scan.inside_out()
     # The turned scan is another problem than the scan, so its rows stay out of the trace.
     unseen = meter.untraced()
-    poses = coarse_poses(turned.samples, template, options, unseen, 0)
+    poses = coarse_poses(turned, template, options, unseen, 0)
     target = ScanTarget(turned.samples)
     candidates: tuple[Candidate, ...] = ()
-    for batch in batches(poses, template, options.candidates, 0):
+    for batch in batches(turned, template, poses, options.candidates, 0):
         candidates = with_refined(turned, target, template, batch, options, unseen, candidates)
     meter.count(unseen.evaluations)
     other = candidates[0]
     if other.scores.certainty > best.scores.certainty and other.is_face():
-        raise RegistrationError(_inside_out_text(scan.raw, other))
+        raise RegistrationError(_inside_out_text(scan, other))
 
 
 def _bulge(samples: OrientedPoints) -> float:
@@ -119,19 +118,19 @@ def _refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate)
     measured = residuals(scan.samples, template.samples, best.pose)
     near = measured.distance_mm < _NEAR_MM
     if near.any() and np.mean(measured.agreement[near] < 0) > 0.5:
-        raise RegistrationError(_inside_out_text(scan.raw, best))
+        raise RegistrationError(_inside_out_text(scan, best))
 
 
-def _inside_out_text(scan: RawScan, best: Candidate) -> str:
-    turned = int(turned_against_neighbours(scan.faces).sum())
-    if turned > _MIXED_SHARE * len(scan.faces):
+def _inside_out_text(scan: PreparedScan, best: Candidate) -> str:
+    name, count = scan.raw.name, len(scan.raw.faces)
+    if scan.turned_faces > _MIXED_SHARE * count:
         return (
-            f"{scan.name}: {turned} of {len(scan.faces)} triangles are wound against their neighbours, so "
+            f"{name}: {scan.turned_faces} of {count} triangles are wound against their neighbours, so "
             "that the face is inside out in part. Reverse the order of their vertices (load_scan does it; "
             "scan2albedo.geometry.mesh.turned_against_neighbours names them) and try again"
         )
     return (
-        f"{scan.name}: the scan is inside out: with its {len(scan.faces)} triangles reversed there is a "
+        f"{name}: the scan is inside out: with its {count} triangles reversed there is a "
         f"face (certainty {best.scores.certainty:.2f}). Reverse the order of every triangle's "
         "vertices (scan.faces[:, ::-1]) and try again"
     )

@@ -1,22 +1,25 @@
-"""Candidate poses: refined by ICP, scored, ranked, until one lays the model on a face."""
+"""Candidate poses: refined by Open3D's ICP and ours, scored, ranked, until one lays the model on a face."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity
-from scan2albedo.registration.coarse_search import CoarsePoses, Poses
-from scan2albedo.registration.open3d_icp import ScanTarget
+from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.relief import FaceScores, normal_relief
 from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, robust_icp
 from scan2albedo.registration.scan_preparation import PreparedScan
-from scan2albedo.registration.scoring import FaceScores, normal_relief
 from scan2albedo.registration.template import Template
 
 COVERAGE_NEEDED = 0.25
@@ -46,19 +49,19 @@ class Candidate:
 
 
 def ranked_candidates(
-    scan: PreparedScan, template: Template, poses: CoarsePoses, options: RegistrationOptions, meter: Meter
+    scan: PreparedScan, template: Template, poses: Poses, options: RegistrationOptions, meter: Meter
 ) -> tuple[Candidate, ...]:
     """Refine and rank candidates, batch by batch, until one is a face; best first."""
     target = ScanTarget(scan.samples)
     candidates: tuple[Candidate, ...] = ()
     needed = CERTAINTY_NEEDED + _CONVINCING
-    for batch in batches(poses, template, options.candidates, _MORE_CANDIDATES):
+    for batch in batches(scan, template, poses, options.candidates, _MORE_CANDIDATES):
         candidates = with_refined(scan, target, template, batch, options, meter, candidates)
         if meter.exhausted or candidates[0].is_face(needed):
             return candidates
         needed = CERTAINTY_NEEDED
     # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
-    for batch in batches(poses, template, 2 * options.candidates, 0):
+    for batch in batches(scan, template, poses, 2 * options.candidates, 0):
         candidates = with_refined(scan, None, template, batch, options, meter, candidates)
         if meter.exhausted or candidates[0].is_face(needed):
             return candidates
@@ -66,7 +69,7 @@ def ranked_candidates(
 
 
 def batches(
-    coarse: CoarsePoses, template: Template, candidates: int, more_candidates: int
+    scan: PreparedScan, template: Template, poses: Poses, candidates: int, more_candidates: int
 ) -> Iterator[Poses]:
     """Yield `candidates` poses in two batches, then `more_candidates` in a third.
 
@@ -74,12 +77,12 @@ def batches(
     with most relief among all: distance alone prefers the whole back of a head to half a face, and relief
     alone is expensive.
     """
-    poses, model = coarse.poses, template.first(_SAMPLES)
+    model = template.first(_SAMPLES)
 
     def by_relief(count: int) -> IntArray:
         """Return the first `count` poses in the order of the relief that the scan's normals show there."""
         relief = [
-            normal_relief(coarse.grid, model, poses.rotations[i], poses.translations[i]) for i in range(count)
+            normal_relief(scan.grid, model, poses.rotations[i], poses.translations[i]) for i in range(count)
         ]
         return np.argsort(-np.array(relief), kind="stable")
 
@@ -142,3 +145,71 @@ def _scored(
 
 def _alike(a: Similarity, b: Similarity) -> bool:
     return a.is_near(b, _SAME_ROTATION_RAD, _SAME_POSITION_MM)
+
+
+def import_open3d() -> ModuleType:
+    """Return open3d, whose import takes seconds; raises `MissingDependencyError` without its libraries."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise MissingDependencyError(
+            f"Open3D cannot be loaded ({error}); run tools/bootstrap_system.sh, or install open3d-cpu and "
+            "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
+        ) from error
+    return open3d
+
+
+class ScanTarget:
+    """Scan samples (mm) prepared for many ICP runs."""
+
+    def __init__(self, samples: OrientedPoints) -> None:
+        self._open3d = import_open3d()
+        self._cloud = self._cloud_of(samples)
+
+    def _cloud_of(self, samples: OrientedPoints):  # type: ignore[no-untyped-def]
+        geometry, utility = self._open3d.geometry, self._open3d.utility
+        cloud = geometry.PointCloud(utility.Vector3dVector(samples.points))
+        cloud.normals = utility.Vector3dVector(samples.normals)
+        return cloud
+
+    def refine(
+        self,
+        model: OrientedPoints,
+        scan_from_model: FloatArray,
+        *,
+        max_distance_mm: float,
+        scale_mm: float,
+        iterations: int,
+    ) -> FloatArray:
+        """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model with Tukey's loss.
+
+        `max_distance_mm` is the greatest distance of a pair, `scale_mm` Tukey's constant: pairs farther apart
+        along the normal have no weight. Runs on one thread: Open3D adds up its normal equations in the order
+        the threads finish, so more threads would give other bits each time.
+        """
+        registration = self._open3d.pipelines.registration
+        with _one_thread(self._open3d):
+            result = registration.registration_icp(
+                self._cloud_of(model),
+                self._cloud,
+                max_distance_mm,
+                scan_from_model,
+                registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=scale_mm)),
+                registration.ICPConvergenceCriteria(1e-6, 1e-6, iterations),
+            )
+        return np.array(result.transformation)
+
+
+@contextmanager
+def _one_thread(open3d: ModuleType) -> Iterator[None]:
+    """Keep Open3D on one thread: from 0.20 on through its own setting (TBB), before that through OpenMP's."""
+    if not hasattr(open3d.utility, "set_max_threads"):
+        with threadpool_limits(1, "openmp"):
+            yield
+        return
+    threads = open3d.utility.get_max_threads()
+    open3d.utility.set_max_threads(1)
+    try:
+        yield
+    finally:
+        open3d.utility.set_max_threads(threads)

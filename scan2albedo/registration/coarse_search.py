@@ -8,22 +8,17 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.oriented_points import OrientedPoints, farthest_points
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import super_fibonacci_rotations
 from scan2albedo.registration.grid_icp import NearestGrid, refine_on_grid
 from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
-_ANCHOR_LIMIT = 600
-"""Greatest number of anchors: a scan of a whole room is searched more coarsely."""
 _CONE_RAD = np.deg2rad(35.0)
 """Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
-_NORMAL_SMOOTHING_MM = 45.0
 _BLOCK = 128
 _DISTINCT_POSES = 160
-_CELL_MM = 6.0
-_MARGIN_MM = 40.0
 _SAME_ROTATION_RAD = np.deg2rad(8)
 _SAME_POSITION_MM = 10.0
 
@@ -43,56 +38,37 @@ class Poses:
         return Poses(self.rotations[index], self.translations[index])
 
 
-@dataclass(frozen=True)
-class CoarsePoses:
-    """Distinct poses of the coarse search, nearest surface first, and the grid of the scan's samples."""
-
-    poses: Poses
-    grid: NearestGrid
-
-
 def coarse_poses(
-    scan: OrientedPoints, template: Template, options: RegistrationOptions, meter: Meter, seed: int
-) -> CoarsePoses:
-    """Return distinct poses that place the model near the scan's surface.
+    scan: PreparedScan, template: Template, options: RegistrationOptions, meter: Meter, seed: int
+) -> Poses:
+    """Return distinct poses that place the model near the scan's surface, the nearest first.
 
     Round 1 runs `coarse_iterations` (4) on 60 model samples from every start; the best `kept_starts` go on to
     as many (8) on 200 samples with a tighter scale. The meter counts one evaluation a start and round; when
     its budget ends, the poses tried so far are ranked.
     """
-    grid = NearestGrid.of(scan, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
-    poses = anchored_starts(
-        scan,
-        template.front,
-        rotation_count=options.rotation_count,
-        anchor_spacing_mm=options.anchor_spacing_mm,
-    )
+    poses = anchored_starts(scan.anchors, template.front, options.rotation_count)
     # In random order a budget that ends early has still seen starts from all over the scan.
     poses = poses.subset(np.random.default_rng(seed).permutation(len(poses)))
     first, second = options.coarse_iterations
-    poses = _round(grid, template.first(60), poses, first, (20.0, 10.0), meter)
+    poses = _round(scan.grid, template.first(60), poses, first, (20.0, 10.0), meter)
     poses = poses.subset(np.arange(min(options.kept_starts, len(poses))))
-    poses = _round(grid, template.first(200), poses, second, (12.0, 5.0), meter)
-    return CoarsePoses(_distinct(poses, _DISTINCT_POSES), grid)
+    poses = _round(scan.grid, template.first(200), poses, second, (12.0, 5.0), meter)
+    return _distinct(poses, _DISTINCT_POSES)
 
 
-def anchored_starts(
-    scan: OrientedPoints, model_anchor: FloatArray, *, rotation_count: int, anchor_spacing_mm: float
-) -> Poses:
-    """Put the model's front point (3,) on well-spread scan points, in every rotation facing outward there.
+def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: int) -> Poses:
+    """Put the model's `front` (3,) on the scan's anchors, in every rotation facing outward there.
 
     A face may be anywhere on a scan with shoulders and hair, so centroids are of little use; but the averaged
-    normal at its front is roughly its +z axis. `rotation_count` super-Fibonacci rotations are tried at each
-    anchor, `anchor_spacing_mm` apart.
+    normal at its front is roughly its +z axis. `rotation_count` super-Fibonacci rotations are tried at
+    each anchor.
     """
-    anchors = farthest_points(scan.points, anchor_spacing_mm, _ANCHOR_LIMIT)
-    around = scan.tree.query_ball_point(scan.points[anchors], _NORMAL_SMOOTHING_MM)
-    outward = normalized(np.array([(scan.normals[i] * scan.areas[i, None]).sum(0) for i in around]))
     rotations = super_fibonacci_rotations(rotation_count)
-    facing = outward @ rotations[:, :, 2].T >= np.cos(_CONE_RAD)
+    facing = anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD)
     anchor, rotation = np.nonzero(facing)
     turned = rotations[rotation]
-    translations = scan.points[anchors[anchor]] - turned @ model_anchor
+    translations = anchors.points[anchor] - turned @ front
     return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(translations))
 
 

@@ -9,11 +9,11 @@ from numba import njit
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.depth_image import DepthFrame, depth_image, render_depth
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
 from scan2albedo.optimization import AnnealingOptions, AnnealingResult, simulated_annealing
 from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.relief import DepthFrame, depth_image, render_depth
 from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm, tightened
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template

@@ -1,35 +1,45 @@
-"""The scan prepared for the search: checked, without stray vertices, in its principal frame, sampled."""
+"""The scan prepared once for the whole search: checked, in its principal frame, sampled, on a voxel grid."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
-from scan2albedo.geometry.mesh import without_far_vertices
-from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.geometry.mesh import turned_against_neighbours, without_far_vertices
+from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
+from scan2albedo.registration.grid_icp import NearestGrid
+from scan2albedo.registration.options import RegistrationOptions
 
 _FEWEST_VERTICES = 50
 _FEWEST_SAMPLES = 150
 _FACE_MM = 200.0
 _LARGEST_MM = 6000.0
 _TRIM_PERCENT = 2.0
+_ANCHOR_LIMIT = 600
+"""Greatest number of anchors: a scan of a whole room is searched more coarsely."""
+_NORMAL_SMOOTHING_MM = 45.0
+_CELL_MM = 6.0
+_MARGIN_MM = 40.0
 
 
 @dataclass(frozen=True)
 class PreparedScan:
     """A scan in its principal frame, mm, without stray faces; `raw` is the scan as read, for messages.
 
+    `samples` are spread over its whole surface, `anchors` are few of them far apart, with averaged normals.
     `prepared_from_scan` (4, 4) is the rigid transform from the scan's own frame.
     """
 
     vertices: FloatArray
     faces: IntArray
     samples: OrientedPoints
+    anchors: OrientedPoints
     prepared_from_scan: FloatArray
     raw: RawScan
 
@@ -38,28 +48,40 @@ class PreparedScan:
         """How many faces were left out."""
         return len(self.raw.faces) - len(self.faces)
 
+    @cached_property
+    def turned_faces(self) -> int:
+        """How many faces of the scan as read are wound against their neighbours."""
+        return int(turned_against_neighbours(self.raw.faces).sum())
+
+    @cached_property
+    def grid(self) -> NearestGrid:
+        """The voxel grid over the samples."""
+        return NearestGrid.of(self.samples, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
+
     def inside_out(self) -> PreparedScan:
-        """Return the scan with its samples' normals turned over."""
-        turned = OrientedPoints(self.samples.points, -self.samples.normals, self.samples.areas)
-        return PreparedScan(self.vertices, self.faces, turned, self.prepared_from_scan, self.raw)
+        """Return the scan with the normals of its samples turned over."""
+        return replace(self, samples=self.samples.inside_out(), anchors=self.anchors.inside_out())
 
 
-def prepared_scan(scan: RawScan, spacing_mm: float) -> PreparedScan:
-    """Check a scan's size and prepare it for the search, with a sample about every `spacing_mm`.
+def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:
+    """Check a scan's size and prepare it for the search.
 
     Raises `RegistrationError` when it has too few vertices or too little surface, or is larger than a room.
     """
     _refuse_wrong_size(scan)
     faces = without_far_vertices(scan.vertices, scan.faces)
     vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
-    samples = oriented_points(vertices, faces, spacing_mm)
+    samples = oriented_points(vertices, faces, options.scan_spacing_mm)
+    far_apart = anchors(
+        samples, spacing=options.anchor_spacing_mm, limit=_ANCHOR_LIMIT, reach=_NORMAL_SMOOTHING_MM
+    )
     if len(samples) < _FEWEST_SAMPLES:
         raise RegistrationError(
             f"{scan.name}: its surface of {samples.areas.sum():.3g} mm2 (box {box_text(scan.vertices)}) is "
             f"too small for a face of about {_FACE_MM:.0f} mm. "
             + _unit_text(float(np.ptp(scan.vertices, axis=0).max()))
         )
-    return PreparedScan(vertices, faces, samples, prepared_from_scan, scan)
+    return PreparedScan(vertices, faces, samples, far_apart, prepared_from_scan, scan)
 
 
 def _refuse_wrong_size(scan: RawScan) -> None:

@@ -12,7 +12,7 @@ from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
-from scan2albedo.registration.scoring import FaceImage
+from scan2albedo.registration.relief import FaceImage
 
 _LEVELS = 1
 _FEWEST_CONTROL_VERTICES = 20

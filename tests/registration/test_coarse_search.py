@@ -3,15 +3,16 @@
 import numpy as np
 import trimesh
 
-from scan2albedo.geometry.oriented_points import oriented_points
+from scan2albedo.geometry.oriented_points import anchors, oriented_points
 from scan2albedo.registration.coarse_search import anchored_starts
 
 
 def test_starts_on_a_sphere_face_outward_everywhere():
     mesh = trimesh.creation.icosphere(4, 90.0)
-    scan = oriented_points(np.asarray(mesh.vertices), np.asarray(mesh.faces), 5.0)
+    samples = oriented_points(np.asarray(mesh.vertices), np.asarray(mesh.faces), 5.0)
+    spread = anchors(samples, spacing=30.0, limit=600, reach=45.0)
     front = np.array([1.0, 2.0, 40.0])
-    starts = anchored_starts(scan, front, rotation_count=300, anchor_spacing_mm=30.0)
+    starts = anchored_starts(spread, front, 300)
     on_surface = np.einsum("nij,j->ni", starts.rotations, front) + starts.translations
     outward = on_surface / np.linalg.norm(on_surface, axis=1, keepdims=True)
     cosine = np.einsum("ni,ni->n", outward, starts.rotations[:, :, 2])

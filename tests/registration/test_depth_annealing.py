@@ -74,7 +74,7 @@ def test_a_budget_ends_it_with_the_best_so_far(template):
 @pytest.mark.parametrize("off_deg", [0.0, 1.0, 4.0, 25.0])
 def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, template, seed, off_deg):
     example = synthetic_scan(seed)
-    scan = prepared_scan(example.scan, 4.0)
+    scan = prepared_scan(example.scan, RegistrationOptions())
     truth = scan.prepared_from_scan @ invert_rigid(example.model_from_scan)
     turn = rotation_from_vector(np.radians(off_deg) * np.array([0.6, -0.64, 0.48]))
     start = Similarity(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])

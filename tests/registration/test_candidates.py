@@ -1,4 +1,4 @@
-"""Open3D's part: it refines, repeats its bits, and explains itself when it is missing."""
+"""Open3D's part of the candidates: it refines, repeats its bits, and explains itself when it is missing."""
 
 import builtins
 
@@ -8,7 +8,7 @@ import pytest
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.open3d_icp import ScanTarget, import_open3d
+from scan2albedo.registration.candidates import ScanTarget, import_open3d
 
 
 def test_it_refines_and_repeats_its_bits(model):

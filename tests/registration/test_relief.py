@@ -1,0 +1,161 @@
+"""Depth images against rays and closed forms; what counts as a face: not balls, boxes and wrong poses."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
+from scan2albedo.registration.relief import (
+    DepthFrame,
+    FaceImage,
+    correlation,
+    depth_image,
+    without_quadratic_trend,
+)
+
+
+def pixel_centres(frame):
+    """Return (size, size, 2) x and y: row 0 is the top, column 0 the left."""
+    offset = (np.arange(frame.size) - (frame.size - 1) / 2) * frame.width / frame.size
+    x, y = np.meshgrid(frame.center[0] + offset, frame.center[1] - offset)
+    return np.stack([x, y], -1)
+
+
+def bumpy(seed=0):
+    mesh = trimesh.creation.icosphere(4, 1.0)
+    vertices = np.asarray(mesh.vertices)
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(6, 3))
+    bumps = 1 + 0.2 * np.exp(4 * (vertices @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)).T - 1)).sum(
+        1
+    )
+    return vertices * bumps[:, None] * 70, np.asarray(mesh.faces)
+
+
+@pytest.mark.parametrize("size", [1, 31, 64])
+def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(size):
+    vertices, faces = bumpy()
+    frame = DepthFrame((5.0, -3.0), 190.0, size)
+    pose = compose(random_rotation(np.random.default_rng(1)), [3.0, 4.0, -20.0])
+    image = depth_image(vertices, faces, frame, pose)
+    xy = pixel_centres(frame).reshape(-1, 2)
+    origins = np.column_stack([xy, np.full(len(xy), 500.0)])
+    hits = RayCaster(transform_points(pose, vertices), faces).first_hit(origins, [0, 0, -1.0])
+    expected = np.where(hits.face >= 0, 500 - hits.distance, -np.inf).reshape(size, size)
+    both = np.isfinite(image) & np.isfinite(expected)
+    # A ray through a silhouette edge may go either way.
+    assert (np.isfinite(image) != np.isfinite(expected)).mean() < 0.002
+    np.testing.assert_allclose(image[both], expected[both], atol=2e-3)
+
+
+def test_a_tilted_plane_is_exact():
+    vertices = np.array([[-9.0, -9, 0], [9, -9, 18], [9, 9, 18], [-9, 9, 0]])
+    image = depth_image(vertices, [[0, 1, 2], [0, 2, 3]], DepthFrame((0.0, 0.0), 10.0, 20))
+    x = pixel_centres(DepthFrame((0.0, 0.0), 10.0, 20))[..., 0]
+    np.testing.assert_allclose(image, x + 9, atol=1e-12)
+
+
+def test_empty_pixels_are_minus_infinity_and_the_limit_looks_through():
+    vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0], [-9, -9, 5], [9, -9, 5], [0, 20, 5]])
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    frame = DepthFrame((0.0, 0.0), 60.0, 61)
+    assert depth_image(vertices, faces, frame)[30, 30] == 5
+    assert depth_image(vertices, faces, frame, z_limit=4.0)[30, 30] == 0
+    assert depth_image(vertices, faces, frame)[0, 0] == -np.inf
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-14, 0.3])
+def test_neighbouring_faces_leave_no_pixel_between_them(jitter):
+    # Without jitter every pixel centre lies on edges or corners of the grid; 1e-14 makes rows near level.
+    side = np.arange(-4.0, 5.0)
+    x, y = np.meshgrid(side, side)
+    rng = np.random.default_rng(0)
+    xy = np.stack([x, y], -1) + jitter * rng.uniform(-1, 1, (9, 9, 2))
+    vertices = np.column_stack([xy.reshape(-1, 2), xy.reshape(-1, 2) @ [0.5, -0.25]])
+    index = np.arange(81).reshape(9, 9)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    frame = DepthFrame((0.0, 0.0), 7.0, 7)
+    image = depth_image(vertices, faces, frame)
+    np.testing.assert_allclose(image, pixel_centres(frame) @ [0.5, -0.25], atol=1e-9)
+    np.testing.assert_allclose(depth_image(vertices, faces[:, ::-1], frame), image, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def image(model) -> FaceImage:
+    return FaceImage(*model.surface(1))
+
+
+def test_the_model_is_its_own_perfect_face(image, model):
+    scores = image.scores(*model.surface(2), np.eye(4))
+    assert scores.relief_correlation > 0.9
+    assert scores.coverage > 0.98
+
+
+def test_depth_along_the_view_does_not_matter(image, model):
+    vertices, faces = model.surface(1)
+    near = image.scores(vertices, faces, compose(np.eye(3), [0, 0, 5.0]))
+    assert near.relief_correlation > 0.9
+
+
+@pytest.mark.parametrize(
+    "turn", [[0, 0, np.pi], [0, 0, np.pi / 2], [0, 0, np.radians(40)], [0, np.radians(50), 0]]
+)
+def test_a_wrongly_turned_model_is_no_face(image, model, turn):
+    vertices, faces = model.surface(1)
+    pose = compose(rotation_from_vector(turn), np.zeros(3))
+    assert image.scores(vertices, faces, pose).ranking < 0.5
+
+
+def test_smooth_bodies_have_no_relief(image, model):
+    front = model.surface(0)[0][:, 2].max()
+    for mesh in (trimesh.creation.icosphere(5, 90.0), trimesh.creation.cylinder(70, 300, sections=90)):
+        body = np.asarray(mesh.vertices)
+        pose = compose(np.eye(3), [0, 0, front - body[:, 2].max()])
+        assert image.scores(body, np.asarray(mesh.faces), pose).relief_correlation < 0.4
+
+
+def test_far_away_there_is_neither_coverage_nor_relief(image, model):
+    scores = image.scores(*model.surface(1), compose(np.eye(3), [0, 0, 300.0]))
+    assert (scores.coverage, scores.relief_correlation, scores.ranking) == (0, 0, 0)
+
+
+def test_half_a_face_scores_nearly_as_a_whole_one(image, model):
+    vertices, faces = model.surface(1)
+    half = faces[(vertices[faces][..., 0] > 0).all(1)]
+    scores = image.scores(vertices, half, np.eye(4))
+    assert 0.4 < scores.coverage < 0.6
+    assert scores.ranking > 0.7
+
+
+def test_trend_removal_leaves_nothing_of_a_quadratic():
+    rng = np.random.default_rng(0)
+    at = rng.uniform(-0.5, 0.5, (200, 2))
+    x, y = at.T
+    weights = rng.uniform(0.1, 1, 200)
+    quadratic = 3 - x + 2 * y + 4 * x * x - x * y + 0.5 * y * y
+    assert np.abs(without_quadratic_trend(quadratic, at, weights)).max() < 1e-6
+    wave = np.sin(40 * x)
+    rest = without_quadratic_trend(quadratic + wave, at, weights)
+    assert correlation(rest, wave, weights) > 0.97
+
+
+def test_correlation_of_nothing_is_zero():
+    assert correlation(np.zeros(3), np.ones(3), np.ones(3)) == 0
+
+
+def test_the_model_is_symmetric_and_its_symmetry_raises_the_certainty(image, model):
+    scores = image.scores(*model.surface(2), np.eye(4))
+    assert scores.symmetry > 0.85
+    assert scores.certainty > scores.likeness + 0.1
+
+
+def test_an_expression_of_one_side_lessens_symmetry_and_half_a_face_loses_no_certainty(image, model):
+    vertices, faces = model.surface(2)
+    crooked = vertices.copy()
+    right = vertices[:, 0] < 0
+    crooked[right, 2] += 6 * np.sin(vertices[right, 1] / 6) * np.clip(-vertices[right, 0] / 20, 0, 1)
+    assert image.scores(crooked, faces, np.eye(4)).symmetry < 0.75
+    half = image.scores(vertices, faces[(vertices[faces][..., 0] > 0).all(1)], np.eye(4))
+    assert half.certainty >= half.likeness
