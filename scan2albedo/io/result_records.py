@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 
 if TYPE_CHECKING:
@@ -35,12 +36,12 @@ class InputRecord(Record):
     texture_size: tuple[int, int] | None = Field(None, description="Width and height in texels.")
 
     @classmethod
-    def of(cls, scan: RawScan, file: Path | None, sha256: str) -> InputRecord:
-        """Return the record of a scan that was read from `file`."""
+    def of(cls, scan: RawScan, file: Path | None, sha256: str | None) -> InputRecord:
+        """Return the record of a scan that was read from `file` of this hash; without one, of its arrays."""
         texture = scan.texture_linear
         return cls(
             file=None if file is None else str(file),
-            sha256=sha256,
+            sha256=sha256 or input_sha256(scan),
             vertices=len(scan.vertices),
             faces=len(scan.faces),
             texture_size=None if texture is None else (texture.shape[1], texture.shape[0]),

@@ -14,7 +14,6 @@ from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_records import (
@@ -24,7 +23,7 @@ from scan2albedo.io.result_records import (
     RegistrationRecord,
     ResultRecord,
 )
-from scan2albedo.report.overview import chart_panels, face_panels, overview_figure, preview_srgb, save_figure
+from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
@@ -158,18 +157,18 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
     """
     folder = out / result.scan.name
     image, fitted, estimate = result.geometry_image, result.fitted, result.albedo
-    summary, metrics = result.summary(), result.metrics()
+    summary, record = result.summary(), _result_record(result)
     poses = None if result.registration is None else _registration_record(result.registration, fitted)
     albedo_srgb = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
+    drawn: dict[str, bytes] = {}
+    if pictures:
+        panels = result_panels(result.scan, fitted, image, estimate, albedo_srgb)
+        drawn["overview.png"] = figure_png(overview_figure(summary, panels))
+        drawn["error_vs_time.png"] = figure_png(result.trace.plot(), dpi=110)
     # An older run may have had more stages.
     with result_folder(folder, "result.json", obsolete=FILES, staged_in=out) as staging:
-        if pictures:
-            if fitted is not None:
-                panels = face_panels(result.scan, fitted, image, estimate)
-            else:
-                panels = chart_panels(image, estimate)
-            save_figure(overview_figure(summary, panels), staging / "overview.png")
-            save_figure(result.trace.plot(), staging / "error_vs_time.png", dpi=110)
+        for name, png in drawn.items():
+            (staging / name).write_bytes(png)
         result.trace.to_csv(staging / "trace.csv")
         write_geometry_image(staging / "geometry_image.npz", image)
         write_geometry_image_exr(staging / "geometry_image.exr", image)
@@ -185,7 +184,7 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
         if poses is not None:
             write_record(staging / "registration.json", poses)
         files = (*sorted(path.name for path in staging.iterdir()), "result.json")
-        write_record(staging / "result.json", _result_record(result, metrics, files))
+        write_record(staging / "result.json", record.model_copy(update={"files": files}))
     return folder
 
 
@@ -198,8 +197,8 @@ def _write_template(fitted: FittedFace, path: Path) -> None:
 
 def _registration_record(registration: Registration, fitted: FittedFace | None) -> RegistrationRecord:
     return RegistrationRecord(
-        model_from_scan=plain_json(registration.model_from_scan),
-        fitted_from_scan=None if fitted is None else plain_json(fitted.model_from_scan),
+        model_from_scan=registration.model_from_scan.tolist(),
+        fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
         rmse_mm=registration.rmse_mm,
         depth_error=registration.depth_error,
         converged=registration.converged,
@@ -208,7 +207,8 @@ def _registration_record(registration: Registration, fitted: FittedFace | None) 
     )
 
 
-def _result_record(result: ProcessResult, metrics: dict[str, Any], files: tuple[str, ...]) -> ResultRecord:
+def _result_record(result: ProcessResult) -> ResultRecord:
+    """Return the record of a result whose files are not named yet."""
     scan, estimate = result.scan, result.albedo
     return ResultRecord(
         scan2albedo_version=VERSION,
@@ -216,12 +216,12 @@ def _result_record(result: ProcessResult, metrics: dict[str, Any], files: tuple[
         name=scan.name,
         seed=result.seed,
         options=dict(result.options),
-        input=InputRecord.of(scan, result.source, result.input_sha256 or input_sha256(scan)),
+        input=InputRecord.of(scan, result.source, result.input_sha256),
         plan=tuple(PlanRecord.of(step) for step in result.plan),
-        metrics=metrics,
+        metrics=result.metrics(),
         lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
         parameters={} if estimate is None else plain_json(estimate.parameters),
         timings_s=dict(result.timings_s),
         notes=(*scan.notes, *result.messages),
-        files=files,
+        files=(),
     )

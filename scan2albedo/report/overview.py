@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
-from pathlib import Path
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
 from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ Picture = NDArray[np.uint8]
 
 RESIDUAL_SCALE_MM = 2.0
 """Residual shown in the brightest colour of the heat map."""
+_PNG_LEVEL = 3
 
 
 @dataclass(frozen=True)
@@ -64,39 +66,44 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
     return figure
 
 
-def face_panels(
-    scan: RawScan, fitted: FittedFace, image: GeometryImage, estimate: AlbedoEstimate | None
+def result_panels(
+    scan: RawScan,
+    fitted: FittedFace | None,
+    image: GeometryImage,
+    estimate: AlbedoEstimate | None,
+    albedo_srgb: Picture | None,
 ) -> list[Panel]:
-    """Return the panels of a processed face, from the input to the albedo."""
+    """Return the panels of a processed scan, from the input to the albedo, whose preview is `albedo_srgb`."""
+    charts = _chart_panels(image, estimate, albedo_srgb)
+    if fitted is None:
+        return charts
     around = View.around(fitted.vertices)
     view = View(around.center_mm, around.half_width_mm * 1.15)
-    panels = [_input_panel(scan, fitted, view), _landmark_panel(fitted, view), _residual_panel(fitted, view)]
-    panels += chart_panels(image, estimate)
-    if estimate is not None:
+    panels = [_input_panel(scan, fitted, view), _surface_panel(fitted, view), _residual_panel(fitted, view)]
+    panels += charts
+    if image.texture_linear is not None and albedo_srgb is not None:
+        texture_srgb = preview_srgb(image.texture_linear, image.mask)
         uv = fitted.uv[fitted.faces]
-        for name, linear in (("texture", image.texture_linear), ("albedo", estimate.albedo_linear)):
-            assert linear is not None
+        for name, texture in (("texture", texture_srgb), ("albedo", albedo_srgb)):
             picture = render_mesh(
-                fitted.vertices,
-                fitted.faces,
-                texture_srgb=(uv, preview_srgb(linear, image.mask)),
-                view=view,
-                shaded=False,
+                fitted.vertices, fitted.faces, texture_srgb=(uv, texture), view=view, shaded=False
             )
             panels.append(Panel(f"face with its {name}", picture))
     return panels
 
 
-def chart_panels(image: GeometryImage, estimate: AlbedoEstimate | None) -> list[Panel]:
-    """Return the panels that live on the chart: texture, lighting, albedo, normals or regions."""
+def _chart_panels(
+    image: GeometryImage, estimate: AlbedoEstimate | None, albedo_srgb: Picture | None
+) -> list[Panel]:
+    """Return the panels that live on the chart: texture, lighting, albedo, normals."""
     panels = []
     if image.texture_linear is not None:
         dimmed = np.where(image.seen[..., None], image.texture_linear, 0.35 * image.texture_linear)
         panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, image.mask)))
-    if estimate is not None:
+    if estimate is not None and albedo_srgb is not None:
         panels.append(Panel("diffuse light + ambient", _gray(estimate.shading, image.mask)))
         panels.append(Panel("highlights", _gray(estimate.specular, image.mask)))
-        panels.append(Panel("albedo", preview_srgb(estimate.albedo_linear, image.mask)))
+        panels.append(Panel("albedo", albedo_srgb))
     normal = np.where(image.mask[..., None], (image.normal + 1) / 2, 1.0)
     panels.append(Panel("normals", _bytes(normal)))
     return panels
@@ -119,21 +126,29 @@ def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> flo
 
 
 def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
+    texture, color = _scan_srgb(scan)
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     wide = View(view.center_mm, view.half_width_mm * 1.35)
-    if scan.uv is not None and scan.texture_linear is not None:
-        texture = _bytes(linear_to_srgb(np.clip(scan.texture_linear, 0, 1)))
-        picture = render_mesh(placed, scan.faces, texture_srgb=(scan.uv, texture), view=wide, shaded=False)
-    elif scan.vertex_color_linear is not None:
-        color = linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
-        picture = render_mesh(placed, scan.faces, vertex_color_srgb=color, view=wide, shaded=False)
+    if scan.has_color:
+        picture = render_mesh(
+            placed, scan.faces, vertex_color_srgb=color, texture_srgb=texture, view=wide, shaded=False
+        )
     else:
         picture = render_mesh(placed, scan.faces, view=wide)
     dots = None if fitted.landmarks is None else wide.pixels(fitted.landmarks, len(picture))
     return Panel("registered input, found landmarks", picture, dots)
 
 
-def _landmark_panel(fitted: FittedFace, view: View) -> Panel:
+def _scan_srgb(scan: RawScan) -> tuple[tuple[FloatArray, Picture] | None, FloatArray | None]:
+    """Return the uv and texture of a scan, or the colours of its vertices where it has no texture."""
+    if scan.uv is not None and scan.texture_linear is not None:
+        return (scan.uv, encode_srgb_bytes(scan.texture_linear)), None
+    if scan.vertex_color_linear is not None:
+        return None, linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
+    return None, None
+
+
+def _surface_panel(fitted: FittedFace, view: View) -> Panel:
     return Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view))
 
 
@@ -157,15 +172,14 @@ def _bytes(picture: NDArray[np.floating]) -> Picture:
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
-_PNG_LEVEL = 3
-
-
-def save_figure(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
-    """Write a figure as PNG, its panels laid out once, where matplotlib would do so twice."""
+def figure_png(figure: Figure, dpi: float | None = None) -> bytes:
+    """Return a figure as a PNG file, its panels laid out once, where matplotlib would do so twice."""
     if dpi is not None:
         figure.set_dpi(dpi)
     layout = figure.get_layout_engine()
     if layout is not None:
         layout.execute(figure)
         figure.set_layout_engine("none")
-    figure.savefig(path, format="png", dpi="figure", pil_kwargs={"compress_level": _PNG_LEVEL})
+    png = BytesIO()
+    figure.savefig(png, format="png", dpi="figure", pil_kwargs={"compress_level": _PNG_LEVEL})
+    return png.getvalue()
