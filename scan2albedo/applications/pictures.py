@@ -35,18 +35,12 @@ _BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
 
 @dataclass(frozen=True)
 class Picture:
-    """What a camera sees.
-
-    Parameters
-    ----------
-    linear : (H, W, 3) float32
-        Colour before a black background.
-    alpha : (H, W) float32
-        The part of each pixel that the face covers.
-    """
+    """What a camera sees."""
 
     linear: NDArray[np.float32]
+    """(H, W, 3): colour before a black background."""
     alpha: NDArray[np.float32]
+    """(H, W): the part of each pixel that the face covers."""
 
     def auto_exposure(self) -> float:
         """Return the factor that keeps the brightest parts just below white."""

@@ -22,23 +22,16 @@ NO_MODEL = "none"
 
 @dataclass(frozen=True)
 class FaceMesh:
-    """The surface behind a geometry image.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Millimetres, in the frame of the geometry image.
-    faces : (F, 3) int64
-    uv : (V, 2) float64
-        Chart coordinates.
-    from_chart : bool
-        The texels themselves are the vertices (`GeometryImage.triangulated`).
-    """
+    """The surface behind a geometry image."""
 
     vertices: FloatArray
+    """(V, 3): millimetres, in the frame of the geometry image."""
     faces: IntArray
+    """(F, 3)."""
     uv: FloatArray
+    """(V, 2): chart coordinates."""
     from_chart: bool = False
+    """The texels themselves are the vertices (`GeometryImage.triangulated`)."""
 
     @classmethod
     def of_chart(cls, image: GeometryImage) -> FaceMesh:
@@ -69,29 +62,6 @@ class FaceMesh:
 class ProcessedFace:
     """One processed scan, ready for applications; in the model's frame, mm.
 
-    Parameters
-    ----------
-    name : str
-        For messages and files.
-    image : GeometryImage
-        Position, normal, mask, region, and the texture where there is one.
-    albedo_linear : (H, W, 3) float32
-        Zero outside the mask; known up to one global scale.
-    reflectance : Reflectance
-        How the skin reflects, its highlight in the albedo's unit.
-    lights : tuple of PointLight
-        Under which the scan was taken, beside an ambient light of 1.
-    mesh : FaceMesh
-        The fitted surface, or the triangulated chart.
-    model_name : str
-        Of the face model whose chart this is; "none" for charts cut by xatlas.
-    casts_shadows : bool
-        Whether the surface shades itself.
-    view_direction : (float, float, float)
-        Toward the viewer, for roughness and highlights on the chart.
-    shadow_offset_mm : float
-        Of shadow rays.
-
     Raises
     ------
     ApplicationError
@@ -102,15 +72,25 @@ class ProcessedFace:
     """
 
     name: str
+    """For messages and files."""
     image: GeometryImage
+    """Position, normal, mask, region, and the texture where there is one."""
     albedo_linear: NDArray[np.float32]
+    """(H, W, 3): zero outside the mask; known up to one global scale."""
     reflectance: Reflectance
+    """How the skin reflects, its highlight in the albedo's unit."""
     lights: tuple[PointLight, ...]
+    """Under which the scan was taken, beside an ambient light of 1."""
     mesh: FaceMesh
+    """The fitted surface, or the triangulated chart."""
     model_name: str = NO_MODEL
+    """Of the face model whose chart this is; "none" for charts cut by xatlas."""
     casts_shadows: bool = True
+    """Whether the surface shades itself."""
     view_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Toward the viewer, for roughness and highlights on the chart."""
     shadow_offset_mm: float = 0.2
+    """Of shadow rays."""
 
     def __post_init__(self) -> None:
         albedo = np.asarray(self.albedo_linear, np.float32)

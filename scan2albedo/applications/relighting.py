@@ -33,25 +33,18 @@ class RelightOptions:
 
 @dataclass(frozen=True)
 class RelitFace:
-    """A face under light.
-
-    Parameters
-    ----------
-    face : ProcessedFace
-    light : SceneLight
-    texture_linear : (H, W, 3) float32
-        Albedo times `diffuse`, plus `specular`; zero outside the mask, not clipped.
-    diffuse, specular : (H, W, 3) float32
-    shadows : bool
-        Whether shadows were cast.
-    """
+    """A face under light."""
 
     face: ProcessedFace
     light: SceneLight
+    """`face`, `light`: what is lit, and by what."""
     texture_linear: NDArray[np.float32]
+    """(H, W, 3): albedo times `diffuse`, plus `specular`; 0 outside the mask, not clipped."""
     diffuse: NDArray[np.float32]
     specular: NDArray[np.float32]
+    """`diffuse`, `specular`: (H, W, 3)."""
     shadows: bool
+    """Whether shadows were cast."""
 
     def picture(
         self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2

@@ -26,30 +26,20 @@ _LONGEST_NAME = 200
 
 @dataclass(frozen=True)
 class ManifestScan:
-    """One scan of a manifest.
-
-    Parameters
-    ----------
-    name : str
-        Of the folder of its result.
-    source : str
-        The path as written in the manifest.
-    path : Path
-        Absolute.
-    own : mapping of str to str
-        Options of `OWN_OPTIONS` that the line sets.
-    extra : mapping of str to str
-        Cells of all other columns, as written.
-    where : str
-        Place in the manifest, for messages.
-    """
+    """One scan of a manifest."""
 
     name: str
+    """Of the folder of its result."""
     source: str
+    """The path as written in the manifest."""
     path: Path
+    """Absolute."""
     own: Mapping[str, str] = field(default_factory=dict)
+    """Options of `OWN_OPTIONS` that the line sets."""
     extra: Mapping[str, str] = field(default_factory=dict)
+    """Cells of all other columns, as written."""
     where: str = ""
+    """Place in the manifest, for messages."""
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with those that the line sets; a model's path starts from `folder`.
@@ -69,20 +59,14 @@ class ManifestScan:
 
 @dataclass(frozen=True)
 class BatchManifest:
-    """The scans of a batch, one or more, no two of one name.
-
-    Parameters
-    ----------
-    path : Path
-        The file or folder.
-    scans : tuple of ManifestScan
-    extra_columns : tuple of str
-        Of the table, beside those with a meaning here.
-    """
+    """The scans of a batch, one or more, no two of one name."""
 
     path: Path
+    """The file or folder."""
     scans: tuple[ManifestScan, ...]
+    """In the order of the manifest."""
     extra_columns: tuple[str, ...] = ()
+    """Of the table, beside those with a meaning here."""
 
     @property
     def folder(self) -> Path:

@@ -14,27 +14,19 @@ _SHOWN = 10
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """How far a batch is.
-
-    Parameters
-    ----------
-    total, done, failed, kept : int
-        Scans; `done` counts those that were `kept` from an earlier run.
-    elapsed_s : float
-        Of this run.
-    last : BatchScanRecord or None
-        The scan that has just ended.
-    note : str
-        A message for the user; empty when a scan has ended.
-    """
+    """How far a batch is."""
 
     total: int
     done: int = 0
     failed: int = 0
     kept: int = 0
+    """`total`, `done`, `failed`, `kept`: scans; `done` counts those that were `kept` from an earlier run."""
     elapsed_s: float = 0.0
+    """Of this run."""
     last: BatchScanRecord | None = None
+    """The scan that has just ended."""
     note: str = ""
+    """A message for the user; empty when a scan has ended."""
 
     @property
     def left(self) -> int:
@@ -56,30 +48,20 @@ class BatchProgress:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """The result of a batch.
-
-    Parameters
-    ----------
-    out : Path
-        Its folder.
-    progress : BatchProgress
-        At the end.
-    failures : mapping of str to str
-        Reasons, by name.
-    jobs : int
-        Processes that worked.
-    files_verified : int
-        Of the results that were kept.
-    notes : tuple of str
-        What was decided and found on the way, one sentence each.
-    """
+    """The result of a batch."""
 
     out: Path
+    """Its folder."""
     progress: BatchProgress
+    """At the end."""
     failures: Mapping[str, str] = field(default_factory=dict)
+    """Reasons, by name."""
     jobs: int = 1
+    """Processes that worked."""
     files_verified: int = 0
+    """Of the results that were kept."""
     notes: tuple[str, ...] = ()
+    """What was decided and found on the way, one sentence each."""
 
     def figures(self) -> dict[str, Any]:
         """Return the summary for JSON."""

@@ -14,27 +14,18 @@ from scan2albedo.recognition.identification import Identification
 
 @dataclass(frozen=True)
 class CmcCurve:
-    """Identification rate by rank.
-
-    Parameters
-    ----------
-    rank : (G,) int64
-        1 to the number of persons.
-    rate : (G,) float64
-        Share of probes whose person is among the first `rank`.
-    low, high : (G,) float64
-        Bounds of its interval.
-    probes : int
-    confidence : float
-        Of the intervals.
-    """
+    """Identification rate by rank."""
 
     rank: IntArray
+    """(G,): 1 to the number of persons."""
     rate: FloatArray
+    """(G,): share of probes whose person is among the first `rank`."""
     low: FloatArray
     high: FloatArray
+    """`low`, `high`: (G,): bounds of its interval."""
     probes: int
     confidence: float
+    """`probes`, `confidence`: number of probes, and confidence of the intervals."""
 
 
 def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> CmcCurve:
@@ -90,40 +81,29 @@ DEFAULT_FALSE_ACCEPT_RATES = tuple(float(rate) for rate in np.geomspace(1e-3, 1.
 
 @dataclass(frozen=True)
 class RocCurve:
-    """Verification rates, with intervals by a bootstrap over persons.
-
-    Parameters
-    ----------
-    false_accept_rate : (F,) float64
-        Ascending; bounds on the share of impostors' claims accepted.
-    true_accept_rate : (F,) float64
-        Largest share of genuine claims accepted within that bound.
-    low, high : (F,) float64
-        Bounds of its interval.
-    area : float
-        Under the curve.
-    equal_error_rate : float
-        Where the rates of false accepts and of false rejects are equal.
-    area_interval, equal_error_interval : (2,) tuple of float
-    genuine, impostors : int
-        Claims.
-    persons, resamples : int
-    confidence : float
-    """
+    """Verification rates, with intervals by a bootstrap over persons."""
 
     false_accept_rate: FloatArray
+    """(F,): ascending; bounds on the share of impostors' claims accepted."""
     true_accept_rate: FloatArray
+    """(F,): largest share of genuine claims accepted within that bound."""
     low: FloatArray
     high: FloatArray
+    """`low`, `high`: (F,): bounds of its interval."""
     area: float
+    """Under the curve."""
     area_interval: tuple[float, float]
     equal_error_rate: float
+    """Where the rates of false accepts and of false rejects are equal."""
     equal_error_interval: tuple[float, float]
+    """`area_interval`, `equal_error_interval`: low and high."""
     genuine: int
     impostors: int
+    """`genuine`, `impostors`: claims."""
     persons: int
     resamples: int
     confidence: float
+    """`persons`, `resamples`, `confidence`: numbers behind the intervals, and their confidence."""
 
 
 def roc_curve(

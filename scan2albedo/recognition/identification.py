@@ -20,33 +20,23 @@ Combine = Literal["best", "mean"]
 
 @dataclass(frozen=True)
 class Identification:
-    """The persons that probes were identified as.
-
-    Parameters
-    ----------
-    persons : tuple of G str
-        Of the gallery, in alphabetical order.
-    probe_names : tuple of P str
-        Who the probes show.
-    similarities : (P, G) float64
-        Of each probe to each person.
-    ranks : (P,) int64
-        Place of the right person, 1 for the most similar; persons as similar as the right one count before.
-    predicted : tuple of P str
-        The most similar person, the first in the alphabet of several.
-    tied : (P,) bool
-        Whether several persons are the most similar, or as similar as the right one.
-    combine : {"best", "mean"}
-        What is taken of a person's several gallery images.
-    """
+    """The persons that probes were identified as."""
 
     persons: tuple[str, ...]
+    """(G,): of the gallery, in alphabetical order."""
     probe_names: tuple[str, ...]
+    """(P,): who the probes show."""
     similarities: FloatArray
+    """(P, G): of each probe to each person."""
     ranks: IntArray
+    """(P,): place of the right person, 1 for the most similar; persons as similar as the right one count
+    before."""
     predicted: tuple[str, ...]
+    """(P,): the most similar person, the first in the alphabet of several."""
     tied: BoolArray
+    """(P,): whether several persons are the most similar, or as similar as the right one."""
     combine: Combine
+    """What is taken of a person's several gallery images."""
 
     def rate(self, rank: int = 1) -> float:
         """Return the share of probes whose person is among the first `rank`."""
@@ -212,30 +202,20 @@ def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str]) -> N
 
 @dataclass(frozen=True)
 class ProbeMatches:
-    """Persons by similarity to each probe.
-
-    Parameters
-    ----------
-    persons : tuple of G str
-        Of the gallery, in alphabetical order.
-    probe_persons : tuple of P str or None
-        Who the probes show; None where that is unknown.
-    similarities : (P, G) float64
-        Of each probe to each person.
-    ranks : (P,) int64
-        Place of the right person, as in `Identification`; 0 where that is unknown.
-    order : (P, G) int64
-        Indices of persons, the most similar first, in alphabetical order among equals.
-    named : Identification or None
-        Of the probes whose person is known, in their order; None when there is none.
-    """
+    """Persons by similarity to each probe."""
 
     persons: tuple[str, ...]
+    """(G,): of the gallery, in alphabetical order."""
     probe_persons: tuple[str | None, ...]
+    """(P,): who the probes show; None where that is unknown."""
     similarities: FloatArray
+    """(P, G): of each probe to each person."""
     ranks: IntArray
+    """(P,): place of the right person, as in `Identification`; 0 where that is unknown."""
     order: IntArray
+    """(P, G): indices of persons, the most similar first, in alphabetical order among equals."""
     named: Identification | None
+    """Of the probes whose person is known, in their order; None when there is none."""
 
     def predicted(self, place: int = 1) -> tuple[str, ...]:
         """Return (P,) the person at a place, 1 for the most similar."""

@@ -17,41 +17,27 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 @dataclass(frozen=True)
 class ManifestEntry:
-    """One line of a manifest.
-
-    Parameters
-    ----------
-    person : str or None
-        Who is shown; None where the cell is empty.
-    result : str
-        As written in the file.
-    path : Path
-        The result itself; relative ones lie in the folder of the file.
-    line : int
-        Number of the line in the file.
-    """
+    """One line of a manifest."""
 
     person: str | None
+    """Who is shown; None where the cell is empty."""
     result: str
+    """As written in the file."""
     path: Path
+    """The result itself; relative ones lie in the folder of the file."""
     line: int
+    """Number of the line in the file."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """The entries of a CSV file, one or more.
-
-    Parameters
-    ----------
-    file : Path
-    entries : tuple of ManifestEntry
-    notes : tuple of str
-        What is odd about them, one sentence each.
-    """
+    """The entries of a CSV file, one or more."""
 
     file: Path
     entries: tuple[ManifestEntry, ...]
+    """`file`, `entries`: the file, and its lines in order."""
     notes: tuple[str, ...] = ()
+    """What is odd about them, one sentence each."""
 
     def where(self, entry: ManifestEntry) -> str:
         """Return file, line and result of an entry, for messages."""

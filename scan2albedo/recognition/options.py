@@ -13,41 +13,29 @@ Channel = Literal["value", "luminance", "red-to-green"]
 class TemplateOptions:
     """How an image becomes a template.
 
-    Parameters
-    ----------
-    size : int or None
-        Side in pixels to which square images are averaged down; None keeps each image as it is. 256
-        separates persons better than 128 where charts are off by less than half a per cent of their side,
-        and worse where they are off by more.
-    scales : int
-        Scales of the pyramid; the coarsest, a factor of 2^(scales - 1) smaller than the image, is kept.
-    orientations : int
-        Orientations of the pyramid, 2 to 16.
-    channel : {"value", "luminance", "red-to-green"}
-        How three channels become one: their maximum, V of HSV, on which the albedo is estimated; the
-        luminance 0.2126 R + 0.7152 G + 0.0722 B of linear colour; or R over G, which does not change with
-        shading under lamps of one colour, in textures as well as in albedos. V of skin is its red, which
-        pigment and blood hardly darken; luminance separates persons better (`tools/bench_recognition.py
-        --faces`), and R over G better still on synthetic people (`tools/experiment_recognition.py`), for
-        cameras that record colour as accurately as brightness.
-    hole_radius : float
-        Holes of the mask up to this radius, in sides of the image, are filled from around and count;
-        otherwise a hole that a scanner left would exclude every window that touches it. 0 fills none.
-    unit_mean : bool
-        Divide by the mean over the mask: an albedo is known up to a scale, and the index depends on it.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     size: int | None = 128
+    """Side in pixels to which square images are averaged down; None keeps each image as it is. 256 separates
+    persons better than 128 where charts are off by less than half a per cent of their side, and worse where
+    they are off by more."""
     scales: int = 3
+    """Scales of the pyramid; the coarsest, a factor of 2^(scales - 1) smaller than the image, is kept."""
     orientations: int = 10
+    """Orientations of the pyramid, 2 to 16."""
     channel: Channel = "luminance"
+    """How three channels become one: their maximum, V of HSV, on which the albedo is estimated; the luminance
+    0.2126 R + 0.7152 G + 0.0722 B of linear colour; or R over G, which does not change with shading under
+    lamps of one colour, in textures as well as in albedos. V of skin is its red, which pigment and blood
+    hardly darken; luminance separates persons better (`tools/bench_recognition.py --faces`), and R over G
+    better still on synthetic people (`tools/experiment_recognition.py`), for cameras that record colour as
+    accurately as brightness."""
     hole_radius: float = 0.024
+    """Holes of the mask up to this radius, in sides of the image, are filled from around and count; otherwise
+    a hole that a scanner left would exclude every window that touches it. 0 fills none."""
     unit_mean: bool = True
+    """Divide by the mean over the mask: an albedo is known up to a scale, and the index depends on it."""
 
     def __post_init__(self) -> None:
         for name in ("scales", "orientations", "size"):
@@ -75,18 +63,11 @@ class TemplateOptions:
 class SimilarityOptions:
     """How templates are compared.
 
-    Parameters
-    ----------
-    window : int
-        Side of the square windows in coefficients.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     window: int = 7
+    """Side of the square windows in coefficients."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.window, Integral) and self.window >= 1):

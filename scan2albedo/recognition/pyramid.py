@@ -19,19 +19,13 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class SteerablePyramid:
-    """A complex steerable pyramid of one image.
-
-    Parameters
-    ----------
-    bands : tuple of (O, h, w) complex128
-        Finest scale first; each scale has half the sides of the one before.
-    low_pass, high_pass : (h, w) float64
-        What is left below the coarsest and above the finest scale.
-    """
+    """A complex steerable pyramid of one image."""
 
     bands: tuple[ComplexArray, ...]
+    """Finest scale first; each scale has half the sides of the one before."""
     low_pass: FloatArray
     high_pass: FloatArray
+    """`low_pass`, `high_pass`: (h, w): what is left below the coarsest and above the finest scale."""
     _source: Any
 
     def reconstructed(self) -> FloatArray:

@@ -18,26 +18,18 @@ from scan2albedo.recognition.templates import Templates, common_chart
 
 @dataclass(frozen=True)
 class LabelledTemplates:
-    """Templates, and the origin of each.
-
-    Parameters
-    ----------
-    source : Path
-        The file that named them.
-    templates : Templates
-    labels : tuple of N str
-        The results as the manifest names them, or the persons with a number.
-    persons : tuple of N str or None
-        Who is shown; None where that is unknown.
-    notes : tuple of str
-        What is odd about them, one sentence each.
-    """
+    """Templates, and the origin of each."""
 
     source: Path
+    """The file that named them."""
     templates: Templates
+    """N of them."""
     labels: tuple[str, ...]
+    """(N,): the results as the manifest names them, or the persons with a number."""
     persons: tuple[str | None, ...]
+    """(N,): who is shown; None where that is unknown."""
     notes: tuple[str, ...] = ()
+    """What is odd about them, one sentence each."""
 
 
 def read_labelled_templates(
@@ -88,23 +80,17 @@ StageCallback = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class ResultIdentification:
-    """What `identify_results` found.
-
-    Parameters
-    ----------
-    gallery, probes : LabelledTemplates
-    matches : ProbeMatches
-        Of the probes, in their order.
-    combine : {"best", "mean"}
-    notes : tuple of str
-        What is odd about the input, one sentence each.
-    """
+    """What `identify_results` found."""
 
     gallery: LabelledTemplates
     probes: LabelledTemplates
+    """`gallery`, `probes`: what was compared."""
     matches: ProbeMatches
+    """Of the probes, in their order."""
     combine: Combine
+    """What is taken of a person's several gallery images."""
     notes: tuple[str, ...]
+    """What is odd about the input, one sentence each."""
 
 
 def identify_results(

@@ -24,19 +24,14 @@ _NO_MODEL = "none"
 
 @dataclass(frozen=True)
 class StoredAlbedo:
-    """An albedo from files.
-
-    Parameters
-    ----------
-    albedo_linear : (H, W, 3) float32
-    seen : (H, W) bool
-        Texels whose albedo comes from the scan's texture; others were filled in.
-    chart : Chart
-    """
+    """An albedo from files."""
 
     albedo_linear: NDArray[np.float32]
+    """(H, W, 3)."""
     seen: NDArray[np.bool_]
+    """(H, W): texels whose albedo comes from the scan's texture; others were filled in."""
     chart: Chart
+    """On which it lies."""
 
 
 def read_albedo(path: str | Path) -> StoredAlbedo:

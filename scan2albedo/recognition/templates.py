@@ -24,18 +24,12 @@ from scan2albedo.recognition.pyramid import coarsest_bands
 
 @dataclass(frozen=True)
 class Chart:
-    """The chart of a set of images.
-
-    Parameters
-    ----------
-    model : str or None
-        Name of the face model; None where unknown.
-    shape : (int, int)
-        Height and width in texels.
-    """
+    """The chart of a set of images."""
 
     model: str | None
+    """Name of the face model; None where unknown."""
     shape: tuple[int, int]
+    """Height and width in texels."""
 
     def __str__(self) -> str:
         size = f"{self.shape[1]} x {self.shape[0]} texels"
@@ -66,17 +60,6 @@ def common_chart(a: Chart | None, b: Chart | None, what_a: str, what_b: str) -> 
 class Templates:
     """Templates of N images, and whose they are.
 
-    Parameters
-    ----------
-    coefficients : (N, O, h, w) complex64
-        Of O orientations; 0 outside the mask.
-    mask : (N, h, w) bool
-    names : tuple of N str
-        Of the persons; several templates may bear one name.
-    options : TemplateOptions
-    chart : Chart, optional
-        Of the images, where it is known; templates of different charts are not compared.
-
     Raises
     ------
     ValueError
@@ -86,10 +69,15 @@ class Templates:
     """
 
     coefficients: NDArray[np.complex64]
+    """(N, O, h, w): of O orientations; 0 outside the mask."""
     mask: NDArray[np.bool_]
+    """(N, h, w)."""
     names: tuple[str, ...]
+    """(N,): of the persons; several templates may bear one name."""
     options: TemplateOptions = TemplateOptions()
+    """How they were made."""
     chart: Chart | None = None
+    """Of the images, where it is known; templates of different charts are not compared."""
 
     def __post_init__(self) -> None:
         coefficients, mask = self.coefficients, self.mask

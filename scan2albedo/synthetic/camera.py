@@ -93,42 +93,27 @@ def stored_values(
 class PortraitOptions:
     """What all pictures of a person have in common.
 
-    Parameters
-    ----------
-    picture_size : int
-        Height and width in pixels.
-    reach_mm : float
-        Half of what a picture spans at the head.
-    distance_mm : float
-        Of the camera from the head.
-    gamma : float
-        Values are light^(1 / gamma).
-    noise : float
-        Standard deviation of the values, white = 1.
-    bits : int or None
-        8, 16, or None for values that are neither rounded nor clipped.
-    saturated_part : float
-        Of all the face's pixels in all pictures, brighter than white.
-    hair : bool
-        Whether there is hair, which hides and shades the brow and is not in the mesh.
-    levels : int
-        Of subdivision of the mesh: 1 is 3,663 vertices with the default model, 2 is 14,533.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     picture_size: int = 256
+    """Height and width in pixels."""
     reach_mm: float = 130.0
+    """Half of what a picture spans at the head."""
     distance_mm: float = 1000.0
+    """Of the camera from the head."""
     gamma: float = 1.2
+    """Values are light^(1 / gamma)."""
     noise: float = 0.01
+    """Standard deviation of the values, white = 1."""
     bits: int | None = 8
+    """8, 16, or None for values that are neither rounded nor clipped."""
     saturated_part: float = 0.002
+    """Of all the face's pixels in all pictures, brighter than white."""
     hair: bool = True
+    """Whether there is hair, which hides and shades the brow and is not in the mesh."""
     levels: int = 1
+    """Of subdivision of the mesh: 1 is 3,663 vertices with the default model, 2 is 14,533."""
 
     def __post_init__(self) -> None:
         self._refuse_below_one("picture_size")

@@ -24,25 +24,16 @@ _BEHIND_MM = 3.0
 class FacePhotographOptions(PortraitOptions):
     """How the picture is taken, beside `PortraitOptions`.
 
-    Parameters
-    ----------
-    azimuth_deg, elevation_deg : float
-        Of the camera.
-    lights : int
-        Distant lights that stand for the environment, each with its shadows.
-    landmark_noise_px : float
-        Standard deviation of the labelled landmarks.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     azimuth_deg: float = 0.0
     elevation_deg: float = 0.0
+    """`azimuth_deg`, `elevation_deg`: of the camera."""
     lights: int = 256
+    """Distant lights that stand for the environment, each with its shadows."""
     landmark_noise_px: float = 1.0
+    """Standard deviation of the labelled landmarks."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,29 +45,19 @@ class FacePhotographOptions(PortraitOptions):
 
 @dataclass(frozen=True)
 class FacePhotograph(GlossyFace):
-    """A picture of a `GlossyFace`; frame: the face model's, mm.
-
-    Parameters
-    ----------
-    image : (S, S, 3) uint8, uint16 or float32
-        The picture as stored.
-    skin : (S, S) bool
-        Pixels that show the face, and not hair.
-    camera : (3, 4) float64
-        Projection matrix.
-    landmarks_px : (68, 2) float64
-        Labelled landmarks, with noise; NaN where they are hidden.
-    exposure : float
-        As in `FlashCapture`.
-    options : FacePhotographOptions
-    """
+    """A picture of a `GlossyFace`; frame: the face model's, mm."""
 
     image: NDArray[np.generic]
+    """(S, S, 3) uint8, uint16 or float32: the picture as stored."""
     skin: BoolArray
+    """(S, S): pixels that show the face, and not hair."""
     camera: FloatArray
+    """(3, 4): projection matrix."""
     landmarks_px: FloatArray
+    """(68, 2): labelled landmarks, with noise; NaN where they are hidden."""
     exposure: float
     options: FacePhotographOptions
+    """`exposure`, `options`: as in `FlashCapture`."""
 
 
 def face_photograph(

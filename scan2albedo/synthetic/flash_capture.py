@@ -36,30 +36,20 @@ class FlashCaptureOptions(PortraitOptions):
 
     Flashes are as far away as cameras, and fall off with the square of the distance to 1 at `distance_mm`.
 
-    Parameters
-    ----------
-    views, flashes : int
-        Cameras on an arc of 120 degrees around the face, and flashes, which stand where the cameras do; two
-        more stand above when there are more flashes than views.
-    gain_deviation : float
-        Standard deviation of the flashes' strengths, their mean being 1.
-    room : float
-        Strength of the room's light relative to a flash.
-    levels : int
-        Of subdivision of the mesh, as in `PortraitOptions`.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
+    Raises `ValueError` when a value is outside its range.
     """
 
     views: int = 9
     flashes: int = 11
+    """`views`, `flashes`: cameras on an arc of 120 degrees around the face, and flashes, which stand where
+    the cameras do; two more stand above when there are more flashes than views."""
     gain_deviation: float = 0.0
+    """Standard deviation of the flashes' strengths, their mean being 1."""
     room: float = 0.15
+    """Strength of the room's light relative to a flash."""
     _: KW_ONLY
     levels: int = 2
+    """Of subdivision of the mesh, as in `PortraitOptions`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,40 +64,30 @@ class FlashCaptureOptions(PortraitOptions):
 
 @dataclass(frozen=True)
 class FlashCapture(GlossyFace):
-    """J = views x flashes pairs of pictures of a `GlossyFace`, in the frame of the face, mm.
-
-    Parameters
-    ----------
-    flash : (J, S, S, 3) uint8, uint16 or float32
-        Values with a flash in the room's light; flashes run fastest.
-    room : (J, S, S, 3)
-        In the room's light alone, one picture a view, repeated.
-    skin : (J, S, S) bool
-        Pixels that show the face, and not hair.
-    view, light : (J,) int64
-        Numbers of each pair's camera and flash.
-    head_rotations, head_translations : (P, 3, 3), (P, 3) float64
-        Poses of the head before each camera, x_cam = R x + t; flash k stands where camera k does. Cameras
-        after the first `views` took no pictures.
-    intrinsics : (3, 3) float64
-    exposure : float
-        Light of value 1 is what radiance 1 / exposure makes: fits find `exposure` times the reflectance.
-    light_gain : (L,) float64
-        Strength of each flash.
-    options : FlashCaptureOptions
-    """
+    """J = views x flashes pairs of pictures of a `GlossyFace`, in the frame of the face, mm."""
 
     flash: NDArray[np.generic]
+    """(J, S, S, 3) uint8, uint16 or float32: values with a flash in the room's light; flashes run fastest."""
     room: NDArray[np.generic]
+    """(J, S, S, 3): in the room's light alone, one picture a view, repeated."""
     skin: BoolArray
+    """(J, S, S): pixels that show the face, and not hair."""
     view: IntArray
     light: IntArray
+    """`view`, `light`: (J,): numbers of each pair's camera and flash."""
     head_rotations: FloatArray
     head_translations: FloatArray
+    """`head_rotations`, `head_translations`: (P, 3, 3), (P, 3): poses of the head before each
+    camera, x_cam = R x + t; flash k stands where camera k does. Cameras after the first `views` took no
+    pictures."""
     intrinsics: FloatArray
+    """(3, 3)."""
     exposure: float
+    """Light of value 1 is what radiance 1 / exposure makes: fits find `exposure` times the reflectance."""
     light_gain: FloatArray
+    """(L,): strength of each flash."""
     options: FlashCaptureOptions
+    """How the pictures were taken."""
 
     @property
     def light_positions(self) -> FloatArray:

@@ -175,23 +175,19 @@ def _weights(sitter: Sitter, uv: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class GlossyFace:
-    """A face and its reflectance, in the frame of the face model, mm.
-
-    Parameters
-    ----------
-    vertices, normals : (V, 3) float64
-    faces : (F, 3) int64
-    landmarks : (68, 3) float64
-    diffuse_linear, weights : (V, 3) float64
-        True albedo, and true weights of the Blinn-Phong lobes with exponents 1, 8 and 64.
-    """
+    """A face and its reflectance, in the frame of the face model, mm."""
 
     vertices: FloatArray
     normals: FloatArray
+    """`vertices`, `normals`: (V, 3)."""
     faces: IntArray
+    """(F, 3)."""
     landmarks: FloatArray
+    """(68, 3)."""
     diffuse_linear: FloatArray
     weights: FloatArray
+    """`diffuse_linear`, `weights`: (V, 3): true albedo, and true weights of the Blinn-Phong lobes with
+    exponents 1, 8 and 64."""
 
     @classmethod
     def truth_of(cls, person: GlossyPerson, levels: int) -> GlossyFace:

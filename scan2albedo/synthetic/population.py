@@ -26,44 +26,30 @@ _LEAST_ANGLE_DEG = 30.0
 class PopulationOptions:
     """How alike the people are, and under what they are scanned.
 
-    Parameters
-    ----------
-    individuality : float
-        Share of the (logarithmic) albedo that is one's own, within (0, 1]; the rest is common to all, as
-        relatives have it. Small shares make people alike, and hard to tell apart.
-    tones : (float, float)
-        Range of the skin's tone, 0 lightest ... 1 darkest.
-    light_cone_deg : float
-        Lights come from within this angle of the front, uniformly over the solid angle.
-    two_lights : float
-        Share of the scans with two flashes.
-    light_distance_mm, light_intensity : (float, float)
-        Ranges; intensity relative to ambient = 1.
-    highlight : (float, float)
-        Range of the highlight's strength.
-    lamp_colors : float
-        Standard deviation of the logarithms of red and blue over green, of the ambient light and of each
-        lamp; 0 for white ones.
-    expression : float
-        Largest strength of a scan's expression, 1 a plain one; every scan has one at random.
-    capture : RawScanOptions
-
-    Raises
-    ------
-    ValueError
-        When a share or range is out of bounds.
+    Raises `ValueError` when a share or range is out of bounds.
     """
 
     individuality: float = 0.7
+    """Share of the (logarithmic) albedo that is one's own, within (0, 1]; the rest is common to all, as
+    relatives have it. Small shares make people alike, and hard to tell apart."""
     tones: tuple[float, float] = (0.2, 0.45)
+    """Range of the skin's tone, 0 lightest ... 1 darkest."""
     light_cone_deg: float = 60.0
+    """Lights come from within this angle of the front, uniformly over the solid angle."""
     two_lights: float = 0.5
+    """Share of the scans with two flashes."""
     light_distance_mm: tuple[float, float] = (700.0, 1500.0)
     light_intensity: tuple[float, float] = (1.5, 4.0)
+    """`light_distance_mm`, `light_intensity`: ranges; intensity relative to ambient = 1."""
     highlight: tuple[float, float] = (0.05, 0.15)
+    """Range of the highlight's strength."""
     lamp_colors: float = 0.0
+    """Standard deviation of the logarithms of red and blue over green, of the ambient light and of each lamp;
+    0 for white ones."""
     expression: float = 0.5
+    """Largest strength of a scan's expression, 1 a plain one; every scan has one at random."""
     capture: RawScanOptions = field(default_factory=RawScanOptions)
+    """How each scan is taken."""
 
     def __post_init__(self) -> None:
         if not 0 < self.individuality <= 1:

@@ -25,40 +25,27 @@ from scan2albedo.synthetic.scanner import capture, two_pods
 
 @dataclass(frozen=True)
 class RawLikeOptions:
-    """How the scan differs from the clean face.
-
-    Parameters
-    ----------
-    spacing_mm : float
-        Distance of neighbouring samples on the head; 2.4 mm gives about 25,000 vertices with shoulders.
-    noise_mm : float
-        Standard deviation of the noise along the normals.
-    holes : int
-        Holes of 3 to 9 mm radius.
-    spikes : int
-        Vertices thrown 3 to 15 mm off the surface.
-    crumbs : int
-        Loose patches of a few triangles floating near the surface.
-    hair, shoulders : bool
-        Add a bumpy shell over the scalp and a sheet of clothes.
-    rotation_max_deg : float
-        Pose: a uniformly random rotation when 180, else about a random axis by at most this angle.
-    translation_max_mm : float
-        Pose: each coordinate uniform in +- this.
-    scale : float
-        Unit of the returned scan: 1 millimetres, 0.1 centimetres, 0.001 metres.
-    """
+    """How the scan differs from the clean face."""
 
     spacing_mm: float = 2.4
+    """Distance of neighbouring samples on the head; 2.4 mm gives about 25,000 vertices with shoulders."""
     noise_mm: float = 0.2
+    """Standard deviation of the noise along the normals."""
     holes: int = 6
+    """Holes of 3 to 9 mm radius."""
     spikes: int = 20
+    """Vertices thrown 3 to 15 mm off the surface."""
     crumbs: int = 4
+    """Loose patches of a few triangles floating near the surface."""
     hair: bool = True
     shoulders: bool = True
+    """`hair`, `shoulders`: add a bumpy shell over the scalp and a sheet of clothes."""
     rotation_max_deg: float = 180.0
+    """Pose: a uniformly random rotation when 180, else about a random axis by at most this angle."""
     translation_max_mm: float = 300.0
+    """Pose: each coordinate uniform in +- this."""
     scale: float = 1.0
+    """Unit of the returned scan: 1 millimetres, 0.1 centimetres, 0.001 metres."""
 
 
 def raw_like(

@@ -31,66 +31,45 @@ _PICTURE_NOISE = 0.004
 
 @dataclass(frozen=True)
 class RawScanOptions:
-    """How the scan is taken.
-
-    Parameters
-    ----------
-    spacing_mm : float
-        Distance of neighbouring samples on the head.
-    noise_mm : float
-        Standard deviation of the noise along the normals.
-    holes, spikes, crumbs : int
-        Holes of 2 to 6 mm radius, vertices thrown off, loose patches in the air.
-    rotation_max_deg, translation_max_mm : float
-        Random pose, as in `RawLikeOptions`.
-    picture_size : int
-        Height and width of each pod's picture in pixels.
-    size : int
-        Texels of the truth's geometry image.
-    """
+    """How the scan is taken."""
 
     spacing_mm: float = 2.2
+    """Distance of neighbouring samples on the head."""
     noise_mm: float = 0.2
+    """Standard deviation of the noise along the normals."""
     holes: int = 5
     spikes: int = 15
     crumbs: int = 5
+    """`holes`, `spikes`, `crumbs`: holes of 2 to 6 mm radius, vertices thrown off, loose patches in the
+    air."""
     rotation_max_deg: float = 180.0
     translation_max_mm: float = 300.0
+    """`rotation_max_deg`, `translation_max_mm`: random pose, as in `RawLikeOptions`."""
     picture_size: int = 900
+    """Height and width of each pod's picture in pixels."""
     size: int = 512
+    """Texels of the truth's geometry image."""
 
 
 @dataclass(frozen=True)
 class SyntheticTruth:
-    """Everything about a synthetic scan that the pipeline estimates.
-
-    Parameters
-    ----------
-    model_from_scan : (4, 4) float64
-        True pose: maps scan points into the model's frame.
-    image : GeometryImage
-        True position and normal of each texel of the model's chart (model's frame, mm).
-    albedo_linear : (H, W, 3) float32
-        True albedo on the model's chart; zeros outside ``image.mask``.
-    landmarks : (68, 3) float64
-        True landmarks in the model's frame, mm.
-    control_points : (C, 3) float64
-        Control points of the true face, its fine relief left out, in the model's frame.
-    lights : tuple of PointLight
-        In the model's frame, relative to ambient = 1.
-    material : Material
-    exposure : float
-        Factor from radiance to the picture.
-    """
+    """Everything about a synthetic scan that the pipeline estimates."""
 
     model_from_scan: FloatArray
+    """(4, 4): true pose: maps scan points into the model's frame."""
     image: GeometryImage
+    """True position and normal of each texel of the model's chart (model's frame, mm)."""
     albedo_linear: NDArray[np.float32]
+    """(H, W, 3): true albedo on the model's chart; zeros outside ``image.mask``."""
     landmarks: FloatArray
+    """(68, 3): true landmarks in the model's frame, mm."""
     control_points: FloatArray
+    """(C, 3): control points of the true face, its fine relief left out, in the model's frame."""
     lights: tuple[PointLight, ...]
+    """In the model's frame, relative to ambient = 1."""
     material: Material
     exposure: float
+    """`material`, `exposure`: how the skin reflects, and the factor from radiance to the picture."""
 
     @property
     def landmarks_in_scan(self) -> FloatArray:

@@ -86,21 +86,14 @@ _SHADOW_OFFSET_MM = 0.15
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface reflects, apart from its albedo.
-
-    Parameters
-    ----------
-    sigma_rad : float
-        Oren-Nayar roughness: standard deviation of the facets' slope angle; 0 is Lambert.
-    specular_strength : float
-        Phong's k_s, relative to an albedo of 1; 0 is no highlight.
-    specular_exponent : float
-        Phong's n.
-    """
+    """How a surface reflects, apart from its albedo."""
 
     sigma_rad: float = 0.3
+    """Oren-Nayar roughness: standard deviation of the facets' slope angle; 0 is Lambert."""
     specular_strength: float = 0.0
+    """Phong's k_s, relative to an albedo of 1; 0 is no highlight."""
     specular_exponent: float = 20.0
+    """Phong's n."""
 
 
 @dataclass(frozen=True)

@@ -27,26 +27,18 @@ HEMISPHERE_RADIUS_MM = 80.0
 
 @dataclass(frozen=True)
 class SceneParameters:
-    """What a scene was made with.
-
-    Parameters
-    ----------
-    material : Material
-    exposure : float
-        Relative: 1 puts the brightest texel just below white, larger values clip.
-    noise : float
-        Standard deviation of the noise, picture white = 1.
-    bits : int or None
-    texture : str
-    seed : int
-    """
+    """What a scene was made with."""
 
     material: Material
+    """Of the surface."""
     exposure: float
+    """Relative: 1 puts the brightest texel just below white, larger values clip."""
     noise: float
+    """Standard deviation of the noise, picture white = 1."""
     bits: int | None
     texture: str
     seed: int
+    """`bits`, `texture`, `seed`: as in `hemisphere`."""
 
 
 @dataclass(frozen=True)
@@ -54,34 +46,25 @@ class SyntheticScene:
     """A geometry image with its ground truth.
 
     ``image.texture_linear = camera(gain (albedo shading + specular))``.
-
-    Parameters
-    ----------
-    image : GeometryImage
-        With texture, ready for `estimate_albedo`.
-    albedo_linear : (H, W, 3) float32
-        The truth; zeros outside the mask.
-    lights : tuple of PointLight
-        Relative to ambient = 1.
-    shadow : (H, W, L) bool
-        True where light l does not reach the texel (turned away or hidden); False outside the mask.
-    shading : (H, W) float64
-        ``1 + sum of lights``, before the gain; zeros outside the mask.
-    specular : (H, W) float64
-        Highlights before the gain.
-    gain : float
-        Factor from radiance (albedo under ambient light 1) to the picture, where 1 is white.
-    parameters : SceneParameters
     """
 
     image: GeometryImage
+    """With texture, ready for `estimate_albedo`."""
     albedo_linear: NDArray[np.float32]
+    """(H, W, 3): the truth; zeros outside the mask."""
     lights: tuple[PointLight, ...]
+    """Relative to ambient = 1."""
     shadow: BoolArray
+    """(H, W, L): True where light l does not reach the texel (turned away or hidden); False outside the
+    mask."""
     shading: FloatArray
+    """(H, W): ``1 + sum of lights``, before the gain; zeros outside the mask."""
     specular: FloatArray
+    """(H, W): highlights before the gain."""
     gain: float
+    """Factor from radiance (albedo under ambient light 1) to the picture, where 1 is white."""
     parameters: SceneParameters
+    """What it was made with."""
 
 
 def light_at(
