@@ -137,8 +137,9 @@ def run_on_cluster(
 ) -> Iterator[BatchScanRecord]:
     """Yield the record of each task as it is finished by the workers of a dask scheduler.
 
-    A scan whose worker dies is given to others as often as the scheduler allows, and has failed then. The
-    scheduler also counts scans that only waited at such workers; those that never began are tried again.
+    A scan whose worker dies is given to others as often as the scheduler allows, and has failed then, as has
+    one that raises in its worker. The scheduler also counts scans that only waited at workers that died;
+    those that never began are tried again.
     `on_jobs` is called with the number of workers. Raises `MissingDependencyError` when distributed is not
     installed, `BatchError` when no scheduler or no worker answers, or the scheduler is lost.
     """
@@ -151,21 +152,30 @@ def run_on_cluster(
                 try:
                     row = future.result()
                 except Exception as error:
-                    if not (reason := _reason(error)).startswith("KilledWorker"):
+                    if future.status != "error":  # its task did not end: nobody is there to run it
                         raise BatchError(
                             f"the dask scheduler at {address} is gone; --resume goes on with another"
                         ) from error
-                    begun = layout.started_at(task.name)
-                    if begun is None:
+                    found = _given_up(task, layout, _reason(error))
+                    if found is None:
                         again.append(task)
                         continue
-                    late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
-                    reason = f"its workers died each time it was tried: {_CAUSES}{late} ({reason})"
-                    row = _failed(task, layout, reason)
+                    row = found
                 yield row
             if len(again) == len(waiting):
                 raise BatchError(f"the workers of {address} die before they begin a scan; see their logs")
             waiting = again
+
+
+def _given_up(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord | None:
+    """Return the record of a task that raised or killed its workers; None when it only waited at some."""
+    if reason.startswith("KilledWorker"):
+        begun = layout.started_at(task.name)
+        if begun is None:
+            return None
+        late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
+        reason = f"its workers died each time it was tried: {_CAUSES}{late} ({reason})"
+    return _failed(task, layout, reason)
 
 
 def _answered(client: Any, tasks: Sequence[ScanTask]) -> Iterator[tuple[ScanTask, Any]]:

@@ -4,10 +4,12 @@ import json
 import sys
 import threading
 import time
+from concurrent.futures import CancelledError
+from contextlib import nullcontext
 
 import pytest
 
-from scan2albedo.batch import load_catalogue, run_batch
+from scan2albedo.batch import execution, load_catalogue, run_batch
 from scan2albedo.batch.layout import Layout
 from scan2albedo.errors import BatchError, MissingDependencyError
 from scan2albedo.pipeline.options import ProcessOptions
@@ -77,3 +79,56 @@ def test_without_dask_the_command_that_installs_it_is_told(scans_in, tmp_path, m
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[cluster\]'"):
         run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+
+
+class Answers:
+    """Stands for a dask client with one worker: each task ends at once, processed or as its name says."""
+
+    def __init__(self, endings):
+        self.endings = endings
+
+    def nthreads(self):
+        return {"worker": 1}
+
+    def submit(self, function, task, **_):
+        return Answer(function, task, *self.endings.get(task.name, ("finished", None)))
+
+
+class Answer:
+    """Stands for a dask future."""
+
+    def __init__(self, function, task, status, error):
+        self.function, self.task, self.status, self.error = function, task, status, error
+
+    def add_done_callback(self, done):
+        done(self)
+
+    def result(self):
+        if self.error is not None:
+            raise self.error
+        return self.function(self.task)
+
+
+@pytest.fixture
+def answering(monkeypatch, scans_in, tmp_path, no_workers):
+    """Run a batch of the scans a, b and c on a cluster whose tasks end as told."""
+
+    def run(**endings):
+        monkeypatch.setattr(execution, "_client", lambda address: nullcontext(Answers(endings)))
+        manifest = scans_in("a", "b", "c")
+        return run_batch(manifest, tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+
+    return run
+
+
+def test_a_task_that_raises_in_its_worker_fails_alone(answering, tmp_path):
+    report = answering(b=("error", ModuleNotFoundError("No module named 'scan2albedo'")))
+    assert report.failures == {"b": "ModuleNotFoundError: No module named 'scan2albedo'"}
+    assert report.progress.done == 2
+
+
+def test_a_scheduler_that_is_lost_ends_the_batch(answering, tmp_path):
+    with pytest.raises(BatchError, match="scheduler at tcp://127.0.0.1:9 is gone; --resume"):
+        answering(b=("cancelled", CancelledError("b")))
+    rows = {row["name"]: row["status"] for row in load_catalogue(tmp_path / "out").to_pylist()}
+    assert rows == {"a": "done", "b": "not run", "c": "not run"}
