@@ -74,21 +74,6 @@ def exposure_for(brightest: FloatArray, saturated_part: float) -> float:
     return 1 / white if white > 0 else 1.0
 
 
-def stored_values(
-    linear: NDArray[np.float32], *, gamma: float, noise: float, bits: int | None, rng: np.random.Generator
-) -> NDArray[np.generic]:
-    """Return the values light^(1 / gamma) of a picture (H, W, 3), white = 1, with noise on the values.
-
-    They are clipped and rounded to 8 or 16 bits; None leaves them as they are.
-    """
-    values = linear ** np.float32(1 / gamma)
-    values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)
-    if bits is None:
-        return values
-    kind = np.uint8 if bits == 8 else np.uint16
-    return np.round(np.clip(values, 0, 1) * np.iinfo(kind).max).astype(kind)
-
-
 @dataclass(frozen=True, kw_only=True)
 class PortraitOptions:
     """What all pictures of a person have in common.
@@ -142,4 +127,9 @@ class PortraitOptions:
 
     def stored(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.generic]:
         """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""
-        return stored_values(linear, gamma=self.gamma, noise=self.noise, bits=self.bits, rng=rng)
+        values = linear ** np.float32(1 / self.gamma)
+        values += np.float32(self.noise) * rng.standard_normal(values.shape, dtype=np.float32)
+        if self.bits is None:
+            return values
+        kind = np.uint8 if self.bits == 8 else np.uint16
+        return np.round(np.clip(values, 0, 1) * np.iinfo(kind).max).astype(kind)

@@ -7,6 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized, without_unreferenced
+from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.textures import smoothstep
 
@@ -16,6 +17,8 @@ SKULL_CENTER_FROM_NOSE_MM = np.array([0.0, 40.0, -105.0])
 HEAD_AXIS_FROM_NOSE_MM = np.array([0.0, 0.0, -100.0])
 SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
 _CROWN = np.array([0.0, 0.75, -0.66])
+_SHEET_SIZE = (50, 130)
+"""Rows and columns of vertices of the clothes."""
 
 
 def nose_tip(vertices: FloatArray) -> FloatArray:
@@ -97,16 +100,14 @@ def _locks(size: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     return relief
 
 
-def shoulder_sheet(
-    vertices: FloatArray, rng: np.random.Generator, *, size: tuple[int, int] = (50, 130)
-) -> Mesh:
+def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
     """Return a sheet of clothes below a face: over both shoulders, open at the neck, with folds."""
     origin = nose_tip(vertices)
-    rows, columns = size
+    rows, columns = _SHEET_SIZE
     x = np.linspace(-185, 185, columns)[None] * np.ones((rows, 1))
     down = np.linspace(0, 1, rows)[:, None] * np.ones((1, columns))
     crest = -126 - 50 * np.abs(x / 185) ** 1.5
-    folds = gaussian_filter(rng.normal(size=size), (6, 2.5))
+    folds = gaussian_filter(rng.normal(size=_SHEET_SIZE), (6, 2.5))
     y = crest - 105 * down**1.2
     z = -135 + 78 * np.sin(down * np.pi / 2) - 35 * (x / 185) ** 2 + 2.5 * folds / folds.std()
     sheet = np.stack([x, y, z], -1).reshape(-1, 3) + origin
@@ -158,7 +159,7 @@ def head_around(
     For B rim vertices these are vertices (60 B, 3) mm, ring 0 on the rim; faces (F', 3); and uv (60 B, 2)
     around and along, in units of the face's chart (about 1 for 200 mm).
     """
-    loop = boundary_loop(faces)
+    loop = boundary_loop(len(vertices), faces)
     rim, tip = vertices[loop], nose_tip(vertices)
     outward = _conormals(vertices, normals, loop)
     share = np.linspace(0, 1, _COLLAR_RINGS)[:, None, None]
@@ -172,26 +173,6 @@ def head_around(
     around = np.cumsum(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1))
     uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
     return collar.reshape(-1, 3), grid_faces(_COLLAR_RINGS, len(loop), wrap=True), uv.reshape(-1, 2)
-
-
-def boundary_loop(faces: IntArray) -> IntArray:
-    """Return the vertices of a disc's boundary, counter-clockwise seen from outside.
-
-    >>> boundary_loop(np.array([[0, 1, 2], [0, 2, 3]])).tolist()
-    [0, 1, 2, 3]
-    """
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    count = int(faces.max()) + 1
-    forth, back = directed @ [count, 1], directed @ [1, count]
-    following = dict(directed[~np.isin(forth, back)].tolist())
-    loop = [min(following)]
-    while following[loop[-1]] != loop[0]:
-        loop.append(following[loop[-1]])
-    if len(loop) != len(following):
-        raise ValueError(
-            f"the mesh has {len(following)} boundary vertices but one loop holds {len(loop)} of them"
-        )
-    return np.array(loop)
 
 
 def _conormals(vertices: FloatArray, normals: FloatArray, loop: IntArray) -> FloatArray:

@@ -167,12 +167,8 @@ def oren_nayar(
     """Return (N,) cos(theta_i) (A + B max(0, cos(phi_r - phi_i)) sin(alpha) tan(beta)).
 
     ``A = 1 - 0.5 s^2 / (s^2 + 0.33)``, ``B = 0.45 s^2 / (s^2 + 0.09)``, alpha and beta the larger and
-    the smaller of theta_i and theta_r. Angles are computed one by one; a viewer below the horizon counts
-    as at the horizon.
-
-    References
-    ----------
-    .. [1] M. Oren, S. K. Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH 1994, eq. 30.
+    the smaller of theta_i and theta_r (Oren, Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH
+    1994, eq. 30). Angles are computed one by one; a viewer below the horizon counts as at the horizon.
     """
     tangent = normalized(np.cross(normal, _any_other_axis(normal)))
     bitangent = np.cross(normal, tangent)
@@ -194,12 +190,7 @@ def oren_nayar(
 def phong(
     normal: FloatArray, toward_light: FloatArray, toward_viewer: FloatArray, exponent: float
 ) -> FloatArray:
-    """Return (N,) max(0, r . v)^exponent, r the mirrored light direction.
-
-    References
-    ----------
-    .. [1] B. T. Phong, "Illumination for Computer Generated Pictures", CACM 18(6), 1975.
-    """
+    """Return (N,) max(0, r . v)^exponent, r the mirrored light direction (Phong, CACM 18(6), 1975)."""
     along = np.einsum("ij,ij->i", normal, toward_light)
     mirrored = 2 * along[:, None] * normal - toward_light
     return np.maximum(0, np.einsum("ij,ij->i", mirrored, toward_viewer)) ** exponent

@@ -50,20 +50,17 @@ class Pod:
         return seen[:, :2] / seen[:, 2:] / np.tan(self.half_angle_rad)
 
 
-def two_pods(
-    center: FloatArray,
-    *,
-    reach_mm: float,
-    distance_mm: float = 1000.0,
-    yaw_deg: float = 35.0,
-    elevation_deg: float = 5.0,
-) -> tuple[Pod, Pod]:
+_DISTANCE_MM, _YAW_DEG, _ELEVATION_DEG = 1000.0, 35.0, 5.0
+"""Of the pods from the head."""
+
+
+def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
     """Return the pods at the subject's left and right; pictures span +-`reach_mm` about `center` (3,)."""
     pods = []
-    for yaw in np.deg2rad([yaw_deg, -yaw_deg]):
-        lift = np.deg2rad(elevation_deg)
+    for yaw in np.deg2rad([_YAW_DEG, -_YAW_DEG]):
+        lift = np.deg2rad(_ELEVATION_DEG)
         toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
-        pods.append(Pod(center + distance_mm * toward, center, float(np.arctan(reach_mm / distance_mm))))
+        pods.append(Pod(center + _DISTANCE_MM * toward, center, float(np.arctan(reach_mm / _DISTANCE_MM))))
     return pods[0], pods[1]
 
 
@@ -71,15 +68,12 @@ def two_pods(
 class RangeMesh:
     """The mesh that the pods measured: `vertices` (V, 3) mm, exactly on the scene, `faces` (F, 3) outward.
 
-    `face_pod` (F,) is the pod, 0 or 1, that sees the face better and colours it. Vertices lie on the scene's
-    faces `scene_face` (V,) at `scene_barycentric` (V, 3).
+    `face_pod` (F,) is the pod, 0 or 1, that sees the face better and colours it.
     """
 
     vertices: FloatArray
     faces: IntArray
     face_pod: IntArray
-    scene_face: IntArray
-    scene_barycentric: FloatArray
 
 
 def capture(
@@ -112,8 +106,6 @@ def capture(
         points[used],
         renumbered.reshape(-1, 3).astype(np.int64),
         _better_pod(facing[kept], renumbered.reshape(-1, 3)),
-        hits.face[seen][used],
-        hits.barycentric[seen][used],
     )
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surface, person, with_relief
-from scan2albedo.synthetic.head import boundary_loop, hair_shell, head_around, join, shoulder_sheet
+from scan2albedo.synthetic.head import hair_shell, head_around, join, shoulder_sheet
 from scan2albedo.synthetic.textures import skin, smooth_noise
 
 Painter = Callable[[FloatArray], FloatArray]
@@ -158,7 +159,7 @@ def _welded_normals(parts: list[tuple[FloatArray, IntArray]]) -> FloatArray:
     """Return (V, 3) vertex normals of the joined parts; face and head share theirs along the rim."""
     vertices, faces = join(parts)
     normals = vertex_normals(vertices, faces)
-    rim = boundary_loop(parts[0][1])
+    rim = boundary_loop(len(parts[0][0]), parts[0][1])
     twin = len(parts[0][0]) + np.arange(len(rim))
     normals[rim] = normals[twin] = normalized(normals[rim] + normals[twin])
     return normals

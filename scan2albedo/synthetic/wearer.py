@@ -13,7 +13,7 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directio
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.head import compact, join
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import HAIR, Sitter, sit_down
 
@@ -187,8 +187,7 @@ def wearer(
 
 def _head(sitter: Sitter, hair: bool) -> tuple[FloatArray, IntArray]:
     faces = sitter.faces if hair else sitter.faces[sitter.part != HAIR]
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return sitter.vertices[used], renumbered.reshape(-1, 3).astype(np.int64)
+    return compact(sitter.vertices, faces)
 
 
 def _cameras(options: WearerOptions, vertices: FloatArray) -> FloatArray:
@@ -207,10 +206,10 @@ def _cameras(options: WearerOptions, vertices: FloatArray) -> FloatArray:
 
 def _hidden(scene: RayScene, camera: FloatArray, points: FloatArray) -> BoolArray:
     """Return (N,) True for points behind the head."""
-    ray = points - camera_centers(camera[None])[0]
-    distance = np.linalg.norm(ray, axis=1)
-    origins = np.broadcast_to(camera_centers(camera[None])[0], points.shape)
-    return scene.occluded(origins, ray / distance[:, None], distance - _BEHIND_MM)
+    center = camera_centers(camera[None])[0]
+    distance = np.linalg.norm(points - center, axis=1)
+    toward = (points - center) / distance[:, None]
+    return scene.occluded(np.broadcast_to(center, points.shape), toward, distance - _BEHIND_MM)
 
 
 def _mask(
