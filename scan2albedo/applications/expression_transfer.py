@@ -178,22 +178,7 @@ def refined_expression(
     -----
     1.4 s CPU. Where both surfaces are the same the answer is `rest`, to rounding. Skin without features
     (cheeks, forehead) is carried by what surrounds it: its shape does not show how it slides.
-
-    Mean errors in mm of points of light-stage shapes given to another person, everything registered and
-    fitted with the default model (``tools/bench_applications.py expression``):
-
-    ==========================  ==============  =========  ==============  =======  ==========
-    expression                  nothing given   as fitted  from A at rest  refined  true for A
-    ==========================  ==============  =========  ==============  =======  ==========
-    smile                       3.14            1.72       1.40            1.10     0.54
-    left half of a smile        1.64            0.94       0.82            0.63     0.36
-    open jaw                    4.19            2.17       1.72            1.38     0.92
-    mean of nine pairs          3.25            1.70       1.60            1.14     0.55
-    mean of four, synthetic     1.10            0.84       0.84            0.79     0.13
-    ==========================  ==============  =========  ==============  =======  ==========
-
-    "From A at rest" is as fitted with `personal_model`; "true for A" gives B what A's points truly did. The
-    skin of the synthetic people has no features but lips, nose and eyes, and their expressions are small.
+    docs/applications.md compares it with fits taken as they are.
     """
     subdivision = model.subdivision(level)
     at_rest, as_fitted = (limit_control_points(v, subdivision) for v in (rest.vertices, moved))

@@ -27,7 +27,7 @@ def personal_model(
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
     itself. An expression fitted from the person's own face at rest, and not from the model's, leaves points
     that did not move mostly in their place. `transfer_expression` does not need it: it finds corresponding
-    points itself, and more exactly (the figures are with `refined_expression`).
+    points itself, and more exactly (the figures are in docs/applications.md).
 
     Parameters
     ----------

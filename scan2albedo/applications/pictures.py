@@ -151,11 +151,8 @@ def _curved(mesh: FaceMesh, corners: IntArray, weight: FloatArray) -> FloatArray
     """Return (N, 3) the points of a mesh at barycentric coordinates (N, 3) of triangles (N, 3).
 
     The triangles between texels of a chart's mesh are below the curved surface, and its finer occluder would
-    shade them: their points are lifted by the normals at their corners (Phong tessellation [1]_).
-
-    References
-    ----------
-    .. [1] T. Boubekeur, M. Alexa, "Phong tessellation", ACM Transactions on Graphics 27(5), 2008.
+    shade them: their points are lifted by the normals at their corners (Boubekeur, Alexa, "Phong
+    tessellation", ACM Transactions on Graphics 27(5), 2008).
     """
     vertices = mesh.vertices[corners]
     flat = np.asarray(np.einsum("nk,nkc->nc", weight, vertices))

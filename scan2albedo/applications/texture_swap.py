@@ -92,15 +92,11 @@ def trusted(face: ProcessedFace) -> BoolArray:
 def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
     """Return (H, W, 3) `albedo` with the texels not `known` (H, W) continued by the other face's gradients.
 
-    Gradients of log albedo are integrated from the border of the known texels, so that no seam is left [1]_;
+    Gradients of log albedo are integrated from the border of the known texels, so that no seam is left;
     they are 0 where one of their texels is outside `guide` (H, W), where the other's albedo is known. A
     feature of one face alone at the border, such as the end of a brow, would continue as a bright or dark
     stain: its difference from its surroundings fades out within a few texels instead. Where `albedo` is the
     other face's own it is returned as it is.
-
-    References
-    ----------
-    .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
     """
     missing = other.mask & ~known
     if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):

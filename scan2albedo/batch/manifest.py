@@ -75,7 +75,7 @@ class BatchManifest:
 
 
 def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchManifest:
-    """Read a manifest: a table, a list of paths, or a folder.
+    """Return the scans of a manifest: of a table, a list of paths, or a folder.
 
     - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
       (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`. Cells of other
@@ -90,10 +90,6 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     path : path
     leave_out : path, optional
         Folder to skip: that of the results.
-
-    Returns
-    -------
-    BatchManifest
 
     Raises
     ------

@@ -51,7 +51,6 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scan2albedo.recognition import identify_by_similarity
     >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], ["ann", "bob"])
     >>> cmc_curve(found).rate.tolist()
@@ -149,7 +148,6 @@ def roc_curve(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scan2albedo.recognition import identify_by_similarity
     >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.3, 0.4]]), ["ann", "bob"], ["ann", "bob"])
     >>> roc_curve(found).area

@@ -81,7 +81,6 @@ def identify(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scan2albedo.recognition import albedo_templates, identify
     >>> random = np.random.default_rng(0)
     >>> albedos = random.random((3, 128, 128))
@@ -122,7 +121,6 @@ def identify_by_similarity(
 
     Examples
     --------
-    >>> import numpy as np
     >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], ["ann", "bob"])
     >>> found.ranks.tolist(), found.rate(1)
     ([1, 2], 0.5)
@@ -257,7 +255,6 @@ def match_probes(
 
     Examples
     --------
-    >>> import numpy as np
     >>> found = match_probes(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], [None, "bob"])
     >>> found.predicted(), found.ranks.tolist()
     (('ann', 'ann'), [0, 2])

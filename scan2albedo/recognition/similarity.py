@@ -66,7 +66,6 @@ def cw_ssim(
 
     Examples
     --------
-    >>> import numpy as np
     >>> rows, columns = np.mgrid[:128, :128] / 128
     >>> image = 2 + np.sin(30 * rows) * np.cos(40 * columns)
     >>> round(cw_ssim(image, image), 6)
@@ -151,7 +150,6 @@ def similarity_matrix(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scan2albedo.recognition import albedo_templates
     >>> templates = albedo_templates(np.random.default_rng(0).random((2, 128, 128)), ["ann", "bob"])
     >>> bool(np.allclose(np.diag(similarity_matrix(templates, templates)), 1, atol=1e-4))

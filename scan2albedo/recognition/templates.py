@@ -190,7 +190,6 @@ def albedo_templates(
 
     Examples
     --------
-    >>> import numpy as np
     >>> images = np.random.default_rng(0).random((2, 128, 128))
     >>> albedo_templates(images, ["ann", "bob"]).coefficients.shape
     (2, 10, 32, 32)

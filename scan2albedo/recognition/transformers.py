@@ -49,7 +49,6 @@ class TemplateTransformer(_Transformer):
 
     Examples
     --------
-    >>> import numpy as np
     >>> albedos = np.random.default_rng(0).random((3, 128, 128))
     >>> TemplateTransformer(size=64).fit_transform(albedos, ["ann", "bob", "cy"]).coefficients.shape
     (3, 10, 16, 16)

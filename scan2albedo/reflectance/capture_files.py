@@ -170,15 +170,11 @@ class CaptureFiles:
 
 
 def read_capture(path: str | Path) -> CaptureFiles:
-    """Read a capture file and its mesh, but no pictures.
+    """Return what a capture file says, and its mesh; no picture is read.
 
     Parameters
     ----------
     path : str or Path
-
-    Returns
-    -------
-    CaptureFiles
 
     Raises
     ------

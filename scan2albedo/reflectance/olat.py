@@ -85,7 +85,7 @@ def extract_olat(
     *,
     options: OlatOptions = OlatOptions(),
 ) -> OlatImages:
-    """Subtract the room's light from pictures taken with a flash, in linear space.
+    """Return the flash's light alone: pictures with it less the room's light, in linear space.
 
     I = F^g - R^g with g = `gamma` and, to first order in the noise s of both,
 
@@ -101,10 +101,6 @@ def extract_olat(
     room : (J, H, W, 3) or (H, W, 3) array, or sequence of arrays
         Likewise; one picture of the room's light serves all.
     options : OlatOptions
-
-    Returns
-    -------
-    OlatImages
 
     Raises
     ------

@@ -80,15 +80,11 @@ class PhotographFiles:
 
 
 def read_photograph(path: str | Path) -> PhotographFiles:
-    """Read a photograph file with its image, mask and mesh.
+    """Return what a photograph file says, with its image, mask and mesh.
 
     Parameters
     ----------
     path : str or Path
-
-    Returns
-    -------
-    PhotographFiles
 
     Raises
     ------

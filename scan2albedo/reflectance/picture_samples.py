@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.rasterization import bilinear
 
 _UNIT = 1e-3
 """How far a normal's length may be from 1."""
@@ -151,10 +152,7 @@ class SmoothImage:
 
     def look_up(self, pixels: FloatArray) -> FloatArray:
         """Return colours (N, 3) at pixels (N, 2); beyond the border the border's."""
-        left, top, fx, fy = self._cells(pixels)
-        above = (1 - fx) * self._image[top, left] + fx * self._image[top, left + 1]
-        below = (1 - fx) * self._image[top + 1, left] + fx * self._image[top + 1, left + 1]
-        return np.asarray((1 - fy) * above + fy * below)
+        return bilinear(self._image, pixels)
 
     def gradient(self, pixels: FloatArray) -> FloatArray:
         """Return the derivatives (N, 3, 2) of `look_up` by column and row; 0 beyond the border."""

@@ -104,15 +104,11 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
 
 
 def read_reflectance(path: str | Path) -> MeshReflectance:
-    """Read a mesh's reflectance.
+    """Return a mesh's reflectance from its file.
 
     Parameters
     ----------
     path : str or Path
-
-    Returns
-    -------
-    MeshReflectance
 
     Raises
     ------

@@ -43,7 +43,7 @@ def relighting_error(
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
     gamma: float = 1.2,
 ) -> RelightingError:
-    """Fit the pictures that are not `held_out` and predict those that are.
+    """Return how well a fit to the pictures that are not `held_out` predicts those that are.
 
     Parameters
     ----------
@@ -55,10 +55,6 @@ def relighting_error(
         With light gains, a flash that lit none of the others has gain 1.
     gamma : float
         Of the display.
-
-    Returns
-    -------
-    RelightingError
 
     Raises
     ------

@@ -72,11 +72,8 @@ class VertexSamples:
 
     def __post_init__(self) -> None:
         observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
-        valid, lobes, light = (
-            np.asarray(self.valid),
-            np.asarray(self.lobes, np.float64),
-            np.asarray(self.light),
-        )
+        valid, lobes = np.asarray(self.valid), np.ascontiguousarray(self.lobes, np.float64)
+        light = np.asarray(self.light)
         if observed.ndim != 3 or observed.shape[2] != 3:
             raise ReflectanceError(f"observed_linear is {observed.shape}, expected (J, V, 3)")
         expected = (observed.shape, observed.shape, (*observed.shape[:2], 4), observed.shape[:1])
@@ -98,11 +95,9 @@ class VertexSamples:
                 f"not finite or sigma is not above {_LEAST_SIGMA:g}: "
                 f"{observed[pair, vertex]}, {sigma[pair, vertex]}"
             )
-        object.__setattr__(self, "observed_linear", np.where(valid, observed, 0.0))
-        object.__setattr__(self, "sigma", sigma)
-        object.__setattr__(self, "valid", valid)
-        object.__setattr__(self, "lobes", np.ascontiguousarray(lobes))
-        object.__setattr__(self, "light", light.astype(np.int64))
+        arrays = np.where(valid, observed, 0.0), sigma, valid, lobes, light.astype(np.int64)
+        for name, array in zip(("observed_linear", "sigma", "valid", "lobes", "light"), arrays, strict=True):
+            object.__setattr__(self, name, array)
 
     @property
     def pair_count(self) -> IntArray:
@@ -126,7 +121,7 @@ def sample_vertices(
     normals: ArrayLike | None = None,
     options: SamplingOptions = SamplingOptions(),
 ) -> VertexSamples:
-    """Look up vertices in pictures, where the camera sees and the flash lights them.
+    """Return what pictures show of vertices, where the camera sees and the flash lights them.
 
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
@@ -144,10 +139,6 @@ def sample_vertices(
     normals : (V, 3) array_like of float, optional
         Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
     options : SamplingOptions
-
-    Returns
-    -------
-    VertexSamples
 
     Raises
     ------
