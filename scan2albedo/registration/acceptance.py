@@ -15,9 +15,7 @@ from scan2albedo.registration.candidates import (
     CERTAINTY_NEEDED,
     COVERAGE_NEEDED,
     Candidate,
-    ScanTarget,
-    batches,
-    with_refined,
+    every_candidate,
 )
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
@@ -92,12 +90,8 @@ def _refuse_inside_out(
     # The turned scan is another problem than the scan, so its rows stay out of the trace.
     unseen = meter.untraced()
     poses = coarse_poses(turned, template, options, unseen, 0)
-    target = ScanTarget(turned.samples)
-    candidates: tuple[Candidate, ...] = ()
-    for batch in batches(turned, template, poses, options.candidates, 0):
-        candidates = with_refined(turned, target, template, batch, options, unseen, candidates)
+    other = every_candidate(turned, template, poses, options, unseen)[0]
     meter.count(unseen.evaluations)
-    other = candidates[0]
     if other.scores.certainty > best.scores.certainty and other.is_face():
         raise RegistrationError(_inside_out_text(scan, other))
 

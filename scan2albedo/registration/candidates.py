@@ -55,20 +55,31 @@ def ranked_candidates(
     target = ScanTarget(scan.samples)
     candidates: tuple[Candidate, ...] = ()
     needed = CERTAINTY_NEEDED + _CONVINCING
-    for batch in batches(scan, template, poses, options.candidates, _MORE_CANDIDATES):
-        candidates = with_refined(scan, target, template, batch, options, meter, candidates)
+    for batch in _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES):
+        candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
         if meter.exhausted or candidates[0].is_face(needed):
             return candidates
         needed = CERTAINTY_NEEDED
     # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
-    for batch in batches(scan, template, poses, 2 * options.candidates, 0):
-        candidates = with_refined(scan, None, template, batch, options, meter, candidates)
+    for batch in _batches(scan, template, poses, 2 * options.candidates, 0):
+        candidates = _with_refined(scan, None, template, batch, options, meter, candidates)
         if meter.exhausted or candidates[0].is_face(needed):
             return candidates
     return candidates
 
 
-def batches(
+def every_candidate(
+    scan: PreparedScan, template: Template, poses: Poses, options: RegistrationOptions, meter: Meter
+) -> tuple[Candidate, ...]:
+    """Refine and rank `options.candidates` poses, faces or not; best first."""
+    target = ScanTarget(scan.samples)
+    candidates: tuple[Candidate, ...] = ()
+    for batch in _batches(scan, template, poses, options.candidates, 0):
+        candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
+    return candidates
+
+
+def _batches(
     scan: PreparedScan, template: Template, poses: Poses, candidates: int, more_candidates: int
 ) -> Iterator[Poses]:
     """Yield `candidates` poses in two batches, then `more_candidates` in a third.
@@ -96,14 +107,14 @@ def batches(
     yield poses.subset(rest[:more_candidates])
 
 
-def with_refined(
+def _with_refined(
     scan: PreparedScan,
     target: ScanTarget | None,
     template: Template,
     starts: Poses,
     options: RegistrationOptions,
     meter: Meter,
-    known: tuple[Candidate, ...] = (),
+    known: tuple[Candidate, ...],
 ) -> tuple[Candidate, ...]:
     """Refine every start by Open3D's ICP, then with scale, and rank them with the `known`, best first.
 
