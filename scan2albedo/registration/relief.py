@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.registration.grid_icp import NearestGrid
+from scan2albedo.registration.scan_preparation import NearestGrid
 
 Mask = BoolArray
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
@@ -13,7 +15,6 @@ from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import turned_against_neighbours, without_far_vertices
 from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
-from scan2albedo.registration.grid_icp import NearestGrid
 from scan2albedo.registration.options import RegistrationOptions
 
 _FEWEST_VERTICES = 50
@@ -26,6 +27,37 @@ _ANCHOR_LIMIT = 600
 _NORMAL_SMOOTHING_MM = 45.0
 _CELL_MM = 6.0
 _MARGIN_MM = 40.0
+_MAX_CELLS = 1_500_000
+
+
+@dataclass(frozen=True)
+class NearestGrid:
+    """A voxel grid over a point cloud (mm).
+
+    `nearest` (X, Y, Z) holds the index of (nearly) the nearest sample to each cell's centre, `origin` (3,) is
+    the corner of cell (0, 0, 0), `cell_mm` the side of a cell.
+    """
+
+    samples: OrientedPoints
+    nearest: NDArray[np.int32]
+    origin: FloatArray
+    cell_mm: float
+
+    @classmethod
+    def of(cls, samples: OrientedPoints, *, cell_mm: float, margin_mm: float) -> NearestGrid:
+        """Build the grid over the samples' box widened by `margin_mm`; huge boxes get larger cells."""
+        low, high = samples.points.min(0) - margin_mm, samples.points.max(0) + margin_mm
+        cell = max(cell_mm, float(np.cbrt(np.prod(high - low) / _MAX_CELLS)))
+        shape = np.ceil((high - low) / cell).astype(np.int64) + 1
+        nearest = _nearest_by_sweeps(samples.points, low, cell, shape[0], shape[1], shape[2])
+        return cls(samples, nearest, low, cell)
+
+    def nearest_samples(self, points: FloatArray) -> IntArray:
+        """Return the index of (nearly) the nearest sample of each (N, 3) point, -1 outside the grid."""
+        cell = np.floor((points - self.origin) / self.cell_mm).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)
+        x, y, z = np.where(inside[:, None], cell, 0).T
+        return np.where(inside, self.nearest[x, y, z], -1)
 
 
 @dataclass(frozen=True)
@@ -115,3 +147,48 @@ def _unit_text(longest_mm: float) -> str:
 def box_text(vertices: FloatArray) -> str:
     """Return the sides of the vertices' box for a message."""
     return " x ".join(f"{side:.3g}" for side in np.ptp(vertices, axis=0)) + " mm"
+
+
+@njit(cache=True, nogil=True)
+def _nearest_by_sweeps(points, origin, cell, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """Vector distance transform: nearest points spread to neighbours in eight ordered sweeps."""
+    nearest = np.full((nx, ny, nz), -1, np.int32)
+    squared = np.full((nx, ny, nz), np.inf)
+    for p in range(points.shape[0]):
+        i = int((points[p, 0] - origin[0]) / cell)
+        j = int((points[p, 1] - origin[1]) / cell)
+        k = int((points[p, 2] - origin[2]) / cell)
+        dx = points[p, 0] - origin[0] - (i + 0.5) * cell
+        dy = points[p, 1] - origin[1] - (j + 0.5) * cell
+        dz = points[p, 2] - origin[2] - (k + 0.5) * cell
+        d = dx * dx + dy * dy + dz * dz
+        if d < squared[i, j, k]:
+            squared[i, j, k] = d
+            nearest[i, j, k] = p
+    for sweep in range(8):
+        si = 1 if sweep & 1 else -1
+        sj = 1 if sweep & 2 else -1
+        sk = 1 if sweep & 4 else -1
+        for a in range(nx):
+            i = a if si > 0 else nx - 1 - a
+            for b in range(ny):
+                j = b if sj > 0 else ny - 1 - b
+                for c in range(nz):
+                    k = c if sk > 0 else nz - 1 - c
+                    for axis in range(3):
+                        u = i - si if axis == 0 else i
+                        v = j - sj if axis == 1 else j
+                        w = k - sk if axis == 2 else k
+                        if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
+                            continue
+                        p = nearest[u, v, w]
+                        if p < 0 or p == nearest[i, j, k]:
+                            continue
+                        dx = points[p, 0] - origin[0] - (i + 0.5) * cell
+                        dy = points[p, 1] - origin[1] - (j + 0.5) * cell
+                        dz = points[p, 2] - origin[2] - (k + 0.5) * cell
+                        d = dx * dx + dy * dy + dz * dz
+                        if d < squared[i, j, k]:
+                            squared[i, j, k] = d
+                            nearest[i, j, k] = p
+    return nearest
