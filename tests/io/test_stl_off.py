@@ -52,6 +52,17 @@ def test_all_solids_of_a_text_stl_are_read(tmp_path):
         load_scan(tmp_path / "b.stl")
 
 
+@pytest.mark.parametrize(("old", "new"), [("endloop\n", "endloop "), ("solid \n", "solid by # 5 vertex\n")])
+def test_a_text_stl_of_other_lines_gives_the_same(tmp_path, old, new):
+    text = SPHERE.export(file_type="stl_ascii")
+    (tmp_path / "a.stl").write_text(text)
+    (tmp_path / "b.stl").write_text(text.replace(old, new))
+    assert old in text
+    plain, other = load_scan(tmp_path / "a.stl"), load_scan(tmp_path / "b.stl")
+    np.testing.assert_allclose(other.vertices, plain.vertices, rtol=1e-14)
+    np.testing.assert_array_equal(other.faces, plain.faces)
+
+
 def test_the_name_of_a_text_stl_may_be_in_any_encoding(tmp_path):
     text = SPHERE.export(file_type="stl_ascii").encode().replace(b"solid", b"solid Gesch\xfctz", 1)
     (tmp_path / "a.stl").write_bytes(text)
