@@ -5,11 +5,11 @@ from __future__ import annotations
 import inspect
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
-from scan2albedo.pipeline.options import ProcessOptions, process_options
+from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import ProcessResult, write_result
 from scan2albedo.registration import Registration, RegistrationOptions, register
 
@@ -32,7 +32,35 @@ WHOLE_FACE = 0.8
 SAMPLING_S, DIVISION_S = 3e-6, 2e-6
 """Seconds a texel that a geometry image and the removal of its light take, whatever the budget."""
 
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
 
+
+@dataclass(frozen=True, kw_only=True)
+class _Call(ProcessOptions):
+    """The parameters of `process`: its own, and the options."""
+
+    source: str | Path | RawScan = field(kw_only=False)
+    out: str | Path | None = field(default=None, kw_only=False)
+    name: str | None = None
+    on_progress: ProgressCallback | None = None
+
+
+def _called_as(
+    call: Callable[_Parameters, object],
+) -> Callable[[Callable[..., _Result]], Callable[_Parameters, _Result]]:
+    """Show type checkers, `help` and editors the parameters of `call` in place of `**options`."""
+
+    def typed(function: Callable[..., _Result]) -> Callable[_Parameters, _Result]:
+        returns = inspect.signature(function).return_annotation
+        shown = inspect.signature(call).replace(return_annotation=returns)
+        function.__signature__ = shown  # type: ignore[attr-defined]
+        return function
+
+    return typed
+
+
+@_called_as(_Call)
 def process(
     source: str | Path | RawScan,
     out: str | Path | None = None,
@@ -76,22 +104,6 @@ def process(
     if out is None:
         return result
     return replace(result, out=write_result(result, Path(out), pictures=chosen.pictures))
-
-
-def _show_options() -> None:
-    """Let `help` and editors show the options among the parameters of `process`."""
-    shown = inspect.signature(process)
-    own = [parameter for parameter in shown.parameters.values() if parameter.name != "options"]
-    chosen = [
-        inspect.Parameter(
-            option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default, annotation=option.type
-        )
-        for option in process_options()
-    ]
-    process.__signature__ = shown.replace(parameters=[*own, *chosen])  # type: ignore[attr-defined]
-
-
-_show_options()
 
 
 @dataclass
