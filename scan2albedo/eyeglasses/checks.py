@@ -23,7 +23,7 @@ def checked_points(name: str, values: ArrayLike) -> FloatArray:
     bad = np.flatnonzero(~np.isfinite(points).all(1))
     if len(bad):
         raise EyeglassesError(
-            f"{name} {bad[0]} is not finite: {points[bad[0]].tolist()} ({len(bad)} of {len(points)} "
+            f"{name}[{bad[0]}] is not finite: {points[bad[0]].tolist()} ({len(bad)} of {len(points)} "
             "are not); repair the input first"
         )
     return points

@@ -72,7 +72,7 @@ def skin(
     for name, array in (("vertices", xyz), ("weights", shares), ("transforms", maps)):
         if not np.isfinite(array).all():
             bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
-            raise ValueError(f"{name} {bad[0]} is not finite ({len(bad)} of {len(array)} are not)")
+            raise ValueError(f"{name}[{bad[0]}] is not finite ({len(bad)} of {len(array)} are not)")
     blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
     moved = np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3]
     if normals is None:

@@ -55,7 +55,7 @@ class ImageObservation:
             raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")
         if not self.brightness > 0:
             raise ReflectanceError(
-                f"the image is black where the face is (mean {self.brightness}); check exposure and pose"
+                f"the image is black where the face is (mean {self.brightness:.3g}); check exposure and pose"
             )
         if self.transfer is not None:
             _check_transfer(self.transfer, seen)

@@ -105,5 +105,5 @@ def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray
     if coefficients.shape != (count,):
         raise ValueError(f"{name} must have shape ({count},), got {coefficients.shape}")
     if not np.isfinite(coefficients).all():
-        raise ReflectanceError(f"{name} holds NaN or infinite values; give finite coefficients")
+        raise ReflectanceError(f"{name} must be finite, got NaN or infinite values")
     return coefficients

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import linecache
+import re
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -103,6 +105,18 @@ def assert_ends_as_it_must(case: Case) -> None:
     outcome = run(case)
     assert outcome.ending == case.expected, outcome.figure
     assert outcome.figure, "a figure or a message must show what happened"
+
+
+@contextmanager
+def naming(*patterns: str) -> Iterator[None]:
+    """See that the error that leaves the block says all of this (regular expressions)."""
+    try:
+        yield
+    except (Scan2AlbedoError, ValueError) as error:
+        for pattern in patterns:
+            if not re.search(pattern, str(error)):
+                raise AssertionError(f"{pattern!r} is not in: {error}") from error
+        raise
 
 
 def raised_on_purpose(error: BaseException) -> bool:

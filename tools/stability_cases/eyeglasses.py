@@ -29,7 +29,7 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, WearerOptions, eyeglasses, wearer
-from stability_cases.case import Cases, Measured, assert_finite
+from stability_cases.case import Cases, Measured, assert_finite, naming
 
 CASES = Cases()
 STAGE = "eyeglasses"
@@ -157,8 +157,6 @@ for _name, _spoilt in (
     ("no vertex", (np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((1, 3)))),
     ("no key point", (np.eye(3), [[0, 1, 2]], np.zeros((0, 3)))),
     ("shrunk to a point", (np.zeros((9, 3)), [[0, 1, 2]], [[0, 0, 0]])),
-    ("vertices NaN", (np.full((3, 3), math.nan), [[0, 1, 2]], [[0, 0, 0]])),
-    ("faces beyond the vertices", (np.eye(3), [[0, 1, 9]], [[0, 0, 0]])),
 ):
 
     @CASES.extreme(STAGE, f"weights: {_name}", "named error")
@@ -166,12 +164,10 @@ for _name, _spoilt in (
         return str(_weights(*spoilt).shape)
 
 
-for _spacing in (0.0, math.nan, 1e-3):
-
-    @CASES.extreme(STAGE, f"weights: spacing {_spacing:g}", "named error")
-    def _odd_spacing(spacing: float = _spacing) -> str:
-        frame = _frame()
-        return str(_weights(frame.vertices, frame.faces, frame.keypoints, spacing).shape)
+@CASES.extreme(STAGE, "weights: spacing 0.001", "named error")
+def _fine_spacing() -> str:
+    frame = _frame()
+    return str(_weights(frame.vertices, frame.faces, frame.keypoints, 1e-3).shape)
 
 
 # Skinning.
@@ -294,14 +290,10 @@ for _name, _points in (
 ):
 
     @CASES.extreme(STAGE, f"canonical: key points {_name}", "named error")
+    @naming("frame 0: .* key points")
     def _odd_points(points: FloatArray = _points) -> str:
         frame = _frame()
         return str(canonicalize([frame], [points], weights=[_plain()], options=QUICK_WEIGHTS).iterations)
-
-
-@CASES.extreme(STAGE, "canonical: no frame", "named error")
-def _no_frame() -> str:
-    return str(canonicalize([], []).iterations)
 
 
 @CASES.extreme(STAGE, "canonical: weights NaN", "named error")
@@ -373,11 +365,6 @@ for _name, _focal in (("1", 1.0), ("1e6", 1e6)):
         return f"points within {off:.0e} mm"
 
 
-@CASES.extreme(STAGE, "triangulation: noise_px NaN", "named error")
-def _nan_noise() -> str:
-    return str(triangulate(_labels(THREE, _frame().keypoints), THREE, noise_px=math.nan).points)
-
-
 # Registration on a face.
 
 SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.5, mask_noise_px=0.5)
@@ -440,6 +427,7 @@ def _chance_labels() -> str:
 
 
 @CASES.extreme(STAGE, "registration: no labels", "named error")
+@naming("fix no pose.*give a start")
 def _no_labels() -> str:
     return str(_registered(keypoints_2d=np.full_like(_worn().labels, math.nan)).converged)
 
@@ -477,7 +465,7 @@ def _inside() -> str:
     found = _registered(cameras=_moved_cameras(_worn().keypoints.mean(0)))
     assert not found.inliers[0].all()
     return Measured(
-        f"{100 * found.inliers[0].mean():.0f} % of its labels fit, the others tell: "
+        f"{100 * found.inliers[0].mean():.0f} % of its labels fit, the other views decide: "
         f"off by {_off_mm(found):.1f} mm"
     )
 
@@ -488,7 +476,7 @@ def _behind() -> str:
     forward = worn.cameras[0, 2, :3] / np.linalg.norm(worn.cameras[0, 2, :3])
     found = _registered(cameras=_moved_cameras(worn.keypoints.mean(0) + 600 * forward))
     assert not found.inliers[0].any()
-    return Measured(f"none of its labels fit, the others tell: off by {_off_mm(found):.1f} mm")
+    return Measured(f"none of its labels fit, the other views decide: off by {_off_mm(found):.1f} mm")
 
 
 @CASES.extreme(STAGE, "registration: masks empty", "measured warning", slow=True)
@@ -507,6 +495,7 @@ def _full_masks() -> str:
 
 
 @CASES.extreme(STAGE, "registration: masks of another size", "named error")
+@naming("labels of view 0 lie outside its mask of 128 x 128")
 def _small_masks() -> str:
     return str(_registered(masks=_worn().masks[:, ::2, ::2]).converged)
 
@@ -533,6 +522,7 @@ for _name, _focal in (("1", 1.0), ("1e6", 1e6)):
 for _name, _scale in (("metres", 1e-3), ("kilometres", 1e-6)):
 
     @CASES.extreme(STAGE, f"registration: glasses in {_name}, cameras in mm", "named error")
+    @naming(r"e\+0[36] times as large.*same unit")
     def _other_unit(scale: float = _scale) -> str:
         vertices, faces, points, weights = _own_glasses()
         return str(_registered(glasses=(scale * vertices, faces, scale * points, weights)).converged)
@@ -593,16 +583,19 @@ for _dioptres in (-20.0, 0.0, 20.0, 1e3, 1000 / 600):
 for _dioptres in (math.nan, math.inf):
 
     @CASES.extreme(STAGE, f"lens of {_dioptres} dioptres", "named error")
+    @naming("not finite")
     def _no_power(dioptres: float = _dioptres) -> str:
         return str(_bend_deg(dioptres))
 
 
 @CASES.extreme(STAGE, "lens seen edge-on: the camera in its plane", "named error")
+@naming("camera lies in the plane")
 def _edge_on() -> str:
     return str(refract(ThinLens([0, 0, 0], [0, 0, 1], 4.0), [600.0, 0, 0], [[20.0, 0, 0]]).directions)
 
 
 @CASES.extreme(STAGE, "lens without a normal", "named error")
+@naming("normal is zero")
 def _no_normal() -> str:
     return str(refract(ThinLens([0, 0, 0], [0, 0, 0], 4.0), [0, 0, 600.0], [[20.0, 0, 0]]).directions)
 
@@ -679,19 +672,8 @@ def _glare() -> str:
     return f"linear within {off:.0e}"
 
 
-for _name, _material in (
-    ("dioptres NaN", {"dioptres": math.nan}),
-    ("tint NaN", {"tint_linear": (math.nan, 0.0, 0.0)}),
-    ("alpha 2", {"alpha": 2.0}),
-    ("alpha NaN", {"alpha": math.nan}),
-):
-
-    @CASES.extreme(STAGE, f"lens material: {_name}", "named error")
-    def _odd_material(material: dict[str, Any] = _material) -> str:
-        return str(LensMaterial(**material))
-
-
 @CASES.extreme(STAGE, "rim sought far from the frame", "named error")
+@naming("no closed rim")
 def _no_rim() -> str:
     frame = _frame()
     return str(

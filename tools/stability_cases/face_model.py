@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -10,11 +11,12 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo import AnnotatedFaceModel
+from scan2albedo.errors import ModelError
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import transform_points
-from stability_cases.case import Cases, Measured, assert_finite
-from stability_cases.scanned_person import model, naming
+from stability_cases.case import Cases, Measured, assert_finite, naming
+from stability_cases.scanned_person import model
 
 CASES = Cases()
 STAGE = "from_mesh"
@@ -179,6 +181,8 @@ def _() -> str:
     vertices, faces = face()
     broken = vertices.copy()
     broken[3] = np.nan
+    with suppress(ModelError), naming(f"{len(vertices)} template vertices are NaN or infinite; repair"):
+        return modelled(np.full_like(vertices, np.nan), faces)[1]
     with naming("1 template vertices are NaN or infinite; repair"):
         return modelled(broken, faces)[1]
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo import Budget, FittedFace, RawScan, fit
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from stability_cases.case import Cases, Measured, assert_finite
+from stability_cases.case import Cases, Measured, assert_finite, naming
 from stability_cases.scanned_person import (
     Scanned,
     model,
-    naming,
     noisy,
     person,
     shredded,
@@ -258,8 +259,12 @@ def _() -> str:
 
 @CASES.extreme(STAGE, "a pose of NaN, mirrored or scaled", "named error")
 def _() -> str:
+    pose = person().model_from_scan
+    for wrong in (np.full((4, 4), np.nan), 2 * pose):
+        with suppress(ValueError), naming("must be a rigid transform"):
+            return fitted(person(), 1.0, pose=wrong)[1]
     with naming("must be a rigid transform"):
-        return fitted(person(), 1.0, pose=np.diag([-1.0, 1, 1, 1]) @ person().model_from_scan)[1]
+        return fitted(person(), 1.0, pose=np.diag([-1.0, 1, 1, 1]) @ pose)[1]
 
 
 @CASES.extreme(STAGE, "a budget of 0.001 s, and of 1 evaluation", "measured warning")

@@ -12,8 +12,7 @@ from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.nearest_surface import NearestSurface
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
-from stability_cases.case import Cases, assert_finite
-from stability_cases.scanned_person import naming
+from stability_cases.case import Cases, assert_finite, naming
 
 CASES = Cases()
 

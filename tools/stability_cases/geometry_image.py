@@ -16,8 +16,8 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.geometry_image import geometry_image_of_scan
-from stability_cases.case import Cases, Measured, assert_finite
-from stability_cases.scanned_person import model, naming, person, spoilt, stray
+from stability_cases.case import Cases, Measured, assert_finite, naming
+from stability_cases.scanned_person import model, person, spoilt, stray
 
 CASES = Cases()
 STAGE = "geometry_image"
@@ -172,7 +172,7 @@ def _() -> str:
     assert scan.uv is not None
     broken = scan.uv.copy()
     broken[0, 0] = np.nan
-    with naming("uv holds 2 values that are NaN", "repair or re-export"):
+    with naming(r"uv holds 2 values that are NaN or infinite, first at \(0, 0, 0\)", "repair or re-export"):
         sampled(replace(scan, uv=broken))
     return "sampled"
 

@@ -23,7 +23,7 @@ from scan2albedo.recognition import (
     roc_curve,
     similarity_matrix,
 )
-from stability_cases.case import Cases, Measured, assert_finite
+from stability_cases.case import Cases, Measured, assert_finite, naming
 
 CASES = Cases()
 STAGE = "recognition"
@@ -83,9 +83,10 @@ for _name, _scale in (("1e-12", 1e-12), ("1e12", 1e12)):
         return f"similarity 1 within {abs(index - 1):.0e}"
 
 
-for _name, _fill in (("black", 0.0), ("negative", -1.0)):
+for _name, _fill, _says in (("black", 0.0, "mean 0 in its mask"), ("negative", -1.0, "mean -1 in its mask")):
 
     @CASES.extreme(STAGE, f"image {_name}", "named error")
+    @naming(_says)
     def _black(fill: float = _fill) -> str:
         return str(cw_ssim(_albedo(), np.full((128, 128), fill)))
 
@@ -100,6 +101,7 @@ def _black_as_it_is() -> str:
 
 
 @CASES.extreme(STAGE, "image with a NaN in its mask", "named error")
+@naming(r"image 0 \(ann\): 1 of 16384 pixels")
 def _nan() -> str:
     image = _albedo().copy()
     image[5, 5] = math.nan
@@ -116,6 +118,7 @@ def _nan_outside() -> str:
 
 
 @CASES.extreme(STAGE, "image infinite", "named error")
+@naming("the second image: 16384 of 16384 pixels")
 def _infinite() -> str:
     return str(cw_ssim(_albedo(), np.full((128, 128), math.inf)))
 
@@ -141,6 +144,7 @@ def _strip() -> str:
 
 
 @CASES.extreme(STAGE, "image smaller than the templates", "named error")
+@naming(r"image 0 \(ann\) has 64 x 64 pixels, expected a square")
 def _too_small() -> str:
     return str(albedo_templates([_albedo(0, 64)], ["ann"]).mask.sum())
 
@@ -153,11 +157,13 @@ def _one_in_mask() -> str:
 
 
 @CASES.extreme(STAGE, "mask empty", "named error")
+@naming("masked everywhere")
 def _empty() -> str:
     return str(albedo_templates([_albedo()], ["ann"], masks=[np.zeros((128, 128), bool)]).mask.sum())
 
 
 @CASES.extreme(STAGE, "masks that do not overlap", "named error")
+@naming(r"template 0 \(ann\) and template 0 \(ann\): no window")
 def _apart() -> str:
     left = np.zeros((128, 128), bool)
     left[:, :60] = True
@@ -176,6 +182,7 @@ def _alone() -> str:
 
 
 @CASES.extreme(STAGE, "gallery of one, ROC", "named error")
+@naming("one person only")
 def _no_impostor() -> str:
     return str(roc_curve(identify(_people(1), albedo_templates([_albedo(0)], ["person0"]))).area)
 
@@ -198,22 +205,8 @@ def _duplicates() -> str:
     return f"ranks as without: {once.ranks.tolist()}"
 
 
-@CASES.extreme(STAGE, "gallery empty", "named error")
-def _no_gallery() -> str:
-    return str(identify_by_similarity(np.zeros((1, 0)), [], ["ann"]).ranks)
-
-
-@CASES.extreme(STAGE, "no probe", "named error")
-def _no_probe() -> str:
-    return str(identify_by_similarity(np.zeros((0, 1)), ["ann"], []).ranks)
-
-
-@CASES.extreme(STAGE, "a probe's person not in the gallery", "named error")
-def _stranger() -> str:
-    return str(identify(_people(), albedo_templates([_albedo(7)], ["zoe"])).ranks)
-
-
 @CASES.extreme(STAGE, "similarity NaN", "named error")
+@naming(r"probe 0 \(ann\) and gallery image 1 \(bob\) is nan")
 def _no_similarity() -> str:
     return str(identify_by_similarity(np.array([[0.5, math.nan]]), ["ann", "bob"], ["ann"]).ranks)
 
@@ -280,7 +273,6 @@ def _nobody() -> str:
 for _wrong in (
     {"window": 0},
     {"window": math.nan},
-    {"window": 1000},
 ):
 
     @CASES.extreme(STAGE, "similarity " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
@@ -288,7 +280,7 @@ for _wrong in (
         return str(cw_ssim(_albedo(), _albedo(1), similarity=SimilarityOptions(**wrong)))
 
 
-for _wrong in ({"scales": 0}, {"orientations": 1}, {"hole_radius": math.nan}, {"size": 0}, {"scales": 9}):
+for _wrong in ({"hole_radius": math.nan}, {"scales": 9}):
 
     @CASES.extreme(STAGE, "templates " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
     def _odder(wrong: dict[str, Any] = _wrong) -> str:

@@ -11,11 +11,10 @@ from scan2albedo.geometry.loop_subdivision import refine
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.registration import RegistrationOptions
-from stability_cases.case import Cases, assert_finite
+from stability_cases.case import Cases, assert_finite, naming
 from stability_cases.scanned_person import (
     Scanned,
     model,
-    naming,
     noisy,
     person,
     shredded,

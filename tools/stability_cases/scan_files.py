@@ -13,8 +13,8 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo import RawScan, load_scan, register
-from stability_cases.case import Cases, Measured, assert_finite
-from stability_cases.scanned_person import model, naming, person
+from stability_cases.case import Cases, Measured, assert_finite, naming
+from stability_cases.scanned_person import model, person
 
 CASES = Cases()
 STAGE = "load_scan"
@@ -79,12 +79,6 @@ def _() -> str:
     return Measured(scan.notes[0])
 
 
-@CASES.extreme(STAGE, "an unknown unit", "named error")
-def _() -> str:
-    with naming("unit is 'inch', expected 'auto', 'mm', 'cm' or 'm'"):
-        return loaded(*head(), unit="inch").notes[0]
-
-
 @CASES.extreme(STAGE, "1e6, 1e7 and 1e9 mm away, double precision")
 def _() -> str:
     vertices, faces = head()
@@ -108,13 +102,6 @@ def _() -> str:
     vertices, faces = head()
     with naming("scan.ply: positions are rounded to 64 mm", "move the scan to the origin"):
         return loaded(vertices + 1e9, faces, "float").notes[0]
-
-
-@CASES.extreme(STAGE, "an empty file", "named error")
-def _() -> str:
-    with folder() as here, naming("empty.obj: the file is empty", "export the scan again"):
-        (here / "empty.obj").write_bytes(b"")
-        return load_scan(here / "empty.obj").name
 
 
 @CASES.extreme(STAGE, "a single triangle, 3 vertices")

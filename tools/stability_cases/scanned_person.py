@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -12,7 +9,6 @@ import numpy as np
 
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import without_unreferenced
@@ -141,15 +137,3 @@ def spoilt(scene: Scanned) -> Scanned:
     ]
     scan = RawScan(np.concatenate([vertices, beside]), np.concatenate([faces, *more]))
     return replace(scene, scan=scan)
-
-
-@contextmanager
-def naming(*patterns: str) -> Iterator[None]:
-    """See that the error that leaves the block says all of this (regular expressions)."""
-    try:
-        yield
-    except (Scan2AlbedoError, ValueError) as error:
-        for pattern in patterns:
-            if not re.search(pattern, str(error)):
-                raise AssertionError(f"{pattern!r} is not in: {error}") from error
-        raise

@@ -64,7 +64,7 @@ def frames_of(
         shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
         for name, array in (("vertices", xyz), ("weights", shares)):
             if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"{name} {i} hold NaN or infinite numbers; repair the frame or leave it out")
+                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
         frames.append(
             Frame(
                 number=i,

@@ -195,7 +195,7 @@ def find_lens_rim(
         few = np.rad2deg(_longest_gap(measured)) <= _LONGEST_GAP_DEG
         if not few and marks is None:
             raise EyeglassesError(
-                f"no closed rim around the centre {middle.tolist()}: {int((~measured).sum())} of {count} "
+                f"no closed rim around the centre {middle.round(2).tolist()}: {(~measured).sum()} of {count} "
                 "rays meet nothing near; give rim_points, or check centre and normal"
             )
         gaps = "interpolated" if few or marks is None else "subdivided"

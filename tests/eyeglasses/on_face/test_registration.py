@@ -229,12 +229,6 @@ def test_one_view_rests_the_frame_on_the_nose():
     assert errors[:, 0].mean() < 1.0
 
 
-def test_no_label_at_all_and_no_start_is_an_error():
-    worn = person(1, SMALL)
-    with pytest.raises(EyeglassesError, match=r"fix no pose.*give a start"):
-        register(1, SMALL, keypoints_2d=np.full_like(worn.labels, np.nan))
-
-
 @pytest.mark.slow
 def test_no_label_at_all_but_a_start_goes_by_the_outlines():
     worn = person(3)
@@ -394,19 +388,12 @@ def test_bad_input_is_refused(name):
         register(1, SMALL, **changes)
 
 
-def test_glasses_in_another_unit_than_the_cameras_are_refused():
-    worn = person(1, SMALL)
-    vertices, faces, keypoints, weights = glasses_of(1)
-    with pytest.raises(EyeglassesError, match=r"e\+03 times as large.*same unit"):
-        register_on_face((1e-3 * vertices, faces, 1e-3 * keypoints, weights), worn.labels, None, worn.cameras)
-
-
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
         (
             lambda g: (np.where(np.arange(len(g[0]))[:, None] == 7, np.nan, g[0]), *g[1:]),
-            "the glasses: vertices 7 is not finite",
+            r"the glasses: vertices\[7\] is not finite",
         ),
         (lambda g: (*g[:2], np.full((20, 3), np.nan), g[3]), "the glasses: 0 key points"),
         (lambda g: (*g[:3], 2 * g[3]), "sum 1"),
@@ -495,9 +482,3 @@ def test_three_pictures_from_one_place_see_no_depth():
         head=None,
     )
     assert not found.depth_observed
-
-
-def test_masks_of_another_size_are_refused():
-    worn = person(1, SMALL)
-    with pytest.raises(EyeglassesError, match=r"labels of view 0 lie outside its mask of 256 x 256"):
-        register(1, SMALL, masks=worn.masks[:, ::2, ::2])
