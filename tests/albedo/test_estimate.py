@@ -200,6 +200,8 @@ def test_progress_is_told(frontal):
     ("arguments", "message"),
     [
         ({"lights": 0}, "1 to 4"),
+        ({"lights": 9}, "1 to 4"),
+        ({"lights": np.nan}, "1 to 4"),
         ({"lights": "two"}, "'auto' or an integer"),
         ({"brdf": "plastic"}, "expected one of"),
         ({"view_direction": (0, 0, 0)}, "not all zero"),

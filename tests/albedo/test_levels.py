@@ -12,7 +12,6 @@ from scan2albedo.albedo.levels import (
     value_channel,
 )
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.errors import LightingError
 
 OPTIONS = EstimateOptions()
 
@@ -69,22 +68,6 @@ def test_hidden_black_and_saturated_texels_do_not_vote(make_image):
     image = make_image(texture_linear=texture, texture_valid=valid)
     out = image.mask & ~usable_texels(image, OPTIONS)
     assert sorted(np.nonzero(out)[0]) == [*range(20, 24), *range(30, 34), *range(40, 44)]
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"texture_linear": None}, "no texture"),
-        ({"mask": np.zeros((64, 64), bool)}, "mask .* is empty"),
-        ({"texture_linear": np.zeros((64, 64, 3))}, "black 3"),
-        ({"texture_linear": np.ones((64, 64, 3))}, "saturated 3"),
-        ({"texture_valid": np.zeros((64, 64), bool)}, "seen 0"),
-    ],
-    ids=["no texture", "empty mask", "all black", "all saturated", "nothing seen"],
-)
-def test_images_that_tell_nothing_are_refused_with_the_reason(make_image, fields, message):
-    with pytest.raises(LightingError, match=message):
-        usable_texels(make_image(**fields), OPTIONS)
 
 
 def test_cell_image_gives_every_texel_the_value_of_its_cell(make_image):

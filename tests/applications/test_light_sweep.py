@@ -61,6 +61,7 @@ def test_places_of_the_light():
     assert [light.azimuth_rad for light in arc] == [-1.0, -0.5, 0.0, 0.5, 1.0]
     assert {light.elevation_rad for light in arc} == {0.2}
     assert math.isinf(arc[0].distance_mm)
+    assert len(light_arc(1)) == 1
     with pytest.raises(ValueError, match="count"):
         light_arc(0)
     with pytest.raises(ValueError, match="finite"):

@@ -188,10 +188,14 @@ def test_misuse_is_told(person):
         relight(person(0), ambient=np.nan)
     with pytest.raises(ApplicationError, match="not negative"):
         relight(person(0), ambient=-0.1)
+    with pytest.raises(ApplicationError, match="finite"):
+        relight(person(0), ambient=np.inf)
     with pytest.raises(ValueError, match="environment_linear"):
         relight(person(0), environment_linear=np.ones((4, 8)))
     with pytest.raises(ApplicationError, match="view_direction"):
         replace(person(0), view_direction=(0, 0, 0))
+    with pytest.raises(ApplicationError, match="finite"):
+        replace(person(0), view_direction=(np.nan, 0, 1))
     with pytest.raises(ValueError, match="elevation"):
         default_camera(person(0), elevation_rad=np.pi / 2)
     with pytest.raises(ValueError, match="azimuth"):
@@ -202,10 +206,6 @@ def test_misuse_is_told(person):
         relight(person(0)).picture(shape=(8, 8)).srgb(-1)
     with pytest.raises(ApplicationError, match="albedo is"):
         replace(person(0), albedo_linear=np.ones((4, 4, 3)))
-    spoilt = person(0).albedo_linear.copy()
-    spoilt[person(0).mask] = np.nan
-    with pytest.raises(ApplicationError, match="NaN"):
-        replace(person(0), albedo_linear=spoilt)
 
 
 def test_inputs_stay_as_they_were(person):

@@ -56,9 +56,3 @@ def test_too_small_a_size_is_refused():
     sphere = trimesh.creation.icosphere(1, 80.0)
     with pytest.raises(GeometryImageError, match="size 7 is too small"):
         geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 7)
-
-
-def test_a_surface_of_zero_area_is_refused():
-    line = RawScan(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]]))
-    with pytest.raises(GeometryImageError, match="zero area"):
-        geometry_image_of_scan(line)

@@ -197,8 +197,11 @@ def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(case):
         ({"brdf": "phong"}, "oren-nayar"),
         ({"lights": 0}, "lights is 0"),
         ({"lights": 1.5}, "lights is 1.5"),
+        ({"lights": 99}, "lights is 99"),
         ({"unit": "yard"}, "unit is 'yard', expected one of auto, mm"),
         ({"size": 2}, "at least 8"),
+        ({"size": 64.5}, "size is 64.5"),
+        ({"size": 10**9}, "at most 16384"),
     ):
         with pytest.raises(ValueError, match=message):
             s2a.process(case[0], **wrong)

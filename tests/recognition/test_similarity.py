@@ -137,19 +137,12 @@ def test_images_of_other_sizes_are_refused(albedo):
         cw_ssim(np.zeros((64, 64, 2)), np.zeros((64, 64, 2)))
 
 
-def test_images_without_a_number_or_a_window_are_refused(albedo):
-    image, other = albedo(0), albedo(1)
-    other[5, 6] = np.nan
-    with pytest.raises(RecognitionError, match="the second image: 1 of 16384 pixels"):
-        cw_ssim(image, other)
-    with pytest.raises(RecognitionError, match="masked everywhere"):
-        cw_ssim(image, image, np.zeros((128, 128), bool))
+def test_images_without_a_window_are_refused(albedo):
+    image = albedo(0)
     small = np.zeros((128, 128), bool)
     small[60:80, 60:80] = True
     with pytest.raises(RecognitionError, match="no window of 7 x 7"):
         cw_ssim(image, image, small)
-    with pytest.raises(RecognitionError, match="mean 0"):
-        cw_ssim(image, np.zeros((128, 128)))
 
 
 def test_templates_that_cannot_be_compared_are_refused():

@@ -79,20 +79,13 @@ def test_images_keep_their_size_when_asked(albedo, shape):
 
 
 def test_images_that_cannot_be_used_are_named(albedo):
-    good, bad = albedo(0), albedo(1)
-    bad[3, 3] = np.inf
-    with pytest.raises(RecognitionError, match=r"image 1 \(bob\): 1 of 16384 pixels"):
-        albedo_templates([good, bad], ["ann", "bob"])
-    with pytest.raises(RecognitionError, match=r"image 0 \(ann\) has 100 x 120 pixels, expected a square"):
-        albedo_templates([albedo(0, (100, 120))], ["ann"])
+    good = albedo(0)
     with pytest.raises(RecognitionError, match="give images of one size"):
         albedo_templates([good, albedo(0, (64, 64))], ["ann", "bob"], options=TemplateOptions(size=None))
     with pytest.raises(RecognitionError, match="no image was given"):
         albedo_templates([], [])
     with pytest.raises(ValueError, match="1 images, 2 names"):
         albedo_templates([good], ["ann", "bob"])
-    with pytest.raises(RecognitionError, match="masked everywhere"):
-        albedo_templates([good], ["ann"], masks=[np.zeros((128, 128), bool)])
 
 
 def test_templates_that_cannot_be_used_are_named(albedo):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from scan2albedo import AnnotatedFaceModel
-from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector, transform_points
 from scan2albedo.reflectance.geometry_start import pose_from_landmarks
@@ -34,8 +33,3 @@ def test_an_upside_down_face_is_found():
     pixels, _ = project(CAMERA, transform_points(truth, POINTS))
     found = pose_from_landmarks(CAMERA, POINTS, pixels)
     assert np.degrees(rotation_angle_rad(found[:3, :3] @ truth[:3, :3].T)) < 0.5
-
-
-def test_landmarks_in_one_point_are_refused():
-    with pytest.raises(ReflectanceError, match="one point"):
-        pose_from_landmarks(CAMERA, POINTS, np.full((68, 2), 300.0))

@@ -181,18 +181,10 @@ def test_faces_without_lobes_stay_without(model):
 
 def test_what_is_no_image_of_the_face_is_refused(model):
     observation, _ = picture(people(1, 3)[0], 8)
-    color = observation.observed_linear.copy()
-    color[np.flatnonzero(SEEN)[4], 1] = np.nan
-    with pytest.raises(ReflectanceError, match="NaN"):
-        dataclasses.replace(observation, observed_linear=color)
     with pytest.raises(ReflectanceError, match="length 2"):
         dataclasses.replace(observation, normals=2 * NORMALS)
-    with pytest.raises(ReflectanceError, match="no vertex"):
-        dataclasses.replace(observation, seen=np.zeros_like(SEEN))
-    with pytest.raises(ReflectanceError, match="black"):
-        dataclasses.replace(observation, observed_linear=np.zeros_like(color))
     with pytest.raises(ReflectanceError, match="topology"):
-        fit_image(ImageObservation(color[:5] * 0 + 1, NORMALS[:5], VIEW[:5], np.ones(5, bool)), model)
+        fit_image(ImageObservation(np.ones((5, 3)), NORMALS[:5], VIEW[:5], np.ones(5, bool)), model)
     with pytest.raises(ValueError, match="shape"):
         dataclasses.replace(observation, normals=NORMALS[:3])
     with pytest.raises(ValueError, match="softness"):

@@ -230,12 +230,6 @@ def test_some_colours_negative(model, lighting):
     assert albedo_error(fit, people(1, 5)[0]) < 0.1
 
 
-def test_all_colours_negative(model):
-    image = picture(people(1, 5)[0], 3)
-    with pytest.raises(ReflectanceError, match="black"):
-        dataclasses.replace(image, observed_linear=-np.asarray(image.observed_linear))
-
-
 def test_light_without_directions(model):
     alone = LightingModel.generate(count=20, components=0)
     assert alone.components == 0

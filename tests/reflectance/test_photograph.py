@@ -108,20 +108,9 @@ def test_the_transfer_is_that_of_the_mesh(image):
     np.testing.assert_array_equal(found.transfer.specular, expected.specular)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "told"),
-    [
-        (lambda image: np.ones_like(image), "0 not saturated"),
-        (lambda image: image * np.nan, "0 with finite colours"),
-        (lambda image: image * 0, "black"),
-        (lambda image: 255 * image, "white = 1"),
-        (lambda image: image.astype(np.int32), "int32"),
-    ],
-    ids=["saturated everywhere", "NaN everywhere", "black", "0 to 255 as floats", "integers of 32 bits"],
-)
-def test_pictures_without_use_are_refused(image, spoil, told):
-    with pytest.raises(ReflectanceError, match=told):
-        observe_photograph(spoil(image), CAMERA, VERTICES, FACES, options=LINEAR)
+def test_pictures_of_32_bit_integers_are_refused(image):
+    with pytest.raises(ReflectanceError, match="int32"):
+        observe_photograph(image.astype(np.int32), CAMERA, VERTICES, FACES, options=LINEAR)
 
 
 def test_all_vertices_hidden_or_off_the_mask_or_outside_the_picture(image):

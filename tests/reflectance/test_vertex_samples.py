@@ -183,8 +183,6 @@ def test_vertices_outside_the_picture_are_not_seen(scene, olat):
     rig = CaptureRig(cameras, scene.rig.light_positions, scene.rig.light)
     found = sample_vertices(olat, rig, scene.vertices, scene.faces, normals=scene.normals)
     assert not found.valid.any()
-    with pytest.raises(ReflectanceError, match=r"none of .* vertices is seen"):
-        fit_reflectance(found)
 
 
 def test_normals_of_the_mesh_are_used_when_none_are_given(scene, olat, samples):
@@ -212,7 +210,6 @@ def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, olat):
     [
         ({"normals": np.zeros((3, 3))}, ValueError, "normals is"),
         ({"normals": 2.0}, ReflectanceError, "has length 2"),
-        ({"vertices": np.nan}, ReflectanceError, "not all finite"),
         ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
         ({"faces": np.full((1, 3), 10**6)}, ReflectanceError, "no triangles"),
         ({"faces": np.zeros((4,), int)}, ValueError, "expected \\(V, 3\\) and \\(F, 3\\)"),
@@ -245,8 +242,6 @@ def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("observed_linear", np.full((2, 3, 3), np.nan), "vertex 0 is said to be valid in picture 0"),
-        ("sigma", np.zeros((2, 3, 3)), "sigma is not above"),
         ("lobes", np.full((2, 3, 4), np.inf), "lobes are not finite"),
         ("sigma", np.ones((2, 3)), "sigma is \\(2, 3\\)"),
         ("observed_linear", np.ones((2, 3)), "expected \\(J, V, 3\\)"),
@@ -269,7 +264,14 @@ def test_samples_that_do_not_fit_are_refused(name, value, message):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"view_cosine": 1}, {"light_cosine": -0.1}, {"margin_px": -1}, {"reference_distance_mm": 0}],
+    [
+        {"view_cosine": 1},
+        {"light_cosine": -0.1},
+        {"margin_px": -1},
+        {"margin_px": np.nan},
+        {"reference_distance_mm": 0},
+        {"reference_distance_mm": np.nan},
+    ],
 )
 def test_options_outside_their_range_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -139,19 +139,13 @@ def test_any_point_on_a_ray_names_it():
 def test_what_no_lens_can_do_is_said():
     points = lens_points(np.random.default_rng(6), 4)
     with pytest.raises(EyeglassesError, match="camera lies in the plane"):
-        refract(FLAT, [300.0, 10, 0], points)
-    with pytest.raises(EyeglassesError, match="camera lies in the plane"):
         refract(FLAT, [0.0, 0, 0], points)
     with pytest.raises(EyeglassesError, match=r"1 of 2 rays .* never reach"):
         refract(FLAT, [0.0, 0, 600], [[0, 0, 0], [0, 0, 700.0]])
     with pytest.raises(EyeglassesError, match="never reach"):
         refract(FLAT, [0.0, 0, 600], [[10, 0, 600.0]])
-    with pytest.raises(EyeglassesError, match="not finite"):
-        refract(ThinLens([0, 0, 0], [0, 0, 1], np.inf), [0.0, 0, 600], points)
     with pytest.raises(EyeglassesError, match="points holds"):
         refract(FLAT, [0.0, 0, 600], [[np.nan, 0, 0]])
-    with pytest.raises(EyeglassesError, match="normal is zero"):
-        refract(ThinLens([0, 0, 0], [0, 0, 0], 1.0), [0.0, 0, 600], points)
     with pytest.raises(ValueError, match="camera must have shape"):
         refract(FLAT, [[0.0, 0, 600]], points)
     assert refract(FLAT, [0.0, 0, 600], np.zeros((0, 3))).directions.shape == (0, 3)

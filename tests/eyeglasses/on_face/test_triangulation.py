@@ -100,5 +100,6 @@ def test_misuse_is_a_value_error():
         triangulate(np.zeros((20, 2)), cameras)
     with pytest.raises(ValueError, match="camera 1 has a singular"):
         triangulate(np.zeros((2, 20, 2)), [cameras[0], np.zeros((3, 4))])
-    with pytest.raises(ValueError, match="noise_px"):
-        triangulate(np.zeros((2, 20, 2)), cameras, noise_px=0)
+    for noise_px in (0, np.nan):
+        with pytest.raises(ValueError, match="noise_px"):
+            triangulate(np.zeros((2, 20, 2)), cameras, noise_px=noise_px)
