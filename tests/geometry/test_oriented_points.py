@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.oriented_points import farthest_points, oriented_points
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, farthest_points, oriented_points
 
 
 def sphere(level, radius=60.0):
@@ -69,3 +69,19 @@ def test_farthest_points_keep_their_distance_and_cover_the_cloud():
     assert pairs.min() >= 20
     assert cKDTree(chosen).query(points)[0].max() < 20
     assert len(farthest_points(points, 1.0, 10)) == 10
+
+
+def test_anchors_look_outward_whatever_single_normals_do():
+    samples = oriented_points(*sphere(5), 4.0)
+    rng = np.random.default_rng(3)
+    shaken = normalized(samples.normals + rng.normal(scale=0.3, size=samples.normals.shape))
+    spread = anchors(
+        OrientedPoints(samples.points, shaken, samples.areas), spacing=30.0, limit=20, reach=30.0
+    )
+    assert len(spread) == 20
+    assert np.einsum("ij,ij->i", spread.normals, normalized(spread.points)).min() > 0.98
+
+
+def test_no_samples_have_no_anchors():
+    nothing = oriented_points(np.zeros((3, 3)), np.array([[0, 1, 2]]), 4.0)
+    assert anchors(nothing, spacing=30.0, limit=20, reach=45.0).normals.shape == (0, 3)
