@@ -67,7 +67,8 @@ def transfer_expression(
 ) -> ProcessedFace:
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
-    Albedo, reflectance and lights are B's; normals follow the new surface.
+    Albedo, reflectance and lights are B's; normals follow the new surface. This is the arithmetic of geometry
+    images of Toderici et al., section on applications.
 
     Parameters
     ----------
@@ -85,15 +86,9 @@ def transfer_expression(
 
     Notes
     -----
-    Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out.
-
-    A's two fits slide along the skin each in its own way, which is most of the error; `refined_expression`
+    Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out. A's
+    two fits slide along the skin each in its own way, which is most of the error; `refined_expression`
     corrects it.
-
-    References
-    ----------
-    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with application
-       to face recognition", section on applications: arithmetic of geometry images.
     """
     a, smiling, b = on_common_chart(neutral_a, expression_a, neutral_b)
     moved = expression_displacement(a.mesh, smiling.mesh, options=options, model=model)

@@ -62,13 +62,8 @@ class FaceMesh:
 class ProcessedFace:
     """One processed scan, ready for applications; in the model's frame, mm.
 
-    Raises
-    ------
-    ApplicationError
-        When albedo and image differ in size, the albedo is negative or not finite on the surface, or the
-        view direction is zero.
-    GeometryImageError
-        For normals of another length than 1.
+    Raises `ApplicationError` when albedo and image differ in size, the albedo is negative or not finite on
+    the surface, or the view direction is zero; `GeometryImageError` for normals of another length than 1.
     """
 
     name: str

@@ -37,8 +37,8 @@ def swap_texture(
     """Return A's geometry with B's albedo and reflectance, under A's lights.
 
     Where B's texture was not seen, A's detail is continued in B's colours: its gradients of log albedo are
-    integrated from the border of B's seen texels, so that no seam is left [1]_. Where A's was not seen either
-    the colour is continued smoothly.
+    integrated from the border of B's seen texels, so that no seam is left (Perez, Gangnet, Blake, "Poisson
+    image editing", SIGGRAPH 2003). Where A's was not seen either the colour is continued smoothly.
 
     Parameters
     ----------
@@ -50,10 +50,6 @@ def swap_texture(
     ------
     ApplicationError
         When the faces do not share a chart.
-
-    References
-    ----------
-    .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
     """
     shape, skin = on_common_chart(a, b)
     gain = _gain(skin, shape) if options.match_level else 1.0

@@ -31,7 +31,8 @@ class CmcCurve:
 def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> CmcCurve:
     """Return the cumulative match characteristic of an identification, with Clopper and Pearson's intervals.
 
-    They take the probes as independent; of several probes of one person they are too short.
+    They take the probes as independent; of several probes of one person they are too short. The curve is that
+    of Phillips et al., IEEE PAMI 22(10), 2000; the intervals are from Biometrika 26(4), 1934.
 
     Parameters
     ----------
@@ -43,11 +44,6 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
     ------
     ValueError
         When the confidence is out of range.
-
-    References
-    ----------
-    Clopper, Pearson, Biometrika 26(4), 1934; Phillips et al., "The FERET evaluation methodology for
-    face-recognition algorithms", IEEE PAMI 22(10), 2000 (the curve).
 
     Examples
     --------
@@ -116,7 +112,8 @@ def roc_curve(
     """Return the receiver operating characteristic of claims: every probe claims to be every person.
 
     The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times,
-    a genuine claim counts c_p times, one of p to be q c_p c_q times.
+    a genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93,
+    2004) say why persons are resampled and not claims.
 
     Parameters
     ----------
@@ -140,11 +137,6 @@ def roc_curve(
     -----
     Rates below one over the number of impostors' claims accept none of them. Where no claim errs the
     intervals have no width, however few the claims. About 60 ms a resample for 1,000 probes of 1,000 persons.
-
-    References
-    ----------
-    Bolle, Ratha, Pankanti, "Error analysis of pattern recognition systems: the subsets bootstrap", CVIU 93,
-    2004 (why persons are resampled and not claims).
 
     Examples
     --------

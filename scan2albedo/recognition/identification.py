@@ -57,6 +57,8 @@ def identify(
 ) -> Identification:
     """Return which persons of a gallery the probes show.
 
+    As Toderici et al.: a closed set, compared by CW-SSIM of the coarsest of three scales.
+
     Parameters
     ----------
     gallery : Templates
@@ -73,11 +75,6 @@ def identify(
         For another `combine`.
     RecognitionError
         When a set is empty, a probe's person is not in the gallery, or templates cannot be compared.
-
-    References
-    ----------
-    Toderici, Passalis, Theoharis, Kakadiaris, "An automated method for human face modeling and relighting
-    with application to face recognition": closed set, CW-SSIM of the coarsest of three scales.
 
     Examples
     --------

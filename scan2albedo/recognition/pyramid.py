@@ -38,6 +38,8 @@ class SteerablePyramid:
 def steerable_pyramid(image: FloatArray, *, scales: int = 3, orientations: int = 10) -> SteerablePyramid:
     """Return the complex steerable pyramid of an image; its filters wrap around the image's edges.
 
+    After Simoncelli, Freeman, ICIP 1995, and, complex, Portilla, Simoncelli, IJCV 40, 2000.
+
     Parameters
     ----------
     image : (H, W) float64
@@ -48,11 +50,6 @@ def steerable_pyramid(image: FloatArray, *, scales: int = 3, orientations: int =
     ------
     ValueError
         When the image does not allow that many scales.
-
-    References
-    ----------
-    Simoncelli, Freeman, "The steerable pyramid: a flexible architecture for multi-scale derivative
-    computation", ICIP 1995; Portilla, Simoncelli, IJCV 40, 2000 (complex).
     """
     image = np.asarray(image, np.float64)
     if image.ndim != 2 or min(image.shape) < 2 ** (scales + 2) or any(n % 2**scales for n in image.shape):

@@ -35,7 +35,8 @@ def cw_ssim(
         S = (2 |sum_i x_i conj(y_i)| + K) / (sum_i |x_i|^2 + sum_i |y_i|^2 + K),
 
     averaged over the windows inside the mask and over the orientations. A small shift turns the phases of
-    all coefficients of a window alike and leaves S; a change of structure does not.
+    all coefficients of a window alike and leaves S; a change of structure does not (Wang, Simoncelli, ICASSP
+    2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11), 2009).
 
     Parameters
     ----------
@@ -57,12 +58,6 @@ def cw_ssim(
     -----
     Only the coarsest scale counts, as in the templates. A shift by 2 pixels costs 0.02 to 0.03 of images of
     128 pixels whose amplitude falls with frequency.
-
-    References
-    ----------
-    Wang, Simoncelli, "Translation insensitive image similarity in complex wavelet domain", ICASSP 2005;
-    Sampat, Wang, Gupta, Bovik, Markey, "Complex wavelet structural similarity: a new image
-    similarity index", IEEE TIP 18(11), 2009.
 
     Examples
     --------

@@ -123,7 +123,8 @@ def result_templates(
 ) -> Templates:
     """Return the templates of a manifest's results, from the albedo of the texels that were seen.
 
-    Their names are the persons', or the result's where no person is named.
+    Their names are the persons', or the result's where no person is named. About 0.1 s a result of 512
+    texels; one is in memory at a time.
 
     Parameters
     ----------
@@ -136,10 +137,6 @@ def result_templates(
     ------
     RecognitionError
         When a result cannot be read or used, or results differ in size or model; names file, line and result.
-
-    Notes
-    -----
-    About 0.1 s a result of 512 texels; one is in memory at a time.
     """
     coefficients, masks = [], []
     charts: list[tuple[str, Chart]] = []

@@ -53,6 +53,8 @@ class TemplatesHeader(BaseModel):
 def write_templates(path: str | Path, templates: Templates) -> None:
     """Write templates as an NPZ file, whole or not at all.
 
+    82 kB a template of 128 pixels; not compressed, for the bits of coefficients do not repeat.
+
     Parameters
     ----------
     path : str or Path
@@ -67,10 +69,6 @@ def write_templates(path: str | Path, templates: Templates) -> None:
         When there is no template.
     OutputError
         When the file cannot be written.
-
-    Notes
-    -----
-    82 kB a template of 128 pixels; not compressed, for the bits of coefficients do not repeat.
     """
     if len(templates) == 0:
         raise RecognitionError("there is no template to write; give one or more")

@@ -63,7 +63,7 @@ def rig_of_head_poses(
 
     A head pose maps points of the face into camera c, x_cam = R_c x + t_c; seen from the face, the camera is
     turned by R_c^T and is at -R_c^T t_c. Picture j is taken by camera view[j], lit by the flash at camera
-    flash[j].
+    flash[j] (Han, Wang, Xu, supplement, Eq. 1).
 
     Parameters
     ----------
@@ -80,10 +80,6 @@ def rig_of_head_poses(
     ------
     ReflectanceError
         When shapes disagree, a matrix is no rotation, or a number refers to no camera.
-
-    References
-    ----------
-    .. [1] Han, Wang, Xu, CVPR 2023, supplement, Eq. 1.
 
     Examples
     --------

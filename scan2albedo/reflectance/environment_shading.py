@@ -113,10 +113,6 @@ def shade_environment(
     ValueError
         When shapes disagree.
 
-    References
-    ----------
-    Han, Wang, Xu, CVPR 2023, supplement.
-
     Examples
     --------
     >>> white = VertexReflectance(np.full((1, 3), 0.5), np.zeros((1, 3)), np.array([True]))

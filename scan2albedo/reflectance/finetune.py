@@ -131,15 +131,10 @@ def finetune(
     -----
     Images determine the albedo only up to the light, and held-out images do not resolve that either: the
     anchor keeps the albedo. It is Gaussian, for then each vertex has a closed form and a smooth error is
-    corrected everywhere a little; the absolute differences of Han, Wang and Xu favour few vertices. Tuning
-    adds no directions: differences between faces beyond them, marks for instance, stay unexplained.
-
-    tools/bench_reflectance_finetune.py measures tuning on pictures that neither step used.
-
-    References
-    ----------
-    Han, Wang, Xu, CVPR 2023, supplement. There networks
-    are tuned by gradients, under a penalty on changes; here each change has a closed form.
+    corrected everywhere a little; the absolute differences of Han, Wang and Xu, who tune networks by
+    gradients, favour few vertices. Tuning adds no directions: differences between faces beyond them, marks
+    for instance, stay unexplained. tools/bench_reflectance_finetune.py measures tuning on pictures that
+    neither step used.
     """
     smooth = _smoother(model, faces, vertices, options)
     if not observations or not held_out:

@@ -145,14 +145,9 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. One image cannot separate how far away a face is from how large it is,
-    but for the prior. Han, Wang and Xu weight landmarks far less, since those of networks are several mm off;
-    tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
-
-    References
-    ----------
-    .. [1] Han, Wang, Xu, CVPR 2023, supplement.
-    .. [2] V. Blanz, T. Vetter, "A Morphable Model for the Synthesis of 3D Faces", SIGGRAPH 1999.
+    Cast shadows are not modelled. One image cannot separate how far away a face is from how large it is, but
+    for the prior. Han, Wang and Xu (supplement) weight landmarks far less, since those of networks are
+    several mm off; tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = checked_landmarks(landmarks_px, options.contour)

@@ -123,10 +123,6 @@ def fit_image(
 
     Cost of a step: 3 U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a
     second of CPU in all.
-
-    References
-    ----------
-    Han, Wang, Xu, CVPR 2023, supplement.
     """
     if len(np.asarray(observation.seen)) != len(model.known):
         raise ReflectanceError(

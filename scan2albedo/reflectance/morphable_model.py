@@ -93,11 +93,7 @@ class MorphableReflectanceModel:
 
         c = c0 + sum b_i C_i,   s = s0 + sum b_i S_i,   w' = w'0 + sum b_i W_i.
 
-    Raises `ReflectanceError` when shapes disagree or a number is not finite.
-
-    References
-    ----------
-    Han, Wang, Xu, CVPR 2023, supplement.
+    After Han, Wang, Xu, supplement. Raises `ReflectanceError` when shapes disagree or a number is not finite.
 
     Examples
     --------

@@ -87,12 +87,13 @@ def extract_olat(
 ) -> OlatImages:
     """Return the flash's light alone: pictures with it less the room's light, in linear space.
 
-    I = F^g - R^g with g = `gamma` and, to first order in the noise s of both,
+    I = F^g - R^g with g = `gamma` and, to first order in the noise s (Han, Wang, Xu, supplement, Eq. 2),
 
         sigma^2 = (g s)^2 (F^(2 g - 2) + R^(2 g - 2)).
 
-    Negative differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the
-    other two are not.
+    Its slope is 0 in the dark, where first order does not hold; values count there as at least s. Negative
+    differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the other two are
+    not.
 
     Parameters
     ----------
@@ -108,14 +109,6 @@ def extract_olat(
         When shapes disagree.
     ReflectanceError
         When there are no pairs, when values are beyond white, or when every pair is darker with its flash.
-
-    Notes
-    -----
-    The formula's slope is 0 in the dark, where first order does not hold; values count there as at least s.
-
-    References
-    ----------
-    .. [1] Han, Wang, Xu, CVPR 2023, supplement, Eq. 2.
 
     Examples
     --------

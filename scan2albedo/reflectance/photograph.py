@@ -66,9 +66,10 @@ def observe_photograph(
 ) -> ImageObservation:
     """Look up a face's vertices in a photograph, where the camera sees them well.
 
-    A vertex counts when nothing hides it, it is not seen at too flat an angle nor near an edge in
-    depth, and the four pixels around it are skin, finite and not saturated in any channel. Their light,
-    value^gamma, is interpolated.
+    A vertex counts when nothing hides it, it is not seen at too flat an angle nor near an edge in depth, and
+    the four pixels around it are skin, finite and not saturated in any channel. Their light, value^gamma, is
+    interpolated. Cost: three rays and a half a vertex and camera, and `light_transfer`: 3,700 vertices take
+    about a second.
 
     Parameters
     ----------
@@ -98,10 +99,6 @@ def observe_photograph(
         holds numbers of another type, or the camera or the mesh cannot be used.
     ValueError
         When shapes disagree.
-
-    Notes
-    -----
-    Cost: three rays and a half a vertex and camera, and `light_transfer`: 3,700 vertices take about a second.
     """
     xyz, index = checked_mesh(vertices, faces)
     normal = normalized(checked_normals(xyz, index, normals))

@@ -23,6 +23,8 @@ def point_light_lobes(
 ) -> FloatArray:
     """Return (J, V, 4): max(0, n.l) / pi and (s + 2) / (8 pi) max(0, n.h)^s for s = 1, 8, 64.
 
+    As in the released code of Han, Wang and Xu, lobes have no factor n.l.
+
     Parameters
     ----------
     vertices, normals : (V, 3) array_like of float
@@ -41,14 +43,6 @@ def point_light_lobes(
     ------
     ValueError
         When shapes disagree.
-
-    Notes
-    -----
-    As in the released code of [1]_, lobes have no factor n.l.
-
-    References
-    ----------
-    .. [1] Han, Wang, Xu, CVPR 2023.
 
     Examples
     --------

@@ -47,12 +47,8 @@ class ShapeModelHeader(BaseModel):
 class MorphableShapeModel:
     """Shape x = mean + sum a_i identity_i + sum b_i expression_i, coefficients of unit variance.
 
-    Raises `ReflectanceError` when shapes disagree, a number is not finite, or an index points outside the
-    vertices.
-
-    References
-    ----------
-    .. [1] V. Blanz, T. Vetter, "A Morphable Model for the Synthesis of 3D Faces", SIGGRAPH 1999.
+    After Blanz, Vetter, "A Morphable Model for the Synthesis of 3D Faces", SIGGRAPH 1999. Raises
+    `ReflectanceError` when shapes disagree, a number is not finite, or an index points outside the vertices.
 
     Examples
     --------
@@ -116,7 +112,7 @@ class MorphableShapeModel:
 
         The deviations X (K x 3V) of the neutral faces from their mean have the Gram matrix
         X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1). Of expressions an offset and its opposite
-        count as equally likely, so that no expression is the mean one.
+        count as equally likely, so that no expression is the mean one. Cost: (K^2 + 4 E^2) V.
 
         Raises `ReflectanceError` when there is no face, topologies differ, or numbers are not finite;
         `ValueError` when a number of components is negative.
@@ -131,10 +127,6 @@ class MorphableShapeModel:
         landmark_vertices : (68,) array_like of int
         identity_components, expression_components : int
             Most directions to keep; there are at most K - 1 and E.
-
-        Notes
-        -----
-        Cost: (K^2 + 4 E^2) V.
         """
         if identity_components < 0 or expression_components < 0:
             raise ValueError(

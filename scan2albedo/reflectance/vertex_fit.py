@@ -95,8 +95,9 @@ def fit_reflectance(
 
         sum rho((y_jk - c_k D_j - w.S_j) / sigma_jk) + prior(c, w),   c, w >= 0,
 
-    rho robust, the channels of a picture together; the prior is Gaussian. For given robust weights c is
-    eliminated and the eight sets of weights at 0 are tried; where an albedo would be negative, all 64 sets.
+    (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. For
+    given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
+    be negative, all 64 sets.
 
     Parameters
     ----------
@@ -124,17 +125,11 @@ def fit_reflectance(
     reflectance.
 
     Intervals come from the Gaussian posterior before the bounds, cut at 0: bounds shorten them, and where a
-    number is not identified they are the prior's.
-
-    Intervals account for noise and the prior, and widen with the misfit, but not for wrong normals, which
-    bias all pictures of a vertex alike: with normals off by 1 degree 71 % of them hold the truth, at 1 %
-    noise in 90 pictures, by 3 degrees 42 %.
+    number is not identified they are the prior's. They account for noise and the prior, and widen with the
+    misfit, but not for wrong normals, which bias all pictures of a vertex alike: with normals off by 1 degree
+    71 % of them hold the truth, at 1 % noise in 90 pictures, by 3 degrees 42 %.
 
     Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less.
-
-    References
-    ----------
-    .. [1] Han, Wang, Xu, CVPR 2023, supplement.
 
     Examples
     --------

@@ -24,11 +24,8 @@ class VertexReflectance:
 
         c / pi max(0, n.l) + sum_k w_k (s_k + 2) / (8 pi) max(0, n.h)^s_k,   h = (l + v) / |l + v|.
 
-    Raises `ReflectanceError` when shapes disagree, or a known vertex has a negative number or none.
-
-    References
-    ----------
-    Han, Wang, Xu, CVPR 2023, supplement.
+    after Han, Wang, Xu, supplement. Raises `ReflectanceError` when shapes disagree, or a known vertex has a
+    negative number or none.
     """
 
     diffuse_linear: FloatArray

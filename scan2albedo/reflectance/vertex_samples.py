@@ -125,7 +125,7 @@ def sample_vertices(
 
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
-    vertices and cast shadows are found by rays against the mesh.
+    vertices and cast shadows are found by rays against the mesh, cast once for each camera and each flash.
 
     Parameters
     ----------
@@ -146,10 +146,6 @@ def sample_vertices(
         When shapes disagree.
     ReflectanceError
         When there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
-
-    Notes
-    -----
-    Rays are cast once for each camera and each flash, not for each picture.
     """
     xyz, index = checked_mesh(vertices, faces)
     if len(rig) != len(olat):
