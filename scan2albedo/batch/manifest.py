@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from scan2albedo.batch.records import is_taken
 from scan2albedo.errors import BatchError
+from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text
 
@@ -20,7 +19,6 @@ OWN_OPTIONS = ("unit", "model", "lights", "seed")
 """Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
 
 _TABLES = (".csv", ".tsv")
-_DELIMITERS = ",;\t"
 _LONGEST_NAME = 200
 
 
@@ -104,7 +102,8 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
         return _checked(BatchManifest(source, tuple(scans)))
     if source.suffix.lower() in SUPPORTED_SCANS:
         raise BatchError(f"{source}: is a scan; give a CSV file, a list of paths or a folder of scans")
-    text = _text(source)
+    advice = f"give a CSV file with a column {SCAN!r}, a list of paths or a folder"
+    text = read_text(source, what=f"manifest {source}", advice=advice, error=BatchError)
     if source.suffix.lower() in _TABLES:
         return _checked(_of_table(source, text))
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
@@ -132,41 +131,14 @@ def _scans_below(folder: Path, leave_out: Path | None) -> Iterator[Path]:
                 yield Path(place, file)
 
 
-def _text(file: Path) -> str:
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise BatchError(
-            f"manifest {file} cannot be read ({error.strerror or error}); give a CSV file with a column "
-            f"{SCAN!r}, a list of paths or a folder"
-        ) from error
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BatchError(f"manifest {file} is no UTF-8 text; save it as CSV in UTF-8") from error
-    if "\0" in text:
-        raise BatchError(f"manifest {file} is no text file; give a CSV file or a list of paths")
-    return text
-
-
 def _of_table(file: Path, text: str) -> BatchManifest:
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    reader = csv.reader(StringIO(text, newline=""), delimiter=max(_DELIMITERS, key=first.count), strict=True)
-    try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise BatchError(f"{file}, line {reader.line_num}: {error}; mend its quotes") from error
+    rows = table_rows(text, file, BatchError)
     header = _header(file, rows[0][1] if rows else [])
     extra = tuple(name for name in header if name not in (SCAN, "name", *OWN_OPTIONS))
     scans = []
     for line, row in rows[1:]:
         where = f"{file}, line {line}"
-        if len(row) > len(header):
-            raise BatchError(
-                f"{where}: has {len(row)} cells, the header {len(header)}; put a cell that holds a separator "
-                "in quotes"
-            )
-        cells = dict.fromkeys(header, "") | dict(zip(header, row, strict=False))
+        cells = cells_by_column(header, row, where, BatchError)
         if not (source := cells[SCAN].strip()):
             raise BatchError(f"{where}: names no scan")
         own = {name: cells[name].strip() for name in OWN_OPTIONS if name in cells}

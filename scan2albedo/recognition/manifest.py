@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import unicodedata
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 from scan2albedo.errors import RecognitionError
+from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 
 COLUMNS = ("person", "result")
-_DELIMITERS = ",;\t"
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True)
@@ -63,47 +60,17 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
         result, a result does not exist or is named with two persons. Names file and line.
     """
     file = Path(path)
-    header, rows = _table(_text(file), file)
+    advice = f"give a CSV file with the columns {' and '.join(COLUMNS)}"
+    header, rows = _table(read_text(file, what=str(file), advice=advice, error=RecognitionError), file)
     entries = tuple(_entry(file, header, line, row, persons_required) for line, row in rows)
     if not entries:
         raise RecognitionError(f"{file} has no entry below its header; add lines of person and result")
     return Manifest(file, entries, _repeated(file, entries))
 
 
-def _text(file: Path) -> str:
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise RecognitionError(
-            f"{file} cannot be read ({error.strerror or error}); give a CSV file with the columns "
-            f"{' and '.join(COLUMNS)}"
-        ) from error
-    if data.startswith(_UTF16):
-        raise RecognitionError(f"{file} is UTF-16 text; save it as CSV in UTF-8")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecognitionError(
-            f"{file} is no UTF-8 text (byte {error.start} is {data[error.start]:#04x}); save it as CSV in "
-            "UTF-8"
-        ) from error
-    if "\0" in text:
-        raise RecognitionError(f"{file} is no text file; give a CSV file")
-    return text
-
-
 def _table(text: str, file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header, in lower case, and the other rows that hold something, with their line numbers."""
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    delimiter = max(_DELIMITERS, key=first.count)
-    reader = csv.reader(StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    rows = []
-    try:
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append((reader.line_num, [cell.strip() for cell in row]))
-    except csv.Error as error:
-        raise RecognitionError(f"{file}, line {reader.line_num}: {error}; mend its quotes") from error
+    """Return the header, in lower case, and the other rows with their line numbers."""
+    rows = [(line, [cell.strip() for cell in row]) for line, row in table_rows(text, file, RecognitionError)]
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     if missing := [name for name in COLUMNS if name not in header]:
         found = f"its first line has {', '.join(rows[0][1])}" if rows else "it is empty"
@@ -115,22 +82,17 @@ def _table(text: str, file: Path) -> tuple[list[str], list[tuple[int, list[str]]
 
 
 def _entry(file: Path, header: list[str], line: int, row: list[str], persons_required: bool) -> ManifestEntry:
-    if len(row) > len(header):
-        raise RecognitionError(
-            f"{file}, line {line}: has {len(row)} cells, the header {len(header)}; put a cell that holds a "
-            "separator in quotes"
-        )
-    cells = dict(zip(header, row, strict=False))
-    person = unicodedata.normalize("NFC", cells.get("person", ""))
-    result = cells.get("result", "")
+    where = f"{file}, line {line}"
+    cells = cells_by_column(header, row, where, RecognitionError)
+    person, result = unicodedata.normalize("NFC", cells["person"]), cells["result"]
     if not result:
-        raise RecognitionError(f"{file}, line {line}: names no result; give the folder of a processed scan")
+        raise RecognitionError(f"{where}: names no result; give the folder of a processed scan")
     if persons_required and not person:
-        raise RecognitionError(f"{file}, line {line}: {result} has no person; name who is shown")
+        raise RecognitionError(f"{where}: {result} has no person; name who is shown")
     path = file.parent / result
     if not path.exists():
         raise RecognitionError(
-            f"{file}, line {line}: {result}: no such folder or file; relative paths start from {file.parent}"
+            f"{where}: {result}: no such folder or file; relative paths start from {file.parent}"
         )
     return ManifestEntry(person or None, result, path, line)
 

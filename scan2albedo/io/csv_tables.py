@@ -1,0 +1,58 @@
+"""Lists and CSV tables that people write, read so that every fault is named with its place."""
+
+from __future__ import annotations
+
+import csv
+from io import StringIO
+from pathlib import Path
+
+from scan2albedo.errors import Scan2AlbedoError
+
+_DELIMITERS = ",;\t"
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
+    """Return the text of a UTF-8 file, with or without a byte order mark.
+
+    Raises `error`, which calls the file `what`, when it cannot be read or is no text.
+    """
+    try:
+        data = file.read_bytes()
+    except OSError as cause:
+        raise error(f"{what} cannot be read ({cause.strerror or cause}); {advice}") from cause
+    if data.startswith(_UTF16):
+        raise error(f"{what} is UTF-16 text; save it as CSV in UTF-8")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as cause:
+        byte = f"byte {cause.start} is {data[cause.start]:#04x}"
+        raise error(f"{what} is no UTF-8 text ({byte}); save it as CSV in UTF-8") from cause
+    if "\0" in text:
+        raise error(f"{what} is no text file; {advice}")
+    return text
+
+
+def table_rows(text: str, file: Path, error: type[Scan2AlbedoError]) -> list[tuple[int, list[str]]]:
+    """Return the rows that hold something, the header first, with the numbers of their lines in `file`.
+
+    The header shows whether commas, semicolons or tabs separate cells. Raises `error` for unbalanced quotes.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    reader = csv.reader(StringIO(text, newline=""), delimiter=max(_DELIMITERS, key=first.count), strict=True)
+    try:
+        return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as cause:
+        raise error(f"{file}, line {reader.line_num}: {cause}; mend its quotes") from cause
+
+
+def cells_by_column(
+    header: list[str], row: list[str], where: str, error: type[Scan2AlbedoError]
+) -> dict[str, str]:
+    """Return the cells of a row, empty where it is short; raises `error` when it has too many."""
+    if len(row) > len(header):
+        raise error(
+            f"{where}: has {len(row)} cells, the header {len(header)}; put a cell that holds a separator in "
+            "quotes"
+        )
+    return dict.fromkeys(header, "") | dict(zip(header, row, strict=False))
