@@ -41,13 +41,6 @@ def personal_model(
     ------
     ApplicationError
         When the face was not fitted with that model.
-
-    Examples
-    --------
-    >>> import scan2albedo as s2a
-    >>> def smile_of(rest, smiling):  # two scans of one person
-    ...     at_rest = s2a.process(rest)
-    ...     return at_rest, s2a.process(smiling, model=s2a.applications.personal_model(at_rest.fitted))
     """
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)

@@ -125,12 +125,6 @@ def identify_results(
         When `combine` is unknown.
     RecognitionError
         When a file cannot be read or used, sizes or models differ, or a probe's person is not in the gallery.
-
-    Examples
-    --------
-    >>> import scan2albedo as s2a
-    >>> def who(gallery_csv, probes_csv):
-    ...     return s2a.recognition.identify_results(gallery_csv, probes_csv).matches.predicted()
     """
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")

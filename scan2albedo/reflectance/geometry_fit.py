@@ -246,7 +246,7 @@ class _Refinement:
     def _search(self, search: GeometrySearch, photometry: Photometry) -> bool:
         """Search, updating the seen vertices every few steps; return whether it converged."""
         converged = False
-        for level in range(photometry.levels):
+        for level in range(len(photometry.images)):
             converged = False
             for _ in range(self.options.rounds):
                 vertices = search.state.vertices(self.model)

@@ -206,47 +206,40 @@ class PhotometricTerm:
         return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
 
 
+@dataclass(frozen=True)
 class Photometry:
     """An image smoothed at several levels, its camera, and the face's reflectance in a light."""
 
-    def __init__(
-        self,
-        images: Sequence[SmoothImage],
-        camera: FloatArray,
-        faces: IntArray,
-        reflectance: VertexReflectance,
-        light: FloatArray,
-        options: GeometryFitOptions,
-    ) -> None:
-        self._images = images
-        self._camera, self._faces = camera, faces
-        self._reflectance, self._light, self._options = reflectance, light, options
-
-    @property
-    def levels(self) -> int:
-        """Number of images, from smooth to sharp."""
-        return len(self._images)
+    images: Sequence[SmoothImage]
+    """From smooth to sharp."""
+    camera: FloatArray
+    """(3, 4), normalised."""
+    faces: IntArray
+    reflectance: VertexReflectance
+    light: FloatArray
+    """(81, 3)."""
+    options: GeometryFitOptions
 
     def usable(self, vertices: FloatArray) -> IntArray:
         """Return the vertices (U,) that are seen, known, and lie on valid pixels; none where too few are."""
         none = np.zeros(0, np.int64)
-        pixels, depth = project(self._camera, vertices)
+        pixels, depth = project(self.camera, vertices)
         if not (np.isfinite(vertices).all() and (depth > 0).all()):
             return none
-        candidates = self._reflectance.known & self._images[0].covers(pixels)
+        candidates = self.reflectance.known & self.images[0].covers(pixels)
         if candidates.sum() < _LEAST_VERTICES:
             return none
-        visibility = VertexVisibility(vertices, self._faces, vertex_normals(vertices, self._faces))
-        seen = visibility.seen(self._camera, _VIEW_COSINE, _MARGIN_PX)
+        visibility = VertexVisibility(vertices, self.faces, vertex_normals(vertices, self.faces))
+        seen = visibility.seen(self.camera, _VIEW_COSINE, _MARGIN_PX)
         used = np.flatnonzero(candidates & seen)
         return used if len(used) >= _LEAST_VERTICES else none
 
     def term(self, vertices: FloatArray, used: IntArray, level: int) -> PhotometricTerm | None:
         """Return the term over the `used` of `vertices` at smoothing `level`; None where all is black."""
-        image, reflectance = self._images[level], self._reflectance
+        image, reflectance = self.images[level], self.reflectance
         if len(used) == 0:
             return None
-        grey = np.abs(image.look_up(project(self._camera, vertices[used])[0])).mean(1)
+        grey = np.abs(image.look_up(project(self.camera, vertices[used])[0])).mean(1)
         unit = float(np.median(grey)) or float(grey.mean())
         if not unit > 0:
             return None
@@ -255,14 +248,14 @@ class Photometry:
         )
         return PhotometricTerm(
             image,
-            self._camera,
-            self._faces,
+            self.camera,
+            self.faces,
             used,
             part,
-            self._light,
+            self.light,
             unit,
-            self._options.photometric_weight,
-            self._options.softness,
+            self.options.photometric_weight,
+            self.options.softness,
         )
 
     def common_term(self, shapes: Sequence[FloatArray]) -> PhotometricTerm | None:
@@ -272,7 +265,7 @@ class Photometry:
             used = np.intersect1d(used, self.usable(vertices))
         if len(used) < _LEAST_VERTICES:
             return None
-        return self.term(shapes[0], used, self.levels - 1)
+        return self.term(shapes[0], used, len(self.images) - 1)
 
 
 def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:
