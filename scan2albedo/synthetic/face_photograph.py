@@ -129,9 +129,6 @@ def _labels(
     """Return (68, 2) pixels of landmarks, NaN where something hides them."""
     landmarks = person.sitter.face.landmarks
     pixels, _ = project(camera, landmarks)
-    offset = landmarks - center
-    distance = np.linalg.norm(offset, axis=1)
-    origins = np.broadcast_to(center, landmarks.shape)
-    hidden = person.scene.occluded(origins, offset / distance[:, None], distance - _BEHIND_MM)
+    hidden = person.scene.hidden(center, landmarks, _BEHIND_MM)
     noisy = pixels + rng.normal(0, options.landmark_noise_px, pixels.shape)
     return np.where(hidden[:, None], np.nan, noisy)

@@ -26,13 +26,6 @@ def ring_faces(rings: IntArray) -> IntArray:
     return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
 
 
-def cap_faces(ring: IntArray, center: int, *, end: bool) -> IntArray:
-    """Return the fan (S, 3) that closes the first (or last, `end`) ring (S,) of a tube."""
-    after = np.roll(ring, -1)
-    fan = np.stack([ring, after, np.full(len(ring), center)], 1)
-    return fan if end else fan[:, ::-1]
-
-
 def path_frames(path: FloatArray, up: FloatArray) -> FloatArray:
     """Return (R, 3, 3) rows tangent, tangent x up, up along a path (R, 3) that never runs along `up`."""
     tangent = normalized(np.gradient(path, axis=0))
@@ -79,9 +72,13 @@ class HalfGlasses:
         return numbers.reshape(points.shape[:-1])
 
     def add_cap(self, ring: IntArray, points: FloatArray, *, end: bool) -> int:
-        """Close the ring (S,) of points (S, 3) with a fan and return its middle vertex."""
+        """Close the first ring of a tube, or the last (`end`), with a fan and return its middle vertex.
+
+        The ring (S,) is at points (S, 3).
+        """
         middle = int(self.add(points.mean(0)[None])[0])
-        self.faces.append(cap_faces(ring, middle, end=end))
+        fan = np.stack([ring, np.roll(ring, -1), np.full(len(ring), middle)], 1)
+        self.faces.append(fan if end else fan[:, ::-1])
         return middle
 
 

@@ -18,6 +18,8 @@ from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.sitter import sit_down
 
+_LIGHT_DISTANCE_MM, _HIGHLIGHT = (700.0, 1500.0), (0.05, 0.15)
+"""Ranges of the lights' distance and of the highlight's strength."""
 _LEAST_ANGLE_DEG = 30.0
 """Between two flashes, which would else be one; no more than the cone they are drawn from allows."""
 
@@ -38,11 +40,8 @@ class PopulationOptions:
     """Lights come from within this angle of the front, uniformly over the solid angle."""
     two_lights: float = 0.5
     """Share of the scans with two flashes."""
-    light_distance_mm: tuple[float, float] = (700.0, 1500.0)
     light_intensity: tuple[float, float] = (1.5, 4.0)
-    """`light_distance_mm`, `light_intensity`: ranges; intensity relative to ambient = 1."""
-    highlight: tuple[float, float] = (0.05, 0.15)
-    """Range of the highlight's strength."""
+    """Range, relative to ambient = 1."""
     lamp_colors: float = 0.0
     """Standard deviation of the logarithms of red and blue over green, of the ambient light and of each lamp;
     0 for white ones."""
@@ -62,7 +61,7 @@ class PopulationOptions:
             )
         if not 0 < self.light_cone_deg <= 90:
             raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
-        for name in ("tones", "light_distance_mm", "light_intensity", "highlight"):
+        for name in ("tones", "light_intensity"):
             low, high = getattr(self, name)
             if not 0 <= low <= high:
                 raise ValueError(f"{name} is ({low}, {high}), expected 0 <= low <= high")
@@ -103,7 +102,7 @@ def population_scan(
     paint = _painter(template, own, tone, options, [seed, 12])
     now = np.random.default_rng([seed, person, session, 13])
     lights = _random_lights(now, options)
-    material = Material(0.3, float(now.uniform(*options.highlight)), 14.0)
+    material = Material(0.3, float(now.uniform(*_HIGHLIGHT)), 14.0)
     sitter = sit_down(
         shape_seed,
         expression=get_args(Expression)[now.integers(len(get_args(Expression)))],
@@ -163,7 +162,7 @@ def _random_light(rng: np.random.Generator, options: PopulationOptions) -> Point
     return PointLight(
         float(np.arctan2(x, z)),
         float(np.arcsin(y)),
-        float(rng.uniform(*options.light_distance_mm)),
+        float(rng.uniform(*_LIGHT_DISTANCE_MM)),
         float(rng.uniform(*options.light_intensity)),
     )
 

@@ -68,6 +68,12 @@ class RayScene:
         nearest = self._scene.cast_rays(rays)["t_hit"].numpy()
         return nearest < limit
 
+    def hidden(self, eye: FloatArray, points: FloatArray, behind_mm: float) -> BoolArray:
+        """Return (N,) True for points (N, 3) more than `behind_mm` behind what `eye` (3,) sees."""
+        distance = np.linalg.norm(points - eye, axis=1)
+        toward = (points - eye) / distance[:, None]
+        return self.occluded(np.broadcast_to(eye, points.shape), toward, distance - behind_mm)
+
 
 def _open3d():  # type: ignore[no-untyped-def]
     try:

@@ -72,18 +72,16 @@ _BEHIND_MM = 0.5
 """A point this much behind the surface that a ray meets first is still that surface's."""
 _WAVES_PX = 6.0
 """Correlation length of the error of a mask's outline."""
+_PLACES_DEG = ((-38.0, 8.0), (0.0, -8.0), (38.0, 8.0))
+"""Yaw, positive at the wearer's left, and elevation of each camera around the head."""
+_DISTANCE_MM = 600.0
+"""From each camera to the point that all look at."""
 
 
 @dataclass(frozen=True)
 class WearerOptions:
     """How the wearer is photographed and labelled."""
 
-    yaw_deg: tuple[float, ...] = (-38.0, 0.0, 38.0)
-    """Of each camera around the head; positive at the wearer's left."""
-    elevation_deg: float = 8.0
-    """Of all cameras but the middle one, which stands as much below."""
-    distance_mm: float = 600.0
-    """From each camera to the point that all look at."""
     focal_px: float = 1800.0
     """Of the cameras."""
     picture_size: int = 1024
@@ -171,7 +169,7 @@ def wearer(
     vertices = transform_points(world_from_glasses, glasses.vertices)
     cameras = _cameras(options, vertices)
     rng = np.random.default_rng([seed, 9])
-    hidden = np.stack([_hidden(scene, camera, vertices) for camera in cameras])
+    hidden = np.stack([scene.hidden(eye, vertices, _BEHIND_MM) for eye in camera_centers(cameras)])
     return Wearer(
         glasses=glasses,
         world_from_glasses=world_from_glasses,
@@ -195,21 +193,11 @@ def _cameras(options: WearerOptions, vertices: FloatArray) -> FloatArray:
     target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
     shape = (options.picture_size, options.picture_size)
     cameras = []
-    for number, yaw in enumerate(np.deg2rad(options.yaw_deg)):
-        lift = np.deg2rad(options.elevation_deg) * (-1 if number == len(options.yaw_deg) // 2 else 1)
+    for yaw, lift in np.deg2rad(_PLACES_DEG):
         toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
-        cameras.append(
-            look_at(target + options.distance_mm * toward, target, focal_px=options.focal_px, shape=shape)
-        )
+        position = target + _DISTANCE_MM * toward
+        cameras.append(look_at(position, target, focal_px=options.focal_px, shape=shape))
     return np.array(cameras)
-
-
-def _hidden(scene: RayScene, camera: FloatArray, points: FloatArray) -> BoolArray:
-    """Return (N,) True for points behind the head."""
-    center = camera_centers(camera[None])[0]
-    distance = np.linalg.norm(points - center, axis=1)
-    toward = (points - center) / distance[:, None]
-    return scene.occluded(np.broadcast_to(center, points.shape), toward, distance - _BEHIND_MM)
 
 
 def _mask(
