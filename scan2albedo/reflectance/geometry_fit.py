@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -160,8 +160,12 @@ def refine_geometry(
     if reflectance is not None and light is not None:
         blur_px = [edge_px(matrix, shape_model, start) * blur for blur in options.blur_edges]
         images = [SmoothImage(image_linear, mask, blur) for blur in blur_px]
-        skin = _checked_reflectance(reflectance, shape_model)
-        photometry = Photometry(images, matrix, shape_model.faces, skin, checked_light(light), options)
+        if len(reflectance.known) != len(shape_model.mean):
+            raise ReflectanceError(
+                f"the reflectance has {len(reflectance.known)} vertices and the shape model "
+                f"{len(shape_model.mean)}; bring both to one topology"
+            )
+        photometry = Photometry(images, matrix, shape_model.faces, reflectance, checked_light(light), options)
     if photometry is None and not np.isfinite(landmarks).any():
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
@@ -177,25 +181,24 @@ def refine_geometry(
     return _result(fit)
 
 
+@dataclass
 class _Refinement:
     """A fit in its two stages: landmarks alone, then colours with them, accepted or not."""
 
-    def __init__(
-        self,
-        camera: FloatArray,
-        landmarks: FloatArray,
-        model: MorphableShapeModel,
-        photometry: Photometry | None,
-        start: GeometryState,
-        options: GeometryFitOptions,
-    ) -> None:
-        self.camera, self.landmarks, self.model = camera, landmarks, model
-        self.photometry, self.state, self.options = photometry, start, options
-        self.anchor = landmark_term(camera, landmarks, model, start, options)
-        self.converged, self.iterations = True, 0
-        self.rmse: tuple[float | None, float | None] = (None, None)
-        self.steps: list[PlanStep] = []
-        self.trace = Trace()
+    camera: FloatArray
+    landmarks: FloatArray
+    model: MorphableShapeModel
+    photometry: Photometry | None
+    state: GeometryState
+    options: GeometryFitOptions
+    converged: bool = True
+    iterations: int = 0
+    rmse: tuple[float | None, float | None] = (None, None)
+    steps: list[PlanStep] = field(default_factory=list)
+    trace: Trace = field(default_factory=Trace)
+
+    def __post_init__(self) -> None:
+        self.anchor = landmark_term(self.camera, self.landmarks, self.model, self.state, self.options)
 
     def run(self, budget: Budget, on_progress: ProgressCallback | None) -> None:
         """Run both stages."""
@@ -319,15 +322,6 @@ def _result(fit: _Refinement) -> GeometryFit:
         iterations=fit.iterations,
         trace=fit.trace,
     )
-
-
-def _checked_reflectance(reflectance: VertexReflectance, model: MorphableShapeModel) -> VertexReflectance:
-    if len(reflectance.known) != len(model.mean):
-        raise ReflectanceError(
-            f"the reflectance has {len(reflectance.known)} vertices and the shape model {len(model.mean)}; "
-            "bring both to one topology"
-        )
-    return reflectance
 
 
 def _rms(errors: FloatArray) -> float:

@@ -79,12 +79,7 @@ class OlatImages:
         return len(self.linear)
 
 
-def extract_olat(
-    flash: Pictures,
-    room: Pictures,
-    *,
-    options: OlatOptions = OlatOptions(),
-) -> OlatImages:
+def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = OlatOptions()) -> OlatImages:
     """Return the flash's light alone: pictures with it less the room's light, in linear space.
 
     I = F^g - R^g with g = `gamma` and, to first order in the noise s (Han, Wang, Xu, supplement, Eq. 2),

@@ -112,7 +112,9 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     landmarks = None
     if content.landmarks is not None:
         landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], np.float64)
-    mask = None if content.mask is None else _read_mask(file, content.mask, image.shape[:2])
+    mask = None
+    if content.mask is not None:
+        mask = read_skin_mask(folder / content.mask, image.shape[:2], f"photograph {file}")
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
 
 
@@ -130,10 +132,6 @@ def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
         When it cannot be written.
     """
     write_record(path, content, indent=1)
-
-
-def _read_mask(file: Path, name: str, shape: tuple[int, ...]) -> BoolArray:
-    return read_skin_mask(file.parent / name, shape, f"photograph {file}")
 
 
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:

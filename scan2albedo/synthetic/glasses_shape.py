@@ -21,9 +21,8 @@ class GlassesShape:
     """Measures of a frame; lengths in mm."""
 
     lens_width: float = 50.0
-    """Of a lens."""
     lens_height: float = 38.0
-    """Of a lens."""
+    """`lens_width`, `lens_height`: of a lens."""
     squareness: float = 2.6
     """Exponent of the superellipse |x/a|^n + |y/b|^n = 1 of a lens; 2 is an ellipse."""
     bridge_width: float = 18.0
@@ -41,9 +40,8 @@ class GlassesShape:
     temple_spread: float = 3.0
     """How far the temple leans outward where it bends behind the ear."""
     temple_height: float = 5.0
-    """Of the temple's section."""
     temple_width: float = 3.0
-    """Of the temple's section."""
+    """`temple_height`, `temple_width`: of the temple's section."""
     ear_angle_deg: float = 45.0
     """By which the temple bends behind the ear."""
 

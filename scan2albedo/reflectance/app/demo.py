@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -218,9 +219,7 @@ def _capture_errors(capture: FlashCapture, found: VertexReflectance) -> tuple[fl
 
 def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: BoolArray) -> float:
     """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
-    used = seen & found.known
-    a, b = found.diffuse_linear[used], truth[used]
-    return float(np.sqrt(np.mean((a * (np.sum(a * b) / np.sum(a * a)) - b) ** 2) / np.mean(b**2)))
+    return albedo_error(found.diffuse_linear, truth, seen & found.known).relative_rmse
 
 
 def _nearest(models: ModelFolder, truth: FloatArray, seen: BoolArray) -> VertexReflectance:

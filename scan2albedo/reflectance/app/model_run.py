@@ -34,8 +34,6 @@ _SHOWN_DIRECTIONS = 4
 _SPREAD = 2.0
 """Standard deviations that directions are shown at."""
 _SIZE = 300
-_LEAST_DISTINCT = 51
-"""Vertices of landmarks: on coarse meshes neighbours share theirs, a list of one number is a mistake."""
 
 
 @dataclass(frozen=True)
