@@ -13,12 +13,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, ScanError
+from scan2albedo.eyeglasses.files.json_files import LengthUnit, read_json
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
-from scan2albedo.io.records import read_record, write_record
+from scan2albedo.io.records import Record, Row, write_record
 from scan2albedo.io.units import MM_PER_UNIT
-
-_Row = tuple[float, float, float, float]
 
 _SINGULAR = 1e-9
 """Volume that the three rows' unit vectors span below which a camera maps space onto a line."""
@@ -95,7 +94,7 @@ class CameraEntry(BaseModel):
     name: CameraName = Field(min_length=1)
     width: int = Field(ge=1, description="Of the picture in pixels.")
     height: int = Field(ge=1, description="Of the picture in pixels.")
-    matrix: tuple[_Row, _Row, _Row] = Field(
+    matrix: tuple[Row, Row, Row] = Field(
         description="Row-major 3x4: pixels (column, row), centres of pixels at integers, from points."
     )
 
@@ -111,14 +110,12 @@ class CameraEntry(BaseModel):
         return Camera(self.name, matrix, (self.height, self.width))
 
 
-class CamerasFile(BaseModel):
+class CamerasFile(Record):
     """The content of a camera file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: Literal["scan2albedo cameras"] = "scan2albedo cameras"
     format_version: Literal[1] = 1
-    unit: Literal["mm", "cm", "m"] = Field(description="Of the points that the matrices take.")
+    unit: LengthUnit = Field(description="Of the points that the matrices take.")
     cameras: tuple[CameraEntry, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -127,7 +124,7 @@ class CamerasFile(BaseModel):
         return self
 
 
-def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: Literal["mm", "cm", "m"] = "mm") -> None:
+def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit = "mm") -> None:
     """Write cameras as JSON, their matrices for points in `unit`.
 
     Parameters
@@ -167,13 +164,7 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
         When the file cannot be read, is no camera file, or a matrix is not finite or singular; names the
         file and the camera.
     """
-    content = read_record(
-        path,
-        CamerasFile,
-        what="cameras",
-        advice="give a file that write_cameras wrote (data_schemas/cameras.schema.json)",
-        error=EyeglassesError,
-    )
+    content = read_json(path, CamerasFile, "cameras", writer="write_cameras", schema="cameras")
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
 
 

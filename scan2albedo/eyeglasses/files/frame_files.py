@@ -8,25 +8,29 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from scan2albedo.core import Plan, Trace
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.files.json_files import LengthUnit, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.eyeglasses.on_face.interface import RegisteredEyeglasses
 from scan2albedo.io.npz import read_npz, write_npz
-from scan2albedo.io.records import Matrix, plain_json, read_record, write_record
+from scan2albedo.io.records import Matrix, Record, plain_json, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 
 Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 """Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
-_CANONICAL_LAYOUT: Layout = {
+_FRAME_LAYOUT: Layout = {
     "vertices": (float, "V", 3),
     "faces": (int, "F", 3),
     "weights": (float, "V", KEY_POINT_COUNT),
     "keypoints": (float, KEY_POINT_COUNT, 3),
+}
+_CANONICAL_LAYOUT: Layout = {
+    **_FRAME_LAYOUT,
     "canonical_from_frame": (float, 4, 4),
     "scale": (float,),
     "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
@@ -34,10 +38,7 @@ _CANONICAL_LAYOUT: Layout = {
     "converged": (bool,),
 }
 _REGISTERED_LAYOUT: Layout = {
-    "vertices": (float, "V", 3),
-    "faces": (int, "F", 3),
-    "weights": (float, "V", KEY_POINT_COUNT),
-    "keypoints": (float, KEY_POINT_COUNT, 3),
+    **_FRAME_LAYOUT,
     "world_from_glasses": (float, 4, 4),
     "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
     "bend": (float, KEY_POINT_COUNT, 3),
@@ -169,14 +170,12 @@ def read_registered(path: str | Path) -> RegisteredEyeglasses:
     return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
 
 
-class StartFile(BaseModel):
+class StartFile(Record):
     """The content of a file with a pose."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     format: Literal["scan2albedo eyeglasses start"] = "scan2albedo eyeglasses start"
     format_version: Literal[1] = 1
-    unit: Literal["mm", "cm", "m"] = Field(description="Of the translation.")
+    unit: LengthUnit = Field(description="Of the translation.")
     world_from_glasses: Matrix = Field(
         description="Row-major 4x4 acting on column vectors: the frame's own coordinates into the cameras' "
         "world; rigid."
@@ -192,9 +191,7 @@ class StartFile(BaseModel):
         return self
 
 
-def write_start(
-    path: str | Path, world_from_glasses: ArrayLike, unit: Literal["mm", "cm", "m"] = "mm"
-) -> None:
+def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUnit = "mm") -> None:
     """Write a pose (4, 4) as JSON, atomically.
 
     Parameters
@@ -228,13 +225,7 @@ def read_start(path: str | Path) -> FloatArray:
     EyeglassesError
         When the file cannot be read or holds no rigid transform; names it.
     """
-    content = read_record(
-        path,
-        StartFile,
-        what="start",
-        advice="give a file that write_start wrote (data_schemas/eyeglasses_start.schema.json)",
-        error=EyeglassesError,
-    )
+    content = read_json(path, StartFile, "start", writer="write_start", schema="eyeglasses_start")
     pose = np.array(content.world_from_glasses)
     pose[:3, 3] *= MM_PER_UNIT[content.unit]
     return pose

@@ -5,32 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.files.camera_files import CameraName, require_distinct_names
+from scan2albedo.eyeglasses.files.json_files import LengthUnitIfKnown, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
-from scan2albedo.io.records import read_record, write_record
+from scan2albedo.io.records import Record, write_record
 
-_Coordinate = Annotated[float, Field(allow_inf_nan=False)]
-_Point = tuple[_Coordinate, _Coordinate, _Coordinate]
-_Pixel = tuple[_Coordinate, _Coordinate]
+_Point = tuple[float, float, float]
+_Pixel = tuple[float, float]
 
 
-class KeyPointsFile(BaseModel):
+class KeyPointsFile(Record):
     """The content of a key-point file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: Literal["scan2albedo eyeglasses key points"] = "scan2albedo eyeglasses key points"
     format_version: Literal[1] = 1
-    unit: Literal["mm", "cm", "m", "unknown"] = "unknown"
+    unit: LengthUnitIfKnown = "unknown"
     """Of the coordinates."""
     key_points: dict[str, _Point | None] = Field(
         description="Coordinates by name; null, or no entry, where a key point was not found.",
@@ -50,9 +48,7 @@ def require_known_names(names: Iterable[str]) -> None:
         raise ValueError(f"{strange[0]!r} is no key point; names are {', '.join(KEY_POINT_NAMES)}")
 
 
-def write_keypoints(
-    path: str | Path, keypoints: ArrayLike, unit: Literal["mm", "cm", "m", "unknown"] = "mm"
-) -> None:
+def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
     """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
 
     Parameters
@@ -83,7 +79,7 @@ class KeyPoints:
     """Key points of a file: `points` (20, 3), NaN where one is missing, in `unit`."""
 
     points: FloatArray
-    unit: Literal["mm", "cm", "m", "unknown"]
+    unit: LengthUnitIfKnown
 
 
 def read_keypoints(path: str | Path) -> FloatArray:
@@ -103,12 +99,8 @@ def read_keypoints(path: str | Path) -> FloatArray:
 
 def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
     """Return what `read_keypoints` does, and the unit that the file states."""
-    entry = read_record(
-        path,
-        KeyPointsFile,
-        what="key points",
-        advice="give a file that write_keypoints wrote (data_schemas/eyeglasses_keypoints.schema.json)",
-        error=EyeglassesError,
+    entry = read_json(
+        path, KeyPointsFile, "key points", writer="write_keypoints", schema="eyeglasses_keypoints"
     )
     nothing = (np.nan, np.nan, np.nan)
     points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
@@ -139,10 +131,8 @@ class ViewLabels:
         return np.array([self.pixels[at[name]] if name in at else nothing for name in names])
 
 
-class LabelsFile(BaseModel):
+class LabelsFile(Record):
     """The content of a label file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: Literal["scan2albedo eyeglasses labels"] = "scan2albedo eyeglasses labels"
     format_version: Literal[1] = 1
@@ -217,13 +207,7 @@ def read_labels(path: str | Path) -> ViewLabels:
     EyeglassesError
         When the file cannot be read or is no label file; names the file and its first fault.
     """
-    content = read_record(
-        path,
-        LabelsFile,
-        what="labels",
-        advice="give a file that write_labels wrote (data_schemas/eyeglasses_labels.schema.json)",
-        error=EyeglassesError,
-    )
+    content = read_json(path, LabelsFile, "labels", writer="write_labels", schema="eyeglasses_labels")
     nothing = (np.nan, np.nan)
     pixels = [[view.get(name) or nothing for name in KEY_POINT_NAMES] for view in content.views.values()]
     shape = (len(content.views), KEY_POINT_COUNT, 2)
