@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AwareDatetime, Field
 
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
-from scan2albedo.io.result_records import SHA256
+from scan2albedo.io.result_records import SHA256, RunRecord
 
 BatchStatus = Literal["running", "ended", "interrupted"]
 Sha256 = Annotated[str, Field(pattern=SHA256)]
@@ -46,12 +46,9 @@ class BatchFailure(Record):
     reason: str
 
 
-class BatchRecord(Record):
+class BatchRecord(RunRecord):
     """The content of `batch.json`."""
 
-    format_version: Literal[1] = 1
-    scan2albedo_version: str
-    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
     run: str = Field(description="Of the last run.")
     status: BatchStatus = Field(description="A run that was killed is still called running.")
     manifest: str = Field(description="Path as given.")

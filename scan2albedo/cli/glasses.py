@@ -63,11 +63,11 @@ def canonicalize(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import EyeglassesError
     from scan2albedo.eyeglasses.app.canonicalize_run import (
-        FailedFrame,
         canonicalize_frames,
         read_frames,
         write_canonical_files,
     )
+    from scan2albedo.eyeglasses.app.records import FailedFrameRecord
     from scan2albedo.io.atomic import check_writable
 
     carrier, spend = _carrier(handles), _checked_budget(unit, budget)
@@ -87,7 +87,7 @@ def canonicalize(
             if not done.result.converged:
                 progress.say("glasses: not converged; set.json says which frames, in its plan")
         except EyeglassesError as error:
-            failures += [FailedFrame(frame.mesh_file, str(error)) for frame in frames]
+            failures += [FailedFrameRecord(file=str(f.mesh_file), reason=str(error)) for f in frames]
         for failure in failures:
             progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
         for name, row in figures.items():
@@ -95,7 +95,7 @@ def canonicalize(
             progress.say(f"{name}: key points were {bend:.2f} mm rms off the mean; files in {out / name}")
     if json_summary:
         reasons = {failure.file: one_line(failure.reason) for failure in failures}
-        rows = [_row(mesh, reasons.get(mesh), figures, out) for mesh in meshes]
+        rows = [_row(mesh, reasons.get(str(mesh)), figures, out) for mesh in meshes]
         echo_json(rows if len(rows) > 1 else rows[0])
     if failures:
         raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)

@@ -81,12 +81,17 @@ class LightRecord(Record):
         )
 
 
-class ResultRecord(Record):
-    """The content of `result.json`."""
+class RunRecord(Record):
+    """What the record of a run begins with."""
 
     format_version: Literal[1] = 1
     scan2albedo_version: str
     versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
+
+
+class ResultRecord(RunRecord):
+    """The content of `result.json`."""
+
     name: str = Field(min_length=1, description="Name of the scan.")
     seed: int
     options: Figures = Field(description="What the run was called with.")

@@ -42,40 +42,32 @@ FRAME_RECORD, SET_RECORD = "result.json", "set.json"
 
 
 @dataclass(frozen=True)
-class FailedFrame:
-    """A mesh file that could not be done, and why."""
-
-    file: Path
-    reason: str
-
-
-@dataclass(frozen=True)
 class CanonicalFiles:
     """What became of some mesh files; `frames` and `result.frames` go together."""
 
     frames: tuple[GlassesFrame, ...]
     result: CanonicalSet
-    failures: tuple[FailedFrame, ...]
+    failures: tuple[FailedFrameRecord, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
 
 
 def read_frames(
     meshes: Sequence[Path], keypoints: Sequence[Path] | None = None, unit: str = "auto"
-) -> tuple[list[GlassesFrame], list[FailedFrame]]:
+) -> tuple[list[GlassesFrame], list[FailedFrameRecord]]:
     """Read meshes and their key points, as `read_frame` does, and return what cannot be read and why."""
     frames, failures = [], []
     for i, mesh in enumerate(meshes):
         try:
             frames.append(read_frame(mesh, None if keypoints is None else keypoints[i], unit))
         except Scan2AlbedoError as error:
-            failures.append(FailedFrame(mesh, str(error)))
+            failures.append(FailedFrameRecord(file=str(mesh), reason=str(error)))
     return frames, failures
 
 
 def canonicalize_frames(
     frames: Sequence[GlassesFrame],
-    failures: Sequence[FailedFrame] = (),
+    failures: Sequence[FailedFrameRecord] = (),
     *,
     mean: Path | None = None,
     handles: Literal["turned", "translated"] = "turned",
@@ -97,7 +89,10 @@ def canonicalize_frames(
         options=CanonicalizationOptions(handles=handles, skip_failed=True),
         on_progress=on_progress,
     )
-    lost = [FailedFrame(frames[i].mesh_file, reason) for i, reason in result.failures.items()]
+    lost = (
+        FailedFrameRecord(file=str(frames[i].mesh_file), reason=reason)
+        for i, reason in result.failures.items()
+    )
     return CanonicalFiles(
         frames=tuple(frames[i] for i in result.numbers),
         result=result,
@@ -209,7 +204,7 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         versions=installed_versions(),
         options=dict(done.options),
         frames=tuple(frame.name for frame in done.frames),
-        failures=tuple(FailedFrameRecord(file=str(f.file), reason=f.reason) for f in done.failures),
+        failures=done.failures,
         converged=result.converged,
         iterations=result.iterations,
         seconds=done.seconds,

@@ -7,17 +7,14 @@ from typing import Literal
 from pydantic import Field
 
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
-from scan2albedo.io.result_records import SHA256, InputRecord, PlanRecord
+from scan2albedo.io.result_records import SHA256, InputRecord, PlanRecord, RunRecord
 
 _Vector = tuple[Number, Number, Number]
 
 
-class CanonicalFrameRecord(Record):
+class CanonicalFrameRecord(RunRecord):
     """The content of a canonical frame's `result.json`."""
 
-    format_version: Literal[1] = 1
-    scan2albedo_version: str
-    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
     name: str = Field(min_length=1, description="Name of the frame.")
     input: InputRecord
     keypoints_file: str = Field(description="Path as given.")
@@ -43,12 +40,9 @@ class FailedFrameRecord(Record):
     reason: str
 
 
-class CanonicalSetRecord(Record):
+class CanonicalSetRecord(RunRecord):
     """The content of a set's `set.json`."""
 
-    format_version: Literal[1] = 1
-    scan2albedo_version: str
-    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
     options: Figures = Field(description="What the run was called with.")
     frames: tuple[str, ...] = Field(description="Folders of the frames that were done.")
     failures: tuple[FailedFrameRecord, ...] = ()
@@ -81,12 +75,9 @@ class RegisteredViewRecord(Record):
     visible_share: Number = Field(ge=0, le=1, description="Vertices in the picture and not behind the head.")
 
 
-class RegisteredFrameRecord(Record):
+class RegisteredFrameRecord(RunRecord):
     """The content of a registered frame's `result.json`."""
 
-    format_version: Literal[1] = 1
-    scan2albedo_version: str
-    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
     name: str = Field(min_length=1, description="Name of the frame.")
     options: Figures = Field(description="What the run was called with.")
     inputs: dict[str, FileRecord] = Field(description="By what they are: mesh, cameras, labels and others.")
@@ -139,12 +130,9 @@ class LensViewRecord(Record):
     seconds: Number = Field(ge=0)
 
 
-class LensesRecord(Record):
+class LensesRecord(RunRecord):
     """The content of `result.json`."""
 
-    format_version: Literal[1] = 1
-    scan2albedo_version: str
-    versions: dict[str, str] = Field(description="Of Python and the numerical libraries.")
     name: str = Field(min_length=1, description="Name of the frame.")
     options: Figures = Field(description="Settings of the pictures.")
     input: InputRecord = Field(description="The frame.")

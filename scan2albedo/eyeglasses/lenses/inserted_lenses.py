@@ -58,14 +58,13 @@ def insert_lens(
     material: LensMaterial,
     *,
     center: FloatArray | None = None,
-    count: int = 128,
     seat_mm: float = 0.0,
 ) -> InsertedLens:
     """Return the lens that fills one rim of a frame; lengths in mm.
 
     Of the key points (20, 3) those of the rim are needed, others may be NaN. The optical `center` (3,) is
-    moved into the lens plane along its normal; the outline's centroid when omitted. The outline has `count`
-    points; those that were measured move `seat_mm` outward, into the rim.
+    moved into the lens plane along its normal; the outline's centroid when omitted. Points of
+    the outline that were measured move `seat_mm` outward, into the rim.
 
     Raises EyeglassesError, naming the lens, when key points of the rim are missing, no rim is found, or its
     size is no lens's in mm.
@@ -77,7 +76,7 @@ def insert_lens(
     guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
     try:
         normal = _viewers_side(fit_normal(marks, vertices), guess, keypoints)
-        rim = _settled(find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal, count=count))
+        rim = _settled(find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal))
         _check_size(rim)
         fan, triangles = lens_mesh(rim.center, _seated(rim, seat_mm), rim.normal)
     except EyeglassesError as error:

@@ -41,21 +41,14 @@ _LONGEST_GAP_DEG = 30.0
 """Wider gaps are no hole in a scan but an open rim, which a straight line would cut off."""
 
 
-def without_panes(
-    vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray | None
-) -> IntArray:
-    """Return the faces (F', 3) of the parts that do not lie across the lens's axis.
-
-    A domed lens would stop the rays before they reach the rim. A lens of one piece with the rim stays.
-    Without rim points (K, 3) a small lens is guessed from the mesh's size.
-    """
-    return faces[~pane_faces(vertices, faces, plane, rim_points)]
-
-
 def pane_faces(
     vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray | None
 ) -> BoolArray:
-    """Return (F,) True for the faces of parts that lie across the lens's axis, never all of them."""
+    """Return (F,) True for the faces of parts that lie across the lens's axis, never all of them.
+
+    A lens of one piece with the rim is none. Without rim points (K, 3) a small lens is guessed from the
+    mesh's size.
+    """
     radius = _radius(vertices, faces, plane, rim_points)
     part = vertex_components(len(vertices), faces)[faces[:, 0]]
     kept = np.ones(len(faces), bool)
@@ -187,7 +180,8 @@ def find_lens_rim(
     plane = _plane(xyz, middle, marks, normal)
     angles = np.linspace(-np.pi, np.pi, count, endpoint=False)
     lens_radius = None if marks is None else float(plane.profile(marks).radius.mean())
-    rims = without_panes(xyz, index, plane, marks)
+    # A domed lens would stop the rays before they reach the rim.
+    rims = index[~pane_faces(xyz, index, plane, marks)]
     shot = shoot_rim(RayCaster(xyz, rims), plane, angles, lens_radius)
     measured = np.isfinite(shot.radius)
     gaps: Literal["none", "interpolated", "subdivided"] = "none"

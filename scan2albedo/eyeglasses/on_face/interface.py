@@ -37,17 +37,12 @@ class FaceRegistrationOptions:
     frame's place is known better."""
     contact: bool = True
     """Whether the frame is made to rest on the nose where the views do not see depth and there is a head."""
-    steps: int = 40
-    """Most steps of a stage's descent."""
-    outlines: int = 10
-    """Most times that the outline is traced anew."""
     weights: WeightOptions = WeightOptions()
     """How weights are solved, where the glasses bring none."""
 
     def __post_init__(self) -> None:
-        for name in ("outline_stride", "steps", "outlines"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")
+        if self.outline_stride < 1:
+            raise ValueError(f"outline_stride is {self.outline_stride}, expected 1 or more")
 
 
 @dataclass(frozen=True)

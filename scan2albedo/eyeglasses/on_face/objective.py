@@ -24,6 +24,8 @@ _CAUCHY = 2.0
 _HUBER = 2.0
 """Standard deviations from which an outline's error counts by its size alone."""
 _DAMPING = Damping(largest=1e6)
+_STEPS = 40
+"""Most steps of a descent on labels."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +265,7 @@ def descend(
     state: FrameState,
     meter: Meter,
     *,
-    steps: int,
+    steps: int = _STEPS,
     error: Callable[[Linearization], float],
     tolerance: float = 1e-5,
 ) -> FrameEstimate:

@@ -40,6 +40,8 @@ from scan2albedo.geometry.thinning import thinned
 
 _STEPS_A_TRACE, _TOLERANCE_A_TRACE = 6, 1e-3
 """Most steps on one tracing of the outlines, and the part of the cost below which a gain ends them."""
+_TRACINGS = 10
+"""Most times that the outline is traced anew."""
 _DISAGREE = 2.0
 """Times by which outlines may raise the labels' error before they are taken for another picture's."""
 _NEAR_MM = 40.0
@@ -267,7 +269,7 @@ class _Registration:
         """Descend on labels alone, without a deadline: it takes little, and without it there is no answer."""
         child = self.meter.sub_meter(f"{self.meter.stage}.{step}", "px")
         child.budget = replace(child.budget, seconds=None)
-        found = descend(linearize, state, child, steps=self.options.steps, error=median_label_px)
+        found = descend(linearize, state, child, error=median_label_px)
         self.meter.merge(child)
         return found
 
@@ -285,7 +287,7 @@ class _Registration:
         deviation_mm = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
-        while len(moves) < self.options.outlines and not settled and not meter.exhausted:
+        while len(moves) < _TRACINGS and not settled and not meter.exhausted:
             samples = self.sampler.sample(self.objective.motion(found.state), deviation_mm)
             if len(samples) == 0:
                 self.meter.merge(meter)

@@ -139,7 +139,7 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     except EyeglassesError:
         return
     first = min(starts, key=lambda state: rigid(state).cost)
-    found = descend(rigid, first, Meter("mirrored", "px"), steps=options.steps, error=median_label_px)
+    found = descend(rigid, first, Meter("mirrored", "px"), error=median_label_px)
     mirrored_px = median_label_px(found.at)
     if mirrored_px < _MIRRORED * error_px:
         raise EyeglassesError(

@@ -24,12 +24,11 @@ _ROUNDING = 1e-13
 class BoundedMinimum:
     """Minima of `minimize_bounded` for K columns: `x` (N, K) in [0, 1], after `steps` (K,) Newton steps.
 
-    `residual` (K,) is that of `optimality_residual`; `energy` (K,) is x^T A x / 2 - b^T x.
+    `residual` (K,) is that of `optimality_residual`.
     """
 
     x: FloatArray
     residual: FloatArray
-    energy: FloatArray
     steps: IntArray
 
 
@@ -74,10 +73,9 @@ def minimize_bounded(
             held = _pushed_out(x[:, k], gradient, diagonal)
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())
-    energy = 0.5 * np.einsum("nk,nk->k", x, product) - np.einsum("nk,nk->k", x, b)
     result = np.empty_like(start)
     result[system.order] = x
-    return BoundedMinimum(result, residual, energy, steps)
+    return BoundedMinimum(result, residual, steps)
 
 
 def optimality_residual(x: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> Any:
