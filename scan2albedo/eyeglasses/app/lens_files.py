@@ -48,18 +48,12 @@ def _write_all(rendered: RenderedLenses, source: LensInput, folder: Path) -> Len
     parts = [_frame_part(rendered.frame), *(_lens_part(lens) for lens in rendered.lenses)]
     write_parts_glb(folder / "frame_with_lenses.glb", parts)
     panels = lens_panels([(v.camera.name, v.picture) for v in rendered.views], rendered.exposure)
-    overview_figure(f"{source.frame.name}: {_title(rendered)}", panels, LENS_COLUMNS).savefig(
-        folder / "overview.png"
-    )
+    powers = ", ".join(f"{lens.name} {lens.material.dioptres:+g} D" for lens in rendered.lenses)
+    overview_figure(f"{source.frame.name}: {powers}", panels, LENS_COLUMNS).savefig(folder / "overview.png")
     files = sorted(path.name for path in folder.iterdir())
     record = _record(rendered, source, (*files, RECORD))
     write_record(folder / RECORD, record)
     return record
-
-
-def _title(rendered: RenderedLenses) -> str:
-    powers = [f"{lens.name} {lens.material.dioptres:+g} D" for lens in rendered.lenses]
-    return ", ".join(powers)
 
 
 def _frame_part(frame: Surface) -> GlbPart:

@@ -122,11 +122,6 @@ def material_pair(
 
     Raises ValueError when a text is no number or holds too many or too few, EyeglassesError when one is out
     of range.
-
-    >>> plain = {"tint": None, "alpha": None, "beta": None, "sunglasses": False}
-    >>> left, right = material_pair("-4,-2.5", fresnel=True, **plain)
-    >>> left.dioptres, right.dioptres, left.beta
-    (-4.0, -2.5, 0.04)
     """
     powers = _numbers("--dioptres", dioptres, (1, 2))
     color = (

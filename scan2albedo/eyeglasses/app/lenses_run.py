@@ -47,11 +47,6 @@ def soft_environment(camera: ArrayLike, shape: tuple[int, int], *, rows: int = 1
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
     The top of the camera's picture (H, W) is up, and the main lamp stands on its left.
-
-    >>> from scan2albedo.geometry.pinhole import look_at
-    >>> room = soft_environment(look_at([0, 0, 600], [0, 0, 0], focal_px=100, shape=(9, 9)), (9, 9), rows=16)
-    >>> room.shape, bool(room[:8].mean() > room[8:].mean())
-    ((16, 32, 3), True)
     """
     azimuth = ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5) * 2 * np.pi
     polar = ((np.arange(rows) + 0.5) * np.pi / rows)[:, None]
@@ -141,22 +136,6 @@ def render_lenses(
     `insert_lenses`; drawn views without an environment get `soft_environment` of the first camera. `on_view`
     is called with each view when it is done. Raises EyeglassesError as from `insert_lenses`, and when frame
     and head lie apart; ValueError when there is no camera, or not a picture of its shape for each.
-
-    >>> from scan2albedo.geometry.pinhole import look_at
-    >>> from scan2albedo.synthetic import eyeglasses
-    >>> glasses = eyeglasses(seed=1)
-    >>> wall = Surface([[-300, -300, -30], [300, -300, -30], [0, 500, -30]], [[0, 1, 2]])
-    >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=150, shape=(32, 48))
-    >>> rendered = render_lenses(
-    ...     Surface(glasses.vertices, glasses.faces),
-    ...     glasses.keypoints,
-    ...     LensMaterial(dioptres=-3.0),
-    ...     head=wall,
-    ...     cameras=[Camera("front", camera, (32, 48))],
-    ...     options=LensPictureOptions(light_count=4),
-    ... )
-    >>> rendered.environment, rendered.views[0].picture.image_linear.shape
-    ('built-in', (32, 48, 3))
     """
     if not cameras:
         raise ValueError("give a camera")

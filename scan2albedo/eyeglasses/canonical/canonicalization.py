@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.frame_weights import WeightedFrame, frames_of, weigh_frames
 from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     MeanKeyPoints,
@@ -206,10 +205,7 @@ def canonicalize(
 
 def _reference(mean_keypoints: ArrayLike) -> FloatArray:
     points = checked_keypoints("mean_keypoints", mean_keypoints)
-    try:
-        require_posable(points)
-    except EyeglassesError as error:
-        raise EyeglassesError(f"mean_keypoints: {error}") from error
+    require_posable(points, "mean_keypoints")
     return points
 
 

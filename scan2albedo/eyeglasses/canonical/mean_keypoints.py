@@ -38,17 +38,18 @@ class MeanKeyPoints:
     iterations: int
 
 
-def require_posable(points: FloatArray) -> None:
-    """Raise EyeglassesError unless key points (20, 3) fix a pose and a size."""
+def require_posable(points: FloatArray, owner: str = "") -> None:
+    """Raise EyeglassesError, naming their owner, unless key points (20, 3) fix a pose and a size."""
+    of = f"{owner}: " if owner else ""
     seen = points[np.isfinite(points).all(1)]
     spread = np.linalg.svd(seen - seen.mean(0), compute_uv=False) if len(seen) >= 3 else np.zeros(3)
     if not spread[1] > _FLAT * spread[0]:
         cause = f"{len(seen)} key points are known"
         if len(seen) >= 3:
             cause = f"all {len(seen)} known key points lie on one line, or in one place"
-        raise EyeglassesError(f"{cause}; a pose takes three that span a plane: label more of them")
+        raise EyeglassesError(f"{of}{cause}; a pose takes three that span a plane: label more of them")
     if not key_point_size(points) > 0:
-        raise EyeglassesError("no two neighbouring key points are known and apart; label more of them")
+        raise EyeglassesError(f"{of}no two neighbouring key points are known and apart; label more of them")
 
 
 def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None = None) -> FloatArray:

@@ -205,12 +205,9 @@ def insert_lenses(
     - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
       light); in photographs none do, whose shadows stay.
     - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
-    - Rims are not flat: rays bend where they meet the lens's mesh, as by a thin lens through that point.
     - A photograph's background counts as far away.
-    - Rays that run along a lens's plane pass it as if it were not there; `notes` count them.
-    - Pixels on smooth surfaces take shadows over from their neighbours where these agree
-      (`LensPictureOptions.shadows`): some 40 % of the shadow rays, colours off by 1e-5 of the mean under 64
-      lights, by a shadow's edge in 1 of 4000 pixels under one.
+    - Shadows shared between pixels (`LensPictureOptions.shadows`) take some 40 % of the shadow rays; colours
+      are off by 1e-5 of the mean under 64 lights, by a shadow's edge in 1 of 4000 pixels under one.
     - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights. 1024 x
       1024 pixels, a head of 300,000 faces: 1.9 s of CPU time under 8 lights, 3.7 s under 64, then 0.2 s in
       any other light (`LensPicture.under`).

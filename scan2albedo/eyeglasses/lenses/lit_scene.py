@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, SeenPoints
+from scan2albedo.eyeglasses.lenses.lens_scene import LensScene
 from scan2albedo.eyeglasses.lenses.light_kernels import shade
-from scan2albedo.eyeglasses.lenses.light_paths import PointStage, all_at_once, light_paths, pixel_stages
+from scan2albedo.eyeglasses.lenses.light_paths import all_at_once, light_paths, pixel_stages
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, RayColors, SceneRays, Surroundings
 from scan2albedo.geometry.blocks import blocks, each_block
 
@@ -96,12 +97,12 @@ class LitScene:
         offset_mm: float,
         every_pixel: bool,
     ) -> None:
-        self._scene, self._background = scene, background
-        self._offset_mm, self._every_pixel = offset_mm, every_pixel
+        self._scene, self._background, self._every_pixel = scene, background, every_pixel
         self._dimming = [lens for lens in lenses if not lens.material.clear]
         self.toward = np.ascontiguousarray(toward)
         self.gloss = np.array([[s.roughness_rad, s.specular, s.shininess] for s in scene.surfaces] + [_MATTE])
         self.passed = _passed(self._dimming)
+        self._paths = partial(light_paths, scene.caster, toward=self.toward, offset_mm=offset_mm)
 
     def straight(self, pixels: FloatArray, rays: SceneRays) -> LitSamples:
         """Look at straight rays through pixels (N, 2)."""
@@ -118,7 +119,7 @@ class LitScene:
     def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> LitSamples:
         """Look at a matte plate."""
         count = len(position)
-        paths = self._paths(position, normal, (), all_at_once(count))
+        paths = self._paths((), position, normal, stages=all_at_once(count))
         gloss = np.full(count, len(self.gloss) - 1)
         colors = np.tile(np.asarray(albedo, np.float64), (count, 1))
         return LitSamples(
@@ -129,8 +130,9 @@ class LitScene:
         hit = np.flatnonzero(rays.hits.face >= 0)
         on = rays.chosen(hit)
         points = self._scene.points(on.origins, on.directions, on.hits)
-        stages = self._stages(points, None if pixels is None else pixels[hit])
-        paths = self._paths(points.position, points.normal, self._dimming, stages)
+        shared = None if self._every_pixel else pixels
+        stages = all_at_once(len(hit)) if shared is None else pixel_stages(shared[hit], points)
+        paths = self._paths(self._dimming, points.position, points.normal, stages=stages)
         return LitSamples(
             len(rays.origins),
             hit,
@@ -142,28 +144,6 @@ class LitScene:
             Surroundings.of(rays) if around else Surroundings.none(),
             self,
         )
-
-    def _paths(
-        self,
-        position: FloatArray,
-        normal: FloatArray,
-        lenses: Sequence[InsertedLens],
-        stages: Sequence[PointStage],
-    ) -> NDArray[np.uint8]:
-        return light_paths(
-            self._scene.caster,
-            lenses,
-            position,
-            normal,
-            self.toward,
-            stages=stages,
-            offset_mm=self._offset_mm,
-        )
-
-    def _stages(self, points: SeenPoints, pixels: FloatArray | None) -> list[PointStage]:
-        if pixels is None or self._every_pixel:
-            return all_at_once(len(points.face))
-        return pixel_stages(pixels, points)
 
 
 def _passed(lenses: Sequence[InsertedLens]) -> FloatArray:

@@ -93,18 +93,8 @@ class FrameMotion:
         raw[: len(root)] = root
         if len(root) > RIGID:
             raw[len(root) :] = self.turns @ root[RIGID:]
-        return np.asarray(
-            _point_covariances(
-                points.rest,
-                points.weights,
-                self.positions(points),
-                np.ascontiguousarray(self.handles[:, :3, :3]),
-                self._filled,
-                self.state.rotation,
-                self.state.origin,
-                raw,
-            )
-        )
+        place = self.positions(points)
+        return np.asarray(_point_covariances(points.rest, points.weights, place, *self._placement, raw))
 
     def raw_sums(
         self,
@@ -120,19 +110,8 @@ class FrameMotion:
 
         `chained` brings sums (6 + 6 K) of any number of calls to those of a step's (6 + 3 K) derivatives.
         """
-        gradient, matrix = _normal_sums(
-            points.rest,
-            points.weights,
-            positions,
-            slopes,
-            values,
-            votes,
-            np.ascontiguousarray(self.handles[:, :3, :3]),
-            self._filled,
-            self.state.rotation,
-            self.state.origin,
-            with_matrix,
-        )
+        given = points.rest, points.weights, positions, slopes, values, votes
+        gradient, matrix = _normal_sums(*given, *self._placement, with_matrix)
         return gradient, matrix
 
     def chained(self, gradient: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -144,8 +123,11 @@ class FrameMotion:
         return chain.T @ gradient, chain.T @ matrix @ chain
 
     @property
-    def _filled(self) -> FloatArray:
-        return np.where(self.known[:, None], self.keypoints, self.center)
+    def _placement(self) -> tuple[FloatArray, ...]:
+        """The handles' turns, the key points without gaps, rotation and origin, as the loops take them."""
+        filled = np.where(self.known[:, None], self.keypoints, self.center)
+        turns = np.ascontiguousarray(self.handles[:, :3, :3])
+        return turns, filled, self.state.rotation, self.state.origin
 
     @cached_property
     def turns(self) -> FloatArray:

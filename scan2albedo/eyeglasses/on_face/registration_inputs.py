@@ -137,10 +137,7 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
     vertices, faces = _mesh("the glasses", (parts[0], parts[1]))
     keypoints = checked_keypoints("the glasses' keypoints", parts[2])
     keypoints[~np.isfinite(keypoints).all(1)] = np.nan
-    try:
-        require_posable(keypoints)
-    except EyeglassesError as error:
-        raise EyeglassesError(f"the glasses: {error}") from error
+    require_posable(keypoints, "the glasses")
     if parts[3] is None:
         return vertices, faces, keypoints, None
     weights = checked_weights("the glasses' weights", parts[3], len(vertices))
