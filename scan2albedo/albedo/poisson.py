@@ -50,7 +50,7 @@ def integrate_gradients(
             )
             # A texel has one neighbour on each side, so no row comes twice.
             diagonal[row] += 1
-            right[row] += pull.reshape(len(row), -1)
+            right[row] += pull.reshape(len(row), right.shape[1])
         both = region[ends[0]] & region[ends[1]]
         links.append((index[ends[0]][both], index[ends[1]][both]))
     a, b = (np.concatenate(side) for side in zip(*links, strict=True))

@@ -74,6 +74,19 @@ def test_a_region_that_touches_nothing_known_keeps_its_level(shadowed):
     assert kept == pytest.approx(albedo, abs=1e-6)
 
 
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_region_without_neighbours_along_an_axis_is_integrated_along_the_other(channels):
+    field = np.linspace(1, 2, 5).reshape(1, 5, *[1] * len(channels)) * np.ones((1, 5, *channels))
+    region = np.array([[False, True, True, False, False]])
+    known = np.array([[True, False, False, False, False]])
+    broken = np.where(region.reshape(1, 5, *[1] * len(channels)), 7.0, field)
+    rebuilt = integrate_gradients(broken, region, known, *forward_differences(field))
+    assert rebuilt == pytest.approx(field, abs=1e-6)
+    one = np.array([[False, True, False, False, False]])
+    alone = integrate_gradients(broken, one, ~np.ones_like(one), *forward_differences(field))
+    assert alone == pytest.approx(broken)
+
+
 def test_gradients_of_several_channels_integrate_as_each_alone(shadowed):
     albedo, shadow, *_ = shadowed
     color, region = np.stack([albedo, albedo**2, 1 - albedo], -1), shadow > 0
