@@ -49,7 +49,7 @@ def run_batch(
     timeout_s: float | None = None,
     on_progress: OnBatchProgress | None = None,
 ) -> BatchReport:
-    """Process many scans, each in a worker with one thread; one that fails stops no other.
+    """Return the report on many scans, each processed in a worker with one thread; failed ones stop no other.
 
     Parameters
     ----------
@@ -70,10 +70,6 @@ def run_batch(
         Seconds after which a scan is given up, with its worker.
     on_progress : callable, optional
         Called with a `BatchProgress` whenever a scan has ended.
-
-    Returns
-    -------
-    BatchReport
 
     Raises
     ------

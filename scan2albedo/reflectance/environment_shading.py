@@ -85,7 +85,7 @@ def shade_environment(
     *,
     lobe: Lobe = "tilted",
 ) -> EnvironmentShading:
-    """Shade vertices under distant light given by spherical harmonics of order 8, without cast shadows.
+    """Return the radiance of vertices under distant light, harmonics of order 8, without cast shadows.
 
         diffuse = c sum A_l / pi L_lm Y_lm(n),   specular = sum_s w_s sum B_l^s L_lm Y_lm(r),
         r = 2 (n.v) n - v.
@@ -101,10 +101,6 @@ def shade_environment(
     lobe : {"tilted", "full"}
         `full` is the formula of Han, Wang and Xu, the one above; `tilted` replaces r by the lobe's mean
         direction, which is nearest to the truth at oblique views.
-
-    Returns
-    -------
-    EnvironmentShading
 
     Raises
     ------

@@ -89,7 +89,7 @@ def finetune(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FineTuning:
-    """Move the models of c and s so that images of faces it was not learned from are explained better.
+    """Return a model with c and s moved to explain images of faces better that it was not learned from.
 
     Each round fits all images (`fit_image`), finds the most probable changes of means and directions under
     several anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of
@@ -115,10 +115,6 @@ def finetune(
         Image fits or seconds; the best model so far is returned when it ends.
     on_progress : callable, optional
         Called with every `TraceRow`, whose error is the held-out objective.
-
-    Returns
-    -------
-    FineTuning
 
     Raises
     ------

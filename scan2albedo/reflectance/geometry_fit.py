@@ -88,7 +88,7 @@ def refine_geometry(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> GeometryFit:
-    """Fit pose and shape to landmarks, then to landmarks and the colours of the image together.
+    """Return pose and shape fitted to landmarks, then to landmarks and the colours of the image together.
 
     Minimises over pose (6 numbers), identity a and expression b
 
@@ -125,10 +125,6 @@ def refine_geometry(
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Returns
-    -------
-    GeometryFit
 
     Raises
     ------

@@ -69,7 +69,7 @@ def fit_image(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> ImageFit:
-    """Fit coefficients of reflectance and light to one image, its geometry and pose being known.
+    """Return the reflectance and light that fit one image best, its geometry and pose being known.
 
     Minimises, with r the differences over the image's median colour and n their number,
 
@@ -95,10 +95,6 @@ def fit_image(
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Returns
-    -------
-    ImageFit
 
     Raises
     ------

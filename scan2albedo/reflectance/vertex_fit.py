@@ -89,7 +89,7 @@ def fit_reflectance(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> ReflectanceFit:
-    """Fit three albedos and the weights of three lobes to each vertex, all >= 0.
+    """Return the three albedos and weights of three lobes that fit each vertex best, all >= 0.
 
     With D and S of `point_light_lobes`, a vertex minimises over its pictures j and channels k
 
@@ -108,10 +108,6 @@ def fit_reflectance(
         Evaluations are passes over all vertices still moving.
     on_progress : callable, optional
         Called with every row of the trace.
-
-    Returns
-    -------
-    ReflectanceFit
 
     Raises
     ------
