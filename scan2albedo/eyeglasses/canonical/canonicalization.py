@@ -154,15 +154,11 @@ def canonicalize(
 
     Notes
     -----
-    The paper multiplies transforms and weights in a way that, read literally, collapses the frame [1]_; the
-    case R_k = 1 is what it must mean. Shifts alone flatten a bend between key points, where turning ones
-    halve the error; a similarity instead of a rigid transform would change the tube's thickness.
+    Equation S2 of Li et al., read literally, collapses the frame; the case R_k = 1 is what it must mean.
+    Shifts alone flatten a bend between key points, where turning ones halve the error; a similarity instead
+    of a rigid transform would change the tube's thickness.
 
     Frames whose sizes differ more than five times are brought to one unit, see `CanonicalEyeglasses.scale`.
-
-    References
-    ----------
-    .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, equation S2.
 
     Examples
     --------

@@ -27,6 +27,9 @@ _SINGULAR = 1e-9
 class Camera:
     """A pinhole camera.
 
+    Raises ValueError, naming the camera, when the name is no file name, the matrix is not finite, has another
+    shape or a singular left 3x3 part, or the shape is not positive.
+
     Parameters
     ----------
     name : str
@@ -35,12 +38,6 @@ class Camera:
         Pixels (column, row), centres at integers, from points in mm; any scale and sign.
     shape : (H, W)
         Of its picture in pixels.
-
-    Raises
-    ------
-    ValueError
-        When the name is no file name, the matrix is not finite, has another shape or a singular left 3x3
-        part, or the shape is not positive; names the camera.
     """
 
     name: str
@@ -125,22 +122,16 @@ class CamerasFile(Record):
 
 
 def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit = "mm") -> None:
-    """Write cameras as JSON, their matrices for points in `unit`.
+    """Write cameras as JSON.
+
+    Raises ValueError when there is none, or two share a name; OutputError when the file cannot be written.
 
     Parameters
     ----------
     path : str or Path
     cameras : sequence of Camera
-        With matrices for points in mm.
     unit : {"mm", "cm", "m"}
         Of the points that the matrices in the file take.
-
-    Raises
-    ------
-    ValueError
-        When there is none, or two share a name.
-    OutputError
-        When the file cannot be written.
     """
     entries = []
     for camera in cameras:
@@ -154,15 +145,12 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit 
 def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     """Return the cameras of a file, for points in mm whatever the file's unit.
 
+    Raises EyeglassesError, naming file and camera, when the file cannot be read, is no camera file, or a
+    matrix is not finite or singular.
+
     Parameters
     ----------
     path : str or Path
-
-    Raises
-    ------
-    EyeglassesError
-        When the file cannot be read, is no camera file, or a matrix is not finite or singular; names the
-        file and the camera.
     """
     content = read_json(path, CamerasFile, "cameras", writer="write_cameras", schema="cameras")
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
@@ -206,16 +194,14 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
     """Return a mask (H, W) a camera, True where any channel of its PNG is not zero.
 
+    Raises EyeglassesError, naming the file, when a mask is missing, no picture, or not as large as its
+    camera's.
+
     Parameters
     ----------
     folder : str or Path
         With a file ``<camera>.png`` for each camera.
     cameras : sequence of Camera
-
-    Raises
-    ------
-    EyeglassesError
-        When a mask is missing, no picture, or not as large as its camera's; names the file.
     """
     return tuple(_read_mask(mask_path(folder, camera), camera) for camera in cameras)
 

@@ -105,17 +105,12 @@ def _check_mesh(vertices: NDArray[Any], faces: NDArray[Any], place: str) -> None
 def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
     """Write a frame that `canonicalize` made, all but its plan, atomically.
 
+    Raises ValueError when the name does not end in .npz, OutputError when the folder cannot be written.
+
     Parameters
     ----------
     path : str or Path
     frame : CanonicalEyeglasses
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    OutputError
-        When the folder cannot be written.
     """
     write_arrays(path, frame, _CANONICAL_LAYOUT, what="canonical frame")
 
@@ -123,14 +118,11 @@ def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
 def read_canonical(path: str | Path) -> CanonicalEyeglasses:
     """Return a frame that `write_canonical` wrote; its plan is empty.
 
+    Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
+
     Parameters
     ----------
     path : str or Path
-
-    Raises
-    ------
-    EyeglassesError
-        When the file is missing, damaged or something else; names it.
     """
     arrays = read_arrays(path, _CANONICAL_LAYOUT, what="canonical frame", example="canonical.npz")
     return CanonicalEyeglasses(**arrays, plan=Plan())
@@ -139,17 +131,12 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
     """Write a frame that `register_on_face` placed, all but its plan and trace, atomically.
 
+    Raises ValueError when the name does not end in .npz, OutputError when the folder cannot be written.
+
     Parameters
     ----------
     path : str or Path
     frame : RegisteredEyeglasses
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    OutputError
-        When the folder cannot be written.
     """
     write_arrays(path, frame, _REGISTERED_LAYOUT, what="registered frame")
 
@@ -157,14 +144,11 @@ def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
 def read_registered(path: str | Path) -> RegisteredEyeglasses:
     """Return a frame that `write_registered` wrote; its plan and trace are empty.
 
+    Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
+
     Parameters
     ----------
     path : str or Path
-
-    Raises
-    ------
-    EyeglassesError
-        When the file is missing, damaged or something else; names it.
     """
     arrays = read_arrays(path, _REGISTERED_LAYOUT, what="registered frame", example="registered.npz")
     return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
@@ -194,6 +178,8 @@ class StartFile(Record):
 def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUnit = "mm") -> None:
     """Write a pose (4, 4) as JSON, atomically.
 
+    Raises ValueError when it is no rigid transform, OutputError when the file cannot be written.
+
     Parameters
     ----------
     path : str or Path
@@ -201,13 +187,6 @@ def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUni
         Rigid.
     unit : {"mm", "cm", "m"}
         Of the translation; only noted in the file.
-
-    Raises
-    ------
-    ValueError
-        When it is no rigid transform.
-    OutputError
-        When the file cannot be written.
     """
     content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, np.float64)))
     write_record(path, content)
@@ -216,14 +195,11 @@ def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUni
 def read_start(path: str | Path) -> FloatArray:
     """Return the pose (4, 4) of a file, its translation in mm.
 
+    Raises EyeglassesError, naming the file, when it cannot be read or holds no rigid transform.
+
     Parameters
     ----------
     path : str or Path
-
-    Raises
-    ------
-    EyeglassesError
-        When the file cannot be read or holds no rigid transform; names it.
     """
     content = read_json(path, StartFile, "start", writer="write_start", schema="eyeglasses_start")
     pose = np.array(content.world_from_glasses)

@@ -51,19 +51,14 @@ def require_known_names(names: Iterable[str]) -> None:
 def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
     """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
 
+    Raises ValueError when the shape is another, OutputError when the file cannot be written.
+
     Parameters
     ----------
     path : str or Path
     keypoints : (20, 3) array_like of float
     unit : {"mm", "cm", "m", "unknown"}
         Of the key points; only noted in the file.
-
-    Raises
-    ------
-    ValueError
-        When the shape is another.
-    OutputError
-        When the file cannot be written.
     """
     points = checked_keypoints("keypoints", keypoints)
     seen = [bool(np.isfinite(p).all()) for p in points]
@@ -85,14 +80,12 @@ class KeyPoints:
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
 
+    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no key-point
+    file.
+
     Parameters
     ----------
     path : str or Path
-
-    Raises
-    ------
-    EyeglassesError
-        When the file cannot be read or is no key-point file; names the file and its first fault.
     """
     return read_keypoints_with_unit(path).points
 
@@ -198,14 +191,11 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
 def read_labels(path: str | Path) -> ViewLabels:
     """Return the labels of a file, NaN where one is missing.
 
+    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no label file.
+
     Parameters
     ----------
     path : str or Path
-
-    Raises
-    ------
-    EyeglassesError
-        When the file cannot be read or is no label file; names the file and its first fault.
     """
     content = read_json(path, LabelsFile, "labels", writer="write_labels", schema="eyeglasses_labels")
     nothing = (np.nan, np.nan)

@@ -98,9 +98,11 @@ class LensPicture:
     def under(
         self, environment_linear: ArrayLike | None = None, *, irradiance_linear: ArrayLike | None = None
     ) -> LensPicture:
-        """Return the picture in another light, as the sum over lights k of w_k I_k.
+        """Return the picture in another light, as the sum over lights k of w_k I_k (Li et al., section 6.3).
 
-        It is what `insert_lenses` gives for the same lights, without a new ray.
+        It is what `insert_lenses` gives for the same lights, without a new ray. Raises EyeglassesError when
+        the picture was not made with `LensPictureOptions(relightable=True)`, or the environment is not
+        finite; ValueError when neither light is given, or shapes do not fit.
 
         Parameters
         ----------
@@ -109,19 +111,6 @@ class LensPicture:
             a photograph only the mirror images change. Black when omitted.
         irradiance_linear : (K, 3) or (K,) array_like of float, optional
             Of the distant lights the picture was made with, in their order.
-
-        Raises
-        ------
-        EyeglassesError
-            When the picture was not made with `LensPictureOptions(relightable=True)`, or the environment is
-            not finite.
-        ValueError
-            When neither is given, or shapes do not fit.
-
-        References
-        ----------
-        .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement,
-           section 6.3.
         """
         if self.relighting is None:
             raise EyeglassesError(
@@ -154,7 +143,9 @@ def insert_lenses(
     Each ray that meets a lens before anything else is bent as by a thin lens and goes on, through the other
     lens too, to the scene behind; its mirror image leaves on the sphere of the lens's front. The colour is
 
-        (1 - alpha - beta) behind + alpha tint + beta mirrored.
+        (1 - alpha - beta) behind + alpha tint + beta mirrored,
+
+    as in the supplement of Li et al., section 6.3 and equations S11 to S15.
 
     With `shape` the scene is drawn under distant lights: those given, or those that stand for the
     environment. With `picture_linear` colours come from a photograph of the same scene with empty rims: where
@@ -211,11 +202,6 @@ def insert_lenses(
     - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights. 1024 x
       1024 pixels, a head of 300,000 faces: 1.9 s of CPU time under 8 lights, 3.7 s under 64, then 0.2 s in
       any other light (`LensPicture.under`).
-
-    References
-    ----------
-    .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, section 6.3
-       and equations S11 to S15.
 
     Examples
     --------

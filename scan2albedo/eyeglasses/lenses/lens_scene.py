@@ -26,6 +26,9 @@ ways."""
 class Surface:
     """A mesh with its colour, in mm in the world's frame.
 
+    Raises EyeglassesError when there are no faces or numbers are not finite; ValueError when an array has the
+    wrong shape, or the texture comes without `uv`.
+
     Parameters
     ----------
     vertices : (V, 3) array_like of float
@@ -41,13 +44,6 @@ class Surface:
         Oren and Nayar's sigma; 0 is Lambert.
     specular, shininess : float
         Strength and exponent of Phong's highlight, as in `lighting.kernels`.
-
-    Raises
-    ------
-    EyeglassesError
-        When there are no faces or numbers are not finite.
-    ValueError
-        When an array has the wrong shape, or the texture comes without `uv`.
     """
 
     vertices: ArrayLike

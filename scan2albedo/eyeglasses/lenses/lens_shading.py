@@ -67,6 +67,8 @@ def blend_lens(
 ) -> FloatArray:
     """Return (..., 3) linear colours (1 - alpha - beta) behind + alpha tint + beta reflected.
 
+    The lens of Li et al. (supplement, equations S11 to S15).
+
     Parameters
     ----------
     behind_linear, tint_linear, reflected_linear : array_like of float, shapes that broadcast to (..., 3)
@@ -79,11 +81,6 @@ def blend_lens(
     EyeglassesError
         When a share is negative or not finite, or alpha + beta is more than 1: the lens would give more light
         than it gets.
-
-    References
-    ----------
-    .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement,
-       equations S11 to S15.
 
     Examples
     --------
@@ -180,10 +177,7 @@ def light_by_environment(images_linear: ArrayLike, weights: ArrayLike) -> FloatA
 class LensMaterial:
     """A lens's power, tint and reflection; the default is clear window glass.
 
-    Raises
-    ------
-    EyeglassesError
-        When a number is out of range or not finite.
+    Raises EyeglassesError when a number is out of range or not finite.
 
     Examples
     --------

@@ -45,7 +45,8 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
 
         d' ~ (p - o) (1 + u P) - (c - o).
 
-    This is the ray to the conjugate image of c [1]_ times 1 + u P: it holds for P = 0, where it is the ray
+    This is the ray to the conjugate image of c (Hecht, "Optics", 5th ed., section 5.2.3; equations S11 and
+    S12 of Li et al.) times 1 + u P: it holds for P = 0, where it is the ray
     itself, for 1 + u P = 0, where all rays become parallel, and beyond, where the image lies in front.
 
     Parameters
@@ -69,11 +70,6 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     -----
     MEGANE's supplement works with f = 1 / P, infinite for plane glass and positive for what shrinks;
     the sign of the dioptres here is the optician's.
-
-    References
-    ----------
-    .. [1] E. Hecht, "Optics", 5th ed., section 5.2.3 (Gaussian lens formula); J. Li et al., "MEGANE:
-       Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, equations S11 and S12.
 
     Examples
     --------

@@ -118,16 +118,11 @@ def register_on_face(
     the mean. Where more than a third of the labels do not fit, nothing counts as observed; where exchanging
     left and right explains them, that is an error. Masks that contradict good labels are left aside.
 
-    The paper [1]_ minimises a rendered segmentation with Adam, some thousand renderings; this takes about a
-    hundred evaluations.
-
-    References
-    ----------
-    .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, equation S3.
+    Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam, some thousand renderings;
+    this takes about a hundred evaluations.
 
     Examples
     --------
-    >>> import numpy as np
     >>> from scan2albedo.synthetic import wearer
     >>> person = wearer(seed=1)
     >>> g = person.glasses

@@ -155,7 +155,6 @@ def bounded_biharmonic_weights(
 
     Examples
     --------
-    >>> import numpy as np
     >>> bar = np.array([[x, y, z] for x in (0.0, 40.0) for y in (0.0, 3.0) for z in (0.0, 3.0)])
     >>> sides = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
     ...          [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
@@ -178,7 +177,8 @@ def solve_weights(
 ) -> BoundedBiharmonicWeights:
     """Return smooth weights of key points over a mesh of any kind.
 
-    Each handle's weight minimises the biharmonic energy [1]_ alone,
+    Each handle's weight minimises the biharmonic energy alone (Jacobson, Baran, Popovic, Sorkine, "Bounded
+    biharmonic weights for real-time deformation", SIGGRAPH 2011, section 3),
 
         min over w of  w^T L M^-1 L w / 2,  w = 1 at its key point, 0 at the others', 0 <= w <= 1,
 
@@ -220,11 +220,6 @@ def solve_weights(
     weights of the lattice's point nearest to it.
 
     Cost: a factorisation of the lattice's matrix a step, 5 to 10 steps a handle.
-
-    References
-    ----------
-    .. [1] A. Jacobson, I. Baran, J. Popovic, O. Sorkine, "Bounded biharmonic weights for real-time
-       deformation", SIGGRAPH 2011, section 3.
     """
     meter = Meter(STAGE, UNIT, Budget.of(budget), on_progress)
     return metered_weights(vertices, faces, handles, spacing, options=options, meter=meter)
