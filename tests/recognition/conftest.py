@@ -1,6 +1,7 @@
 """Albedos: random fields with the spectrum of natural images; synthetic persons as files of results."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,9 +27,14 @@ def albedo():
     return build_albedo
 
 
+@cache
+def _scene(seed, size):
+    return face(seed, size=size)
+
+
 def write_stored(folder, seed, *, noise=0, model="default", size=64, hidden=None):
     """Write what recognition reads of a processed face: a synthetic person's true albedo, with noise."""
-    scene = face(seed, size=size)
+    scene = _scene(seed, size)
     grain = 1 + 0.05 * np.random.default_rng([seed, noise]).standard_normal((size, size, 1))
     folder.mkdir(parents=True)
     seen = scene.image.mask if hidden is None else scene.image.mask & ~hidden

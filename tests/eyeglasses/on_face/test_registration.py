@@ -22,24 +22,37 @@ SMALL = WearerOptions(picture_size=512, focal_px=900, label_noise_px=0.5, mask_n
 """Half the pixels for the tests that are not about figures."""
 
 
-@cache
 def person(seed, options=WearerOptions()):
+    return _person(seed, options)
+
+
+@cache
+def _person(seed, options):
     return wearer(seed, options=options)
 
 
 @cache
-def weights_of(seed):
-    glasses = person(seed).glasses
-    return bounded_biharmonic_weights(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
-
-
 def glasses_of(seed):
-    glasses = person(seed).glasses
-    return glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, weights_of(seed)
+    glasses = person(seed, SMALL).glasses
+    mesh = glasses.rest_vertices, glasses.faces
+    return (
+        *mesh,
+        glasses.rest_keypoints,
+        bounded_biharmonic_weights(*mesh, glasses.rest_keypoints),
+    )
 
 
 def register(seed, pictures=WearerOptions(), /, **changes):
     """Register a person's own glasses, with some arguments in place of the person's."""
+    return _register(seed, pictures, **changes) if changes else _plainly(seed, pictures)
+
+
+@cache
+def _plainly(seed, pictures):
+    return _register(seed, pictures)
+
+
+def _register(seed, pictures, **changes):
     worn = person(seed, pictures)
     given = {
         "keypoints_2d": worn.labels,
@@ -112,7 +125,7 @@ def projected(worn):
 
 
 def test_the_result_fits_together():
-    worn, found = person(1), register(1)
+    worn, found = person(1, SMALL), register(1, SMALL)
     rest = worn.glasses.rest_vertices
     np.testing.assert_allclose(skin(rest, found.weights, found.handle_transforms), found.vertices, atol=1e-9)
     rigid = found.world_from_glasses
