@@ -69,7 +69,6 @@ def insert_lens(
     Raises EyeglassesError, naming the lens, when key points of the rim are missing, no rim is found, or its
     size is no lens's in mm.
     """
-    name = f"the {SIDES[side]} lens"
     marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks
     # Three of the five lie on the nose's side, so their mean would be off.
@@ -80,7 +79,7 @@ def insert_lens(
         _check_size(rim)
         fan, triangles = lens_mesh(rim.center, _seated(rim, seat_mm), rim.normal)
     except EyeglassesError as error:
-        raise EyeglassesError(f"{name}: {error}") from error
+        raise EyeglassesError(f"the {SIDES[side]} lens: {error}") from error
     at = rim.center if center is None else center - ((center - rim.center) @ rim.normal) * rim.normal
     optics = ThinLens(at, rim.normal, material.dioptres)
     return InsertedLens(side, material, rim, fan, triangles, optics, RayCaster(fan, triangles))
@@ -200,8 +199,6 @@ class BareFrame:
     """A frame without glass where lenses go."""
 
     surface: Surface
-    kept: BoolArray
-    """(F,) which faces of the frame are left."""
     notes: tuple[str, ...]
     """What was left out, and what still covers a lens."""
 
@@ -227,7 +224,7 @@ def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: Flo
                 f"the {lens.name}: the frame covers it, it seems by glass of one piece with the rim, which "
                 "may have been taken for the rim; cut it out of the mesh"
             )
-    return BareFrame(_with_faces(frame, kept), kept, tuple(notes))
+    return BareFrame(_with_faces(frame, kept), tuple(notes))
 
 
 def _with_faces(surface: Surface, kept: BoolArray) -> Surface:

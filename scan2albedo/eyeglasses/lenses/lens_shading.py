@@ -21,23 +21,15 @@ def map_places(directions: FloatArray) -> FloatArray:
 
     Rows run from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
     """
-    return np.asarray(_places(np.ascontiguousarray(directions, np.float64)))
+    x, y, z = directions.T
+    # The angle from +y by its tangent: a cosine near 1 hardly changes with it.
+    polar = np.arctan2(np.sqrt(x * x + z * z), y)
+    return np.stack([np.arctan2(x, z) / (2 * np.pi) + 0.5, polar / np.pi], 1)
 
 
 def radiance_at(environment: FloatArray, places: FloatArray) -> FloatArray:
     """Return (N, 3) radiance of a map (H, W, 3) at places (N, 2), bilinear; it is linear in the map."""
     return np.asarray(_radiance(np.ascontiguousarray(environment, np.float64), places))
-
-
-@njit(cache=True, nogil=True)
-def _places(directions):  # type: ignore[no-untyped-def]
-    result = np.empty((directions.shape[0], 2))
-    for i in range(directions.shape[0]):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        # The angle from +y by its tangent: a cosine near 1 hardly changes with it.
-        result[i, 0] = np.arctan2(x, z) / (2 * np.pi) + 0.5
-        result[i, 1] = np.arctan2(np.sqrt(x * x + z * z), y) / np.pi
-    return result
 
 
 @njit(cache=True, nogil=True)

@@ -206,11 +206,7 @@ def _blend_positions(rest, weights, transforms):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row, place):  # type: ignore[no-untyped-def]
-    """Write the derivatives of one value that are not 0, and their places; return how many there are.
-
-    By the frame's turn and translation, by the key points' shifts at fixed turns of the handles, and by
-    these turns.
-    """
+    """Write the derivatives of one value that are not 0, and their places; return how many there are."""
     handles = len(weights)
     gx, gy, gz = slope[0], slope[1], slope[2]
     x, y, z = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]

@@ -123,11 +123,12 @@ class RegistrationObjective:
         `rigid`: of turn and translation alone, without a prior. Without `with_matrix` labels and outlines add
         to cost and gradient alone, as descents of first order need.
         """
-        motion, sums = self.motion(state), _Sums(6 + 6 * len(self.keypoints), with_matrix)
-        labels_px = self._add_labels(motion, sums)
-        outline_px = np.zeros(0) if samples is None else self._add_outlines(motion, samples, sums)
+        motion = self.motion(state)
+        sums = _Sums(motion, with_matrix)
+        labels_px = self._add_labels(sums)
+        outline_px = np.zeros(0) if samples is None else self._add_outlines(samples, sums)
         if self.contact is not None:
-            self._add_contact(self.contact, motion, sums)
+            self._add_contact(self.contact, sums)
         if rigid:
             part = slice(RIGID)
             return Linearization(
@@ -143,8 +144,8 @@ class RegistrationObjective:
             outline_px,
         )
 
-    def _add_labels(self, motion: FrameMotion, sums: _Sums) -> FloatArray:
-        place, noise = motion.positions(self._marks), self.options.label_noise_px
+    def _add_labels(self, sums: _Sums) -> FloatArray:
+        place, noise = sums.motion.positions(self._marks), self.options.label_noise_px
         view, mark = np.nonzero(self._labelled)
         pixels, slopes, front = _projected(self._cameras[view], place[mark])
         errors = np.full(self._labelled.shape, np.nan)
@@ -153,7 +154,6 @@ class RegistrationObjective:
         square = np.where(front, (difference**2).sum(1) / noise**2, _BEHIND)
         both = np.repeat(mark, 2)
         sums.add(
-            motion,
             SkinnedPoints(self._marks.rest[both], self._marks.weights[both]),
             place[both],
             np.where(front[:, None, None], slopes, 0.0).reshape(-1, 3) / noise,
@@ -163,14 +163,14 @@ class RegistrationObjective:
         sums.cost += float(_CAUCHY**2 * np.log1p(square / _CAUCHY**2).sum())
         return errors
 
-    def _add_contact(self, contact: HeadContact, motion: FrameMotion, sums: _Sums) -> None:
-        point, place, distance, slope = contact.nearest_point(motion)
+    def _add_contact(self, contact: HeadContact, sums: _Sums) -> None:
+        point, place, distance, slope = contact.nearest_point(sums.motion)
         value = np.array([distance / _CONTACT_MM])
-        sums.add(motion, point, place, slope / _CONTACT_MM, value, np.ones(1))
+        sums.add(point, place, slope / _CONTACT_MM, value, np.ones(1))
         sums.cost += float(value[0] ** 2)
 
-    def _add_outlines(self, motion: FrameMotion, samples: OutlineSamples, sums: _Sums) -> FloatArray:
-        place, noise = motion.positions(samples.points), self.options.outline_noise_px
+    def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
+        place, noise = sums.motion.positions(samples.points), self.options.outline_noise_px
         pixels, slopes, _ = _projected(self._cameras[samples.view], place)
         error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
         for number, view in enumerate(self.views):
@@ -191,28 +191,22 @@ class RegistrationObjective:
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
         cost[lost] = _HUBER * 2 * self.options.outline_reach_px / noise
         weight = vote * np.where(far, _HUBER / np.maximum(size, _HUBER), 1.0)
-        sums.add(motion, samples.points, place, slope / noise, residual, weight)
+        sums.add(samples.points, place, slope / noise, residual, weight)
         sums.cost += float(vote * cost.sum())
         return error
 
 
 class _Sums:
-    def __init__(self, size: int, with_matrix: bool) -> None:
-        self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
-        self._with_matrix = with_matrix
+    """Cost, gradient and matrix at a motion, the turns of its handles apart."""
 
-    def add(
-        self,
-        motion: FrameMotion,
-        points: SkinnedPoints,
-        place: FloatArray,
-        slopes: FloatArray,
-        values: FloatArray,
-        votes: FloatArray,
-    ) -> None:
-        gradient, matrix = motion.raw_sums(
-            points, place, slopes, values, votes, with_matrix=self._with_matrix
-        )
+    def __init__(self, motion: FrameMotion, with_matrix: bool) -> None:
+        size = RIGID + 6 * len(motion.keypoints)
+        self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
+        self.motion, self._with_matrix = motion, with_matrix
+
+    def add(self, points: SkinnedPoints, place: FloatArray, *terms: FloatArray) -> None:
+        """Add slopes, values and votes of points at their places."""
+        gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self._with_matrix)
         self.gradient += gradient
         self.matrix += matrix
 
@@ -220,7 +214,7 @@ class _Sums:
 def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return pixels (N, 2), NaN behind the camera, and their derivatives; which points lie in front (N,).
 
-    Each point is seen by its own camera; the derivatives are (N, 2, 3). A tuple of three for the two callers.
+    Each point is seen by its own camera; the derivatives are (N, 2, 3).
     """
     image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
     front = image[:, 2] > 0
