@@ -26,13 +26,13 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app.input import GlassesFrame, read_frame
 from scan2albedo.eyeglasses.app.records import CanonicalFrameRecord, CanonicalSetRecord, FailedFrameRecord
+from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
 from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
-from scan2albedo.eyeglasses.keypoints import PARENTS
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.atomic import make_folder, result_folder
 from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_records import InputRecord, PlanRecord
-from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
+from scan2albedo.io.skinned_glb import SkinWritten
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
@@ -129,15 +129,7 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
 
 
 def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Path) -> dict[str, Any]:
-    written = write_skinned_glb(
-        folder / "canonical.glb",
-        canonical.vertices,
-        canonical.faces,
-        canonical.keypoints,
-        canonical.weights,
-        KEY_POINT_NAMES,
-        parents=PARENTS,
-    )
+    written = write_frame_glb(folder / "canonical.glb", canonical)
     write_canonical(folder / "canonical.npz", canonical)
     write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
     figures = frame_figures(frame, canonical, written)

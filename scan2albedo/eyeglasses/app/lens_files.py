@@ -59,16 +59,14 @@ def _write_all(rendered: RenderedLenses, source: LensInput, folder: Path) -> Len
 def _frame_part(frame: Surface) -> GlbPart:
     texture = frame.texture_linear
     colors = np.asarray(frame.albedo_linear if texture is None else texture).reshape(-1, 3)
-    red, green, blue = (float(c) for c in np.median(colors, axis=0))
-    return GlbPart("frame", frame.vertices, frame.faces, (red, green, blue))
+    return GlbPart("frame", frame.vertices, frame.faces, _vector(np.median(colors, axis=0)))
 
 
 def _lens_part(lens: InsertedLens) -> GlbPart:
     material = lens.material
     opacity = max(1.0 - float(material.transmission.mean()), _LEAST_OPACITY)
-    red, green, blue = (float(c) for c in np.asarray(material.tint_linear))
-    name = lens.name.replace(" ", "_")
-    return GlbPart(name, lens.vertices, lens.faces, (red, green, blue), min(opacity, 1.0), _LENS_ROUGHNESS)
+    name, color = lens.name.replace(" ", "_"), _vector(material.tint_linear)
+    return GlbPart(name, lens.vertices, lens.faces, color, min(opacity, 1.0), _LENS_ROUGHNESS)
 
 
 def _record(rendered: RenderedLenses, source: LensInput, files: tuple[str, ...]) -> LensesRecord:

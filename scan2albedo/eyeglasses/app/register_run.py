@@ -14,7 +14,6 @@ from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
-    KEY_POINT_NAMES,
     FaceRegistrationOptions,
     RegisteredEyeglasses,
     register_on_face,
@@ -23,12 +22,11 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app.records import FileRecord, RegisteredFrameRecord, RegisteredViewRecord
 from scan2albedo.eyeglasses.app.registration_input import RegistrationInput
-from scan2albedo.eyeglasses.keypoints import PARENTS
+from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_records import PlanRecord
-from scan2albedo.io.skinned_glb import write_skinned_glb
 from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure
 
@@ -161,15 +159,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
 
 def _write_all(done: PlacedFrame, folder: Path) -> dict[str, Any]:
     result = done.result
-    written = write_skinned_glb(
-        folder / "registered.glb",
-        result.vertices,
-        result.faces,
-        result.keypoints,
-        result.weights,
-        KEY_POINT_NAMES,
-        parents=PARENTS,
-    )
+    written = write_frame_glb(folder / "registered.glb", result)
     write_registered(folder / "registered.npz", result)
     write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
     result.trace.to_csv(folder / "trace.csv")

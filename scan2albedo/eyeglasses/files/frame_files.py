@@ -15,10 +15,11 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.files.json_files import LengthUnit, read_json
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES, PARENTS
 from scan2albedo.eyeglasses.on_face.interface import RegisteredEyeglasses
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Matrix, Record, plain_json, write_record
+from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.units import MM_PER_UNIT
 
 Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
@@ -152,6 +153,12 @@ def read_registered(path: str | Path) -> RegisteredEyeglasses:
     """
     arrays = read_arrays(path, _REGISTERED_LAYOUT, what="registered frame", example="registered.npz")
     return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
+
+
+def write_frame_glb(path: Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> SkinWritten:
+    """Write a frame with its key points as joints; raises OutputError when the folder cannot be written."""
+    mesh = frame.vertices, frame.faces, frame.keypoints, frame.weights
+    return write_skinned_glb(path, *mesh, KEY_POINT_NAMES, parents=PARENTS)
 
 
 class StartFile(Record):
