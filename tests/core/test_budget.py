@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 
 import pytest
 
@@ -15,10 +16,16 @@ def test_a_number_means_seconds_and_none_means_no_limit():
     assert Budget.of(budget) is budget
 
 
-@pytest.mark.parametrize("arguments", [{"seconds": 0}, {"seconds": -1}, {"evaluations": 0}])
-def test_empty_budgets_are_refused(arguments):
-    with pytest.raises(ValueError, match="must be"):
-        Budget(**arguments)
+@pytest.mark.parametrize("seconds", [0, -1, math.nan])
+def test_seconds_are_above_zero(seconds):
+    with pytest.raises(ValueError, match=f"Budget.seconds must be a number > 0, got {seconds}"):
+        Budget.of(seconds)
+
+
+@pytest.mark.parametrize("evaluations", [0, 2.5, math.nan])
+def test_evaluations_are_a_whole_number_above_zero(evaluations):
+    with pytest.raises(ValueError, match=f"whole number >= 1, got {evaluations}"):
+        Budget(evaluations=evaluations)
 
 
 def test_meter_counts_and_is_exhausted_by_evaluations():

@@ -55,26 +55,6 @@ def test_the_back_of_a_head_is_refused(ict, model):
         register(RawScan(vertices, behind, name="back"), model)
 
 
-def test_five_vertices_are_refused_with_their_number(model):
-    rng = np.random.default_rng(0)
-    scan = RawScan(rng.uniform(0, 100, (5, 3)), [[0, 1, 2], [2, 3, 4]], name="tiny")
-    with pytest.raises(RegistrationError, match="tiny: 5 vertices"):
-        register(scan, model)
-
-
-def test_a_scan_in_the_wrong_unit_is_refused_with_its_size(synthetic_scan, posed, model):
-    scan = synthetic_scan(0).scan
-    metres = RawScan(scan.vertices / 1000, scan.faces, name="metres")
-    with pytest.raises(RegistrationError, match=r"too small for a face.*Check the unit"):
-        register(metres, model)
-
-
-def test_a_surface_without_area_is_refused(model):
-    scan = RawScan(np.zeros((80, 3)), [[0, 1, 2]], name="point")
-    with pytest.raises(RegistrationError, match="point"):
-        register(scan, model)
-
-
 @pytest.mark.parametrize("side", [-1, 1])
 def test_half_a_face_is_enough(synthetic_scan, model, side):
     example = synthetic_scan(6, hair=False, shoulders=False)

@@ -178,12 +178,6 @@ for _name, _sky in (
         return str(relight(_person(), environment_linear=sky).texture_linear.max())
 
 
-@CASES.extreme(STAGE, "environment_lights=0", "named error")
-def _no_cells() -> str:
-    options = RelightOptions(environment_lights=0)
-    return str(relight(_person(), environment_linear=np.ones((4, 8, 3)), options=options).diffuse.max())
-
-
 @CASES.extreme(STAGE, "picture of 1 x 1", "named error")
 def _pixel() -> str:
     return str(relight(_person(), [light_at(0)]).picture(shape=(1, 1)).linear)
