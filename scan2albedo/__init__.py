@@ -23,7 +23,7 @@ from scan2albedo.core.version import VERSION
 if TYPE_CHECKING:
     from scan2albedo import applications, batch, eyeglasses, recognition, reflectance, report, synthetic
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
-    from scan2albedo.core import Budget, GeometryImage, PointLight, RawScan, Trace
+    from scan2albedo.core import Budget, EnvironmentLight, GeometryImage, PointLight, RawScan, Trace
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
     from scan2albedo.fitting import FittedFace, fit
@@ -50,6 +50,7 @@ _HOMES = {
     "AlbedoEstimate": "albedo",
     "AnnotatedFaceModel": "face_model",
     "Budget": "core",
+    "EnvironmentLight": "core",
     "FittedFace": "fitting",
     "GeometryImage": "core",
     "PointLight": "core",
@@ -76,6 +77,7 @@ __all__ = [
     "AlbedoEstimate",
     "AnnotatedFaceModel",
     "Budget",
+    "EnvironmentLight",
     "FittedFace",
     "GeometryImage",
     "PointLight",

@@ -27,6 +27,7 @@ from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.point_light import PointLight
+from scan2albedo.lighting.environment_light import environment_of_shading
 from scan2albedo.lighting.shading import Reflectance
 
 _LEAST_FACING = 0.1
@@ -159,7 +160,9 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         _on_grid(mask, field)
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
-    value = value_channel(image.texture_linear)
+    shading = _on_grid(mask, lit.shading.light_linear)
+    texture = under_white_light(image.texture_linear, shading, light, specular)
+    value = value_channel(texture)
     # What makes a good albedo better is left out once the seconds have ended.
     late, begin = meter.out_of_time, meter.elapsed_s
     division = divide_light(value, light, specular, mask, usable, shrink=options.shrink and not late)
@@ -171,7 +174,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         forced = options.choice("albedo.rectification") is True
         albedo, rectification = rectified(albedo, light, cast, usable, forced=forced)
     # A highlight is white: what remains below it has the albedo's hue.
-    below = np.maximum(image.texture_linear - specular[..., None], 0)
+    below = np.maximum(texture - specular[..., None], 0)
     color = recolor(below, value_channel(below), albedo)
     inpainting = _left_out("albedo.inpainting", options, late)
     if inpainting is None:
@@ -180,7 +183,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         albedo_linear=color,
         lights=lights,
         parameters=_parameters(reflectance, lights),
-        shading=light.astype(np.float32),
+        shading=shading.astype(np.float32),
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
@@ -225,8 +228,22 @@ def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray
     return color
 
 
+def under_white_light(
+    texture_linear: NDArray, shading: NDArray, light: NDArray, specular: NDArray
+) -> NDArray:
+    """Return the texture (H, W, 3) as it would be if `shading` (H, W, 3) were the white `light` (H, W).
+
+    Highlights, `specular` (H, W), keep their place; where the light is white nothing changes.
+    """
+    white = light[..., None]
+    if (shading == white).all():
+        return texture_linear
+    gain = np.where(shading > 0, white / np.where(shading > 0, shading, 1.0), 1.0)
+    return specular[..., None] + gain * (texture_linear - specular[..., None])
+
+
 def _on_grid(mask: NDArray[np.bool_], values: NDArray) -> NDArray[np.float64]:
-    grid = np.zeros(mask.shape)
+    grid = np.zeros((*mask.shape, *values.shape[1:]))
     grid[mask] = values
     return grid
 
@@ -262,7 +279,7 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         albedo_linear=np.stack([d.albedo for d in divisions], -1).astype(np.float32),
         lights=(),
         parameters={"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()},
-        shading=np.where(image.mask, shading.mean(-1), 0).astype(np.float32),
+        shading=np.where(image.mask[..., None], shading, 0).astype(np.float32),
         specular=none.astype(np.float32),
         shadow=image.mask.astype(np.float32),
         confidence=np.mean([d.confidence for d in divisions], 0).astype(np.float32),
@@ -276,4 +293,5 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         reflectance=Reflectance("lambert"),
         casts_shadows=True,
         shadow_offset_mm=options.shadow_offset_mm,
+        environment=environment_of_shading(coefficients),
     )

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -31,10 +33,10 @@ class AlbedoEstimate:
     parameters : dict
         ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
         light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3).
-    shading : (H, W) float32
-        I_a + I_d, which divided V.
+    shading : (H, W, 3) float32
+        I_a + I_d of each channel, which divided the texture.
     specular : (H, W) float32
-        I_s, which was subtracted from V.
+        I_s, which was subtracted from the texture: highlights are white.
     shadow : (H, W) float32
         Visibility in [0, 1], the smallest over the lights.
     confidence : (H, W) float32
@@ -61,6 +63,8 @@ class AlbedoEstimate:
         How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended.
     albedo_deviation : (H, W) float32 or None
         Relative standard deviation of the albedo that follows from it, best scale removed.
+    environment : EnvironmentLight or None
+        The soft light; None is the constant white ambient light of 1.
     """
 
     albedo_linear: NDArray[np.float32]
@@ -82,11 +86,15 @@ class AlbedoEstimate:
     shadow_offset_mm: float
     uncertainty: LightUncertainty | None = None
     albedo_deviation: NDArray[np.float32] | None = None
+    environment: EnvironmentLight | None = None
 
-    def relit(self, lights: Sequence[PointLight]) -> NDArray[np.float32]:
-        """Return (H, W, 3) the linear texture under other lights, with shadows and ambient = 1.
+    def relit(
+        self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None
+    ) -> NDArray[np.float32]:
+        """Return (H, W, 3) the linear texture under other lights in their colours, with shadows.
 
         T = A (I_a + I_d) + I_s with the estimated reflectance; highlights are white, as those removed were.
+        I_a is 1 without an environment; give the estimate's own for the light of the scan.
         """
         mask = self.image.mask
         shading = shade_image(
@@ -94,12 +102,15 @@ class AlbedoEstimate:
             lights,
             self.reflectance,
             self.view_direction,
-            RayCaster(*self.image.occluder_mesh()) if self.casts_shadows and lights else None,
+            RayCaster(*self.image.occluder_mesh())
+            if self.casts_shadows and (lights or environment)
+            else None,
             self.shadow_offset_mm,
+            environment,
         ).shading
         albedo = self.albedo_linear[mask].astype(np.float64)
         result = np.zeros((*mask.shape, 3), np.float32)
-        result[mask] = albedo * shading.light[:, None] + shading.specular[:, None]
+        result[mask] = albedo * shading.light_linear + shading.specular[:, None]
         return result
 
 
@@ -122,8 +133,12 @@ def shade_image(
     view_direction: Sequence[float],
     caster: RayCaster | None,
     offset_mm: float,
+    environment: EnvironmentLight | None = None,
 ) -> LitSurface:
-    """Shade the masked texels with shadows of `caster` (None: attached shadows alone)."""
+    """Shade the masked texels with shadows of `caster` (None: attached shadows alone).
+
+    The environment stands for the ambient light of 1.
+    """
     mask = image.mask
     position, normal = image.position[mask], image.normal[mask]
     hidden = ShadowMap(caster, position, normal, offset_mm)
@@ -141,4 +156,7 @@ def shade_image(
         view_direction=view_direction,
         specular_scale=None if image.specular_scale is None else image.specular_scale[mask],
     )
+    if environment is not None:
+        soft = shading.light_linear - 1 + environment_light_on(environment, hidden)
+        shading = replace(shading, light=soft.mean(-1), light_linear=soft)
     return LitSurface(shading, visible, facing - visible)

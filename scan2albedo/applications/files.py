@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -23,7 +22,13 @@ from scan2albedo.io.geometry_image_files import read_image_and_albedo, write_geo
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record, write_record
-from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, LightRecord, ResultRecord
+from scan2albedo.io.result_records import (
+    APPLICATION_FILE,
+    ApplicationRecord,
+    EnvironmentRecord,
+    LightRecord,
+    ResultRecord,
+)
 from scan2albedo.lighting.shading import Reflectance
 
 if TYPE_CHECKING:
@@ -98,6 +103,7 @@ def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
         estimate.casts_shadows,
         estimate.view_direction,
         estimate.shadow_offset_mm,
+        estimate.environment,
     )
 
 
@@ -130,10 +136,11 @@ def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
         image,
         albedo,
         _reflectance(record.parameters, folder / RESULT_FILE),
-        _lights(record.lights),
+        tuple(light.light() for light in record.lights),
         FaceMesh.of_chart(image) if model == NO_MODEL else fitted_mesh(folder, image),
         model,
         all(step.ran for step in record.plan if step.stage == "albedo.shadows"),
+        environment=None if record.environment is None else record.environment.environment(),
     )
 
 
@@ -144,12 +151,13 @@ def _of_application(folder: Path, record: ApplicationRecord) -> ProcessedFace:
         image,
         albedo,
         _reflectance(record.reflectance, folder / APPLICATION_FILE),
-        _lights(record.lights),
+        tuple(light.light() for light in record.lights),
         FaceMesh.of_chart(image) if record.chart_mesh else fitted_mesh(folder, image),
         record.model,
         record.casts_shadows,
         record.view_direction,
         record.shadow_offset_mm,
+        None if record.environment is None else record.environment.environment(),
     )
 
 
@@ -165,18 +173,6 @@ def _reflectance(parameters: Mapping[str, Any], file: Path) -> Reflectance:
         raise ApplicationError(
             f"{file}: its parameters describe no reflectance ({error}); process the scan again"
         ) from error
-
-
-def _lights(records: Sequence[LightRecord]) -> tuple[PointLight, ...]:
-    return tuple(
-        PointLight(
-            math.radians(r.azimuth_deg),
-            math.radians(r.elevation_deg),
-            math.inf if r.distance_mm is None else r.distance_mm,
-            r.intensity,
-        )
-        for r in records
-    )
 
 
 def _present(folder: Path, name: str) -> Path:
@@ -304,5 +300,6 @@ def _record(
             "specular_exponent": skin.exponent,
         },
         lights=tuple(LightRecord.of(light) for light in face.lights),
+        environment=EnvironmentRecord.of(face.environment),
         files=files,
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
@@ -75,7 +76,7 @@ class ProcessedFace:
     reflectance: Reflectance
     """How the skin reflects, its highlight in the albedo's unit."""
     lights: tuple[PointLight, ...]
-    """Under which the scan was taken, beside an ambient light of 1."""
+    """Under which the scan was taken, beside its environment."""
     mesh: FaceMesh
     """The fitted surface, or the triangulated chart."""
     model_name: str = NO_MODEL
@@ -86,6 +87,8 @@ class ProcessedFace:
     """Toward the viewer, for roughness and highlights on the chart."""
     shadow_offset_mm: float = 0.2
     """Of shadow rays."""
+    environment: EnvironmentLight | None = None
+    """The soft light of the scan; None is a white ambient light of 1."""
 
     def __post_init__(self) -> None:
         albedo = np.asarray(self.albedo_linear, np.float32)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, photograph
 from scan2albedo.applications.processed_face import ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -80,6 +81,7 @@ def relight(
     lights: Sequence[PointLight] = (),
     *,
     environment_linear: ArrayLike | None = None,
+    environment: EnvironmentLight | None = None,
     ambient: float | None = None,
     options: RelightOptions = RelightOptions(),
 ) -> RelitFace:
@@ -87,7 +89,8 @@ def relight(
 
         T = A (I_a + sum_k V_k E_k f(n, l_k, v)) + k_s sum_k V_k E_k phong(n, l_k, v)
 
-    with the reflectance that the estimate found: linear in the light, highlights white.
+    with the reflectance that the estimate found: linear in the light, highlights in the colour of their lamp.
+    ``relight(face, face.lights, environment=face.environment)`` is the light of the scan.
 
     Parameters
     ----------
@@ -97,9 +100,11 @@ def relight(
     environment_linear : (H, W, 3) array_like of float, optional
         Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x. It shines as
         a weighted sum of distant lights, each the integral over its cell of the sphere.
+    environment : EnvironmentLight, optional
+        Soft light in spherical harmonics, without highlights and without its bounce.
     ambient : float, optional
-        Light without direction. When omitted 1, as `AlbedoEstimate.relit` has it, or 0 with an environment,
-        which is all the light there is.
+        Light without direction. When omitted 1, as `AlbedoEstimate.relit` has it, or 0 with an environment of
+        either kind, which is all the light there is.
     options : RelightOptions
 
     Raises
@@ -119,20 +124,25 @@ def relight(
     >>> relit.texture_linear.shape
     (32, 32, 3)
     """
-    base = (1.0 if environment_linear is None else 0.0) if ambient is None else ambient
+    alone = environment_linear is None and environment is None
+    base = float(alone) if ambient is None else ambient
     _check_lights(face, lights, base)
     if environment_linear is not None and np.min(environment_linear, initial=0.0) < 0:
         raise ApplicationError(
             f"environment_linear goes down to {np.min(environment_linear):.3g}; radiance is 0 or more"
         )
     light = SceneLight.of(
-        lights, environment_linear, ambient=base, environment_lights=options.environment_lights
+        lights,
+        environment_linear,
+        ambient=base,
+        environment_lights=options.environment_lights,
+        soft=environment,
     )
     shadows = face.casts_shadows if options.shadows is None else options.shadows
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
     shadow_map = ShadowMap(
-        RayCaster(*image.occluder_mesh()) if shadows and len(light.intensity) else None,
+        RayCaster(*image.occluder_mesh()) if shadows and light.casts else None,
         image.position[mask],
         image.normal[mask],
         face.shadow_offset_mm,

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -23,13 +25,14 @@ class SceneLight:
     Unit `directions` (K, 3) point from the model's origin toward the lamps, `distances_mm` (K,) from there,
     inf for distant lamps. `intensity` (K, 3) is in the unit of `PointLight.intensity`: the colour of a matte
     white surface at the origin that faces the lamp. `ambient` (3,) is the colour that light without direction
-    gives a white surface.
+    gives a white surface, and `soft` an environment of low frequency.
     """
 
     directions: FloatArray
     distances_mm: FloatArray
     intensity: FloatArray
     ambient: FloatArray
+    soft: EnvironmentLight | None = None
 
     @classmethod
     def of(
@@ -39,6 +42,7 @@ class SceneLight:
         *,
         ambient: float,
         environment_lights: int,
+        soft: EnvironmentLight | None = None,
     ) -> SceneLight:
         """Return lamps and an environment map (H, W, 3), cut into `environment_lights` distant ones.
 
@@ -48,7 +52,7 @@ class SceneLight:
         """
         directions = [light.direction for light in lights]
         distances = [light.distance_mm for light in lights]
-        intensity = [np.full(3, light.intensity) for light in lights]
+        intensity = [light.intensity * np.array(light.color_linear) for light in lights]
         if environment_linear is not None:
             distant = DistantLights.from_environment(environment_linear, environment_lights)
             directions += list(np.asarray(distant.directions))
@@ -59,7 +63,13 @@ class SceneLight:
             np.array(distances, np.float64),
             np.reshape(intensity, (-1, 3)).astype(np.float64),
             np.full(3, float(ambient)),
+            soft,
         )
+
+    @property
+    def casts(self) -> bool:
+        """Whether any of it can be hidden by the surface."""
+        return len(self.intensity) > 0 or (self.soft is not None and self.soft.occluded)
 
 
 @dataclass(frozen=True)
@@ -79,15 +89,17 @@ def shade(
 ) -> Shaded:
     """Return the light on the N points of `shadows`: T = A diffuse + specular.
 
-        diffuse = ambient + sum_k V_k E_k f(n, l_k, v),  specular = k_s sum_k V_k E_k phong(n, l_k, v)
+        diffuse = ambient + soft + sum_k V_k E_k f(n, l_k, v),  specular = k_s sum_k V_k E_k phong(n, l_k, v)
 
-    as in `lighting.shading`, with a colour a lamp and a viewer a point: `view`, (3,) or (N, 3), unit. Both
-    are linear in the lamps. `specular_scale` (N,) multiplies the highlights. A shadow ray and a reflectance
-    are computed for each lamp and point that faces it.
+    as in `lighting.shading`, with a colour a lamp, in its highlights too, and a viewer a point: `view`, (3,)
+    or (N, 3), unit. Both are linear in the lamps. `specular_scale` (N,) multiplies the highlights. A shadow
+    ray and a reflectance are computed for each lamp and point that faces it.
     """
     position, normal = shadows.position, shadows.normal
     toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
     diffuse = np.tile(light.ambient, (len(normal), 1))
+    if light.soft is not None:
+        diffuse += environment_light_on(light.soft, shadows)
     specular = np.zeros_like(diffuse)
     for direction, distance, intensity in zip(
         light.directions, light.distances_mm, light.intensity, strict=True

@@ -1,6 +1,7 @@
 """What every stage speaks: scans, geometry images, lamps, budgets, plans and traces."""
 
 from scan2albedo.core.budget import Budget, Meter, ProgressCallback, checked_seed
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.point_light import PointLight
@@ -9,6 +10,7 @@ from scan2albedo.core.trace import Trace, TraceRow
 
 __all__ = [
     "Budget",
+    "EnvironmentLight",
     "GeometryImage",
     "Meter",
     "Plan",

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+_MEAN_TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True)
 class PointLight:
@@ -24,18 +26,24 @@ class PointLight:
     intensity : float
         Irradiance factor relative to ambient = 1 at the origin's distance: a surface there facing the
         light gets `intensity`, and (distance_mm / r)^2 of it at distance r from the light.
+    color_linear : (float, float, float)
+        Of its light, red, green, blue, of mean 1: `intensity` is the mean over the channels.
+    radius_deg : float
+        Angular radius as seen from the face: how soft its shadows are. 0 is a point.
 
     Raises
     ------
     ValueError
-        For angles or an intensity that are not finite, a negative intensity, or a distance that is not above
-        0.
+        For angles or an intensity that are not finite, a negative intensity, a distance that is not above 0,
+        a colour that is negative or not of mean 1, or a radius outside 0 to 90 degrees.
     """
 
     azimuth_rad: float
     elevation_rad: float
     distance_mm: float = math.inf
     intensity: float = 1.0
+    color_linear: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    radius_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.azimuth_rad, self.elevation_rad, self.intensity))):
@@ -44,6 +52,16 @@ class PointLight:
             raise ValueError(f"{self}: intensity must be 0 or more; to take light away lower the ambient one")
         if not self.distance_mm > 0:
             raise ValueError(f"{self}: distance_mm must be above 0; inf is a distant light")
+        color = self.color_linear
+        if len(color) != 3 or not (min(color) >= 0 and abs(sum(color) / 3 - 1) <= _MEAN_TOLERANCE):
+            raise ValueError(f"{self}: color_linear must be three numbers, 0 or more, whose mean is 1")
+        if not 0 <= self.radius_deg < 90:
+            raise ValueError(f"{self}: radius_deg must be from 0, a point, to below 90")
+
+    @property
+    def white(self) -> bool:
+        """Whether its light is the same in all channels."""
+        return self.color_linear == (1.0, 1.0, 1.0)
 
     @property
     def direction(self) -> NDArray[np.float64]:

@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
+from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.point_light import PointLight
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 
@@ -17,7 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from scan2albedo.core.plan import PlanStep
-    from scan2albedo.core.point_light import PointLight
     from scan2albedo.core.raw_scan import RawScan
 
 APPLICATION_FILE = "application.json"
@@ -68,7 +70,11 @@ class LightRecord(Record):
     azimuth_deg: Number = Field(description="From +z toward +x.")
     elevation_deg: Number = Field(description="From the xz-plane toward +y.")
     distance_mm: OptionalNumber = Field(None, description="From the model's origin; null is a distant light.")
-    intensity: Number = Field(ge=0, description="Irradiance relative to ambient = 1.")
+    intensity: Number = Field(ge=0, description="Irradiance relative to ambient = 1, mean of the channels.")
+    color_linear: tuple[Number, Number, Number] = Field(
+        (1.0, 1.0, 1.0), description="Red, green, blue of its light, of mean 1."
+    )
+    radius_deg: Number = Field(0.0, ge=0, lt=90, description="Angular radius from the face; 0 is a point.")
 
     @classmethod
     def of(cls, light: PointLight) -> LightRecord:
@@ -78,7 +84,50 @@ class LightRecord(Record):
             elevation_deg=math.degrees(light.elevation_rad),
             distance_mm=light.distance_mm,
             intensity=light.intensity,
+            color_linear=light.color_linear,
+            radius_deg=light.radius_deg,
         )
+
+    def light(self) -> PointLight:
+        """Return the light of the record; ValueError for what is none."""
+        return PointLight(
+            math.radians(self.azimuth_deg),
+            math.radians(self.elevation_deg),
+            math.inf if self.distance_mm is None else self.distance_mm,
+            self.intensity,
+            self.color_linear,
+            self.radius_deg,
+        )
+
+
+class EnvironmentRecord(Record):
+    """The soft light, in spherical harmonics."""
+
+    coefficients: tuple[tuple[Number, Number, Number], ...] = Field(
+        min_length=9,
+        max_length=9,
+        description="Of the radiance sum c_k Y_k / Y_0, a row a harmonic, a column a channel; a constant "
+        "white light of 1 is 1, 1, 1 and then zeros.",
+    )
+    occluded: bool = Field(description="Whether the surface hides part of it from itself.")
+    fill: Number = Field(0.0, ge=0, le=1, description="Part of the hidden constant light that comes back.")
+    bounce: Number = Field(0.0, ge=0, description="Albedo of the surface that throws light onto itself.")
+
+    @classmethod
+    def of(cls, environment: EnvironmentLight | None) -> EnvironmentRecord | None:
+        """Return the record of an environment, None for none."""
+        if environment is None:
+            return None
+        return cls(
+            coefficients=environment.coefficients.tolist(),
+            occluded=environment.occluded,
+            fill=environment.fill,
+            bounce=environment.bounce,
+        )
+
+    def environment(self) -> EnvironmentLight:
+        """Return the environment of the record."""
+        return EnvironmentLight(np.array(self.coefficients), self.occluded, self.fill, self.bounce)
 
 
 class RunRecord(Record):
@@ -99,6 +148,9 @@ class ResultRecord(RunRecord):
     plan: tuple[PlanRecord, ...]
     metrics: Figures = Field(description="Figures of each stage; null is not finite or not measured.")
     lights: tuple[LightRecord, ...] = ()
+    environment: EnvironmentRecord | None = Field(
+        None, description="The soft light beside the lamps; null is a constant white ambient light of 1."
+    )
     parameters: Figures = Field(
         description="Of the reflectance model; null is infinite, as a light's distance."
     )
@@ -144,6 +196,7 @@ class ApplicationRecord(Record):
     shadow_offset_mm: float = Field(ge=0)
     reflectance: Figures = Field(description="Under the names that result.json has for its parameters.")
     lights: tuple[LightRecord, ...] = ()
+    environment: EnvironmentRecord | None = Field(None, description="As in result.json.")
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 

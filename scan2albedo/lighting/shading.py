@@ -48,10 +48,15 @@ class Reflectance:
 
 @dataclass(frozen=True)
 class Shading:
-    """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture."""
+    """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture.
+
+    `light_linear` (N, 3) is the light in the lamps' colours, whose mean over the channels is `light`;
+    highlights stay white.
+    """
 
     light: FloatArray
     specular: FloatArray
+    light_linear: FloatArray
 
 
 def light_rows(lights: Sequence[PointLight]) -> FloatArray:
@@ -85,7 +90,7 @@ def shade_points(
     """Evaluate the ASRM: T = A (I_a + I_d) + I_s.
 
     I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the visibility
-    and E = intensity (distance/r)^2 (no falloff for a distant light).
+    and E = intensity (distance/r)^2 (no falloff for a distant light), times the lamp's colour in I_d.
 
     `position` (N, 3) is in mm, the model's frame, `normal` (N, 3) unit. Lights may be none. `visible` (L, N)
     is 0 where a light is hidden; everything is visible when None. `view_direction` (3,), of any length,
@@ -103,7 +108,9 @@ def shade_points(
     scale = np.ones(count) if specular_scale is None else np.asarray(specular_scale, np.float64)
     view = np.asarray(view_direction, np.float64)
     _check_points(xyz, unit, seen, scale, view, len(lights))
-    return shade_rows(xyz, unit, seen, light_rows(lights), view / np.linalg.norm(view), reflectance, scale)
+    colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
+    toward = view / np.linalg.norm(view)
+    return shade_rows(xyz, unit, seen, light_rows(lights), toward, reflectance, scale, colors)
 
 
 def shade_rows(
@@ -114,14 +121,21 @@ def shade_rows(
     view: FloatArray,
     reflectance: Reflectance,
     scale: FloatArray,
+    colors: FloatArray | None = None,
 ) -> Shading:
-    """Do as `shade_points` for `rows` of `light_rows` and a unit `view`, unchecked."""
+    """Do as `shade_points` for `rows` of `light_rows` and a unit `view`, unchecked.
+
+    `colors` (L, 3) are the lamps', all white when None.
+    """
     light, gloss = np.ones(len(position)), np.zeros(len(position))
-    for row, seen in zip(rows, visible, strict=True):
+    tint = np.zeros((len(position), 3))
+    for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
         factors = lamp_factors(position, normal, seen, row[:3], row[3], view[None], reflectance)
         light += row[4] * factors.diffuse
         gloss += row[4] * factors.highlight
-    return Shading(light, reflectance.specular_strength * scale * gloss)
+        if colors is not None:
+            tint += (row[4] * factors.diffuse)[:, None] * (colors[k] - 1)
+    return Shading(light, reflectance.specular_strength * scale * gloss, light[:, None] + tint)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import installed_versions, plain_json, write_record
 from scan2albedo.io.result_records import (
+    EnvironmentRecord,
     InputRecord,
     LightRecord,
     PlanRecord,
@@ -137,7 +138,8 @@ class ProcessResult:
                 f"({np.degrees(light.azimuth_rad):.0f}, {np.degrees(light.elevation_rad):.0f}) deg"
                 for light in self.albedo.lights
             )
-            parts.append(f"light at {lights}" if lights else "no directed light")
+            soft = "soft light" if self.albedo.environment is not None else "no directed light"
+            parts.append(f"light at {lights}" if lights else soft)
         else:
             parts.append("no albedo (see the plan)")
         if unfinished := self._unfinished():
@@ -220,6 +222,7 @@ def _result_record(result: ProcessResult) -> ResultRecord:
         plan=tuple(PlanRecord.of(step) for step in result.plan),
         metrics=result.metrics(),
         lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
+        environment=None if estimate is None else EnvironmentRecord.of(estimate.environment),
         parameters={} if estimate is None else plain_json(estimate.parameters),
         timings_s=dict(result.timings_s),
         notes=(*scan.notes, *result.messages),

@@ -101,7 +101,7 @@ def _chart_panels(
         dimmed = np.where(image.seen[..., None], image.texture_linear, 0.35 * image.texture_linear)
         panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, image.mask)))
     if estimate is not None and albedo_srgb is not None:
-        panels.append(Panel("diffuse light + ambient", _gray(estimate.shading, image.mask)))
+        panels.append(Panel("diffuse light + ambient", _light(estimate.shading, image.mask)))
         panels.append(Panel("highlights", _gray(estimate.specular, image.mask)))
         panels.append(Panel("albedo", albedo_srgb))
     normal = np.where(image.mask[..., None], (image.normal + 1) / 2, 1.0)
@@ -162,10 +162,15 @@ def _residual_panel(fitted: FittedFace, view: View) -> Panel:
 
 
 def _gray(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+    return _light(np.repeat(values[..., None], 3, axis=2), mask)
+
+
+def _light(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+    """Return (H, W, 3) sRGB bytes in which nearly the brightest texel is white."""
     inside = values[mask]
-    bright = float(np.percentile(inside, 99.5)) if len(inside) else 0.0
+    bright = float(np.percentile(inside.max(-1), 99.5)) if len(inside) else 0.0
     shown = linear_to_srgb(np.clip(values / bright, 0, 1)) if bright > 0 else np.zeros_like(values)
-    return _bytes(np.repeat(np.where(mask, shown, 1.0)[..., None], 3, axis=2))
+    return _bytes(np.where(mask[..., None], shown, 1.0))
 
 
 def _bytes(picture: NDArray[np.floating]) -> Picture:

@@ -60,7 +60,7 @@ def test_shading_follows_the_cosine_of_the_true_light(scenes):
     estimate = estimate_albedo(scene.image, 1, "lambert")
     cosine = np.maximum(scene.image.normal @ scene.light_directions[0], 0)
     mask = scene.image.mask
-    assert np.corrcoef(estimate.shading[mask], cosine[mask])[0, 1] > 0.999
+    assert np.corrcoef(estimate.shading[mask, 0], cosine[mask])[0, 1] > 0.999
 
 
 def test_near_lamp_gets_its_distance(scenes):
@@ -112,6 +112,9 @@ def test_other_reflectances_by_name(frontal, brdf):
     if brdf == "spherical-harmonics":
         assert np.shape(estimate.parameters["sh_coefficients"]) == (9, 3)
         assert estimate.lights == ()
+        mask = frontal.image.mask
+        again = estimate.relit((), estimate.environment)
+        assert again[mask] == pytest.approx(estimate.albedo_linear[mask] * estimate.shading[mask], abs=1e-5)
 
 
 def test_the_papers_search_by_name(frontal):
@@ -124,7 +127,10 @@ def test_result_has_the_promised_fields(frontal, frontal_estimate):
     shape = mask.shape
     assert estimate.albedo_linear.dtype == np.float32
     assert estimate.albedo_linear.shape == (*shape, 3)
-    for field in (estimate.shading, estimate.specular, estimate.shadow, estimate.confidence):
+    assert estimate.shading.shape == (*shape, 3)
+    assert np.ptp(estimate.shading, axis=-1).max() == 0  # white light
+    assert estimate.environment is None
+    for field in (estimate.shading[..., 0], estimate.specular, estimate.shadow, estimate.confidence):
         assert field.shape == shape
         assert np.isfinite(field).all()
         assert np.all(field[~mask] == 0)

@@ -8,6 +8,7 @@ import trimesh
 
 from scan2albedo.applications import ProcessedFace, default_camera, relight
 from scan2albedo.applications.relighting import RelightOptions
+from scan2albedo.core import EnvironmentLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.lighting.shading import Reflectance, shade_points
@@ -51,6 +52,26 @@ def test_ten_new_lights_against_the_independent_renderer(person, scene, material
         errors.append(relative_rmse(relight(face, [light]).texture_linear[mask], truth.radiance_linear))
     assert max(errors) <= 0.02
     assert np.mean(errors) <= 0.007
+
+
+def test_colours_of_lamps_and_of_soft_light_add_up(person):
+    face = person(0)
+    coefficients = np.zeros((9, 3))
+    coefficients[0], coefficients[1] = (0.9, 1.0, 1.2), 0.3
+    soft = EnvironmentLight(coefficients, fill=0.3)
+    lamp = replace(light_at(30, 20), color_linear=(1.5, 1.0, 0.5))
+    dark = relight(face, ambient=0)
+    assert dark.diffuse.max() == 0
+    white, warm = (relight(face, [light], ambient=0) for light in (light_at(30, 20), lamp))
+    np.testing.assert_allclose(warm.diffuse, white.diffuse * lamp.color_linear, rtol=1e-6)
+    np.testing.assert_allclose(warm.specular, white.specular * lamp.color_linear, rtol=1e-6, atol=1e-30)
+    around = relight(face, environment=soft)
+    both = relight(face, [lamp], environment=soft)
+    np.testing.assert_allclose(both.diffuse, around.diffuse + warm.diffuse, rtol=1e-5)
+    mask = face.mask
+    hidden = 1 - relight(face, environment=EnvironmentLight(np.eye(9, 3)[:, [0]] * np.ones(3))).diffuse[mask]
+    assert 0.05 < np.quantile(hidden, 0.9) < 0.8
+    assert relight(face, [lamp], environment=soft).picture(shape=(32, 32)).linear.max() > 0
 
 
 def test_its_own_lights_give_the_picture_back(person, scene):

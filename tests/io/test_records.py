@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
 from scan2albedo.io.result_records import (
+    EnvironmentRecord,
     InputRecord,
     LightRecord,
     PlanRecord,
@@ -37,8 +39,9 @@ def result():
         metrics={"fit": {"mean_mm": np.float32(0.25), "worst_mm": np.nan, "flips": np.int64(0)}},
         lights=(
             LightRecord.of(PointLight(math.pi / 6, -math.pi / 4)),
-            LightRecord.of(PointLight(0, 0, 900.0, 2)),
+            LightRecord.of(PointLight(0, 0, 900.0, 2, (1.5, 1.0, 0.5), 8.0)),
         ),
+        environment=EnvironmentRecord.of(EnvironmentLight(np.eye(9, 3), fill=0.25)),
         parameters={"light_distance_mm": math.inf, "sh_coefficients": np.eye(3), "brdf": "oren-nayar"},
         timings_s={"fit": np.float64(1.5)},
         notes=("unit: mm",),
@@ -55,6 +58,18 @@ def registration():
         confidence=0.9,
         iterations=120,
     )
+
+
+def test_lights_survive_and_older_records_hold_white_points():
+    lamp = PointLight(0.5, -0.25, 900.0, 2, (1.5, 1.0, 0.5), 8.0)
+    assert LightRecord.of(lamp).light() == lamp
+    soft = EnvironmentLight(np.arange(27.0).reshape(9, 3), occluded=False, fill=0.25, bounce=0.3)
+    back = EnvironmentRecord.of(soft).environment()
+    assert np.array_equal(back.coefficients, soft.coefficients)
+    assert (back.occluded, back.fill, back.bounce) == (False, 0.25, 0.3)
+    older = LightRecord(azimuth_deg=0, elevation_deg=0, distance_mm=None, intensity=1)
+    assert older.light() == PointLight(0, 0)
+    assert EnvironmentRecord.of(None) is None
 
 
 @pytest.mark.parametrize("record", [result(), registration()], ids=["result", "registration"])

@@ -1,6 +1,7 @@
 """The compiled ASRM against a loop over the readable reflectance functions, and its extremes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,18 @@ def test_near_light_falls_off_with_the_square():
     light = PointLight(0.0, 0.0, 200.0, 1.0)
     shading = shade_points([[0, 0, 100.0], [0, 0, -200.0]], [[0, 0, 1.0]] * 2, (light,), Reflectance())
     assert shading.light - 1 == pytest.approx([4.0, 0.25])
+
+
+def test_a_coloured_lamp_colours_its_own_light_and_no_highlight():
+    position, normal, _ = _points()
+    skin = Reflectance(specular_strength=0.2)
+    warm = [replace(LIGHTS[0], color_linear=(1.4, 1.0, 0.6)), LIGHTS[1]]
+    white, colored = (shade_points(position, normal, lamps, skin) for lamps in (LIGHTS, warm))
+    first = shade_points(position, normal, LIGHTS[:1], skin).light - 1
+    assert np.array_equal(white.light_linear, np.repeat(white.light[:, None], 3, 1))
+    assert colored.light_linear == pytest.approx(white.light[:, None] + first[:, None] * [0.4, 0, -0.4])
+    assert np.array_equal(colored.light, white.light)
+    assert np.array_equal(colored.specular, white.specular)
 
 
 def test_inputs_are_not_changed_and_bad_names_are_refused():

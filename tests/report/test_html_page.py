@@ -7,8 +7,12 @@ import sys
 import numpy as np
 import pytest
 
+import scan2albedo as s2a
 from scan2albedo import report
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
+from scan2albedo.io.result_records import EnvironmentRecord, LightRecord
+from scan2albedo.lighting.environment_light import open_transfer
+from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.report.html.page import _environment, data_json
 from tests.report.pages import check
 
@@ -127,6 +131,22 @@ def test_harmonic_light_is_carried_over(write_scan, tmp_path):
     face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
     assert face["harmonics"] == list(range(27))
     assert face["reflectance"]["brdf"] == "lambert"
+
+
+def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
+    lamp = s2a.PointLight(0.5, 0.2, intensity=2.0, color_linear=(1.5, 1.0, 0.5), radius_deg=12.0)
+    soft = s2a.EnvironmentLight(np.eye(9, 3) + 0.1, fill=0.2)
+    folder = write_scan(
+        tmp_path / "warm", lights=(LightRecord.of(lamp),), environment=EnvironmentRecord.of(soft)
+    )
+    page = written(folder, tmp_path / "page.html")
+    face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
+    assert face["lights"][0]["color"] == [1.5, 1.0, 0.5]
+    normal = np.array([[0.6, 0.0, 0.8]])
+    shown = harmonics(normal, 2) @ np.reshape(face["harmonics"], (9, 3))
+    np.testing.assert_allclose(shown, open_transfer(normal) @ soft.coefficients)
+    assert "12° #ffd59c" in page.words()
+    assert "soft light from around, which the face partly hides" in page.words()
 
 
 def test_folders_without_results_and_damaged_ones_are_refused_with_their_names(write_scan, tmp_path):

@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+
 from scan2albedo.errors import Scan2AlbedoError, one_line
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
 from scan2albedo.report.html.charts import StageChart, read_trace, stage_charts
 from scan2albedo.report.html.encoding import TextureStyle, Topologies, picture_url
@@ -57,6 +60,9 @@ class LightRow:
     distance: str
     intensity: str
     intensity_deviation: str
+    color: str
+    """Of its light in sRGB, #rrggbb, its brightest channel full; empty for white light."""
+    radius: str
 
 
 @dataclass(frozen=True)
@@ -166,6 +172,8 @@ def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
         parts.append(f"{len(record.lights)} light{'s' if len(record.lights) > 1 else ''} at {where}")
     elif record.parameters.get("brdf") == "spherical-harmonics":
         parts.append("light as spherical harmonics")
+    elif record.environment is not None:
+        parts.append("soft light")
     else:
         parts.append("no directed light" if record.parameters else "no albedo (see the plan)")
     deviation = figures.get("metrics_albedo_uncertainty_albedo_deviation")
@@ -268,11 +276,20 @@ def light_rows(record: ResultRecord) -> tuple[LightRow, ...]:
             "distant" if light.distance_mm is None else f"{light.distance_mm:.0f} mm",
             number_text(light.intensity),
             _UNKNOWN if intensity is None else f"± {number_text(100 * intensity, 2)} %",
+            _hex_color(light.color_linear),
+            f"{number_text(light.radius_deg, 2)}°" if light.radius_deg > 0 else "point",
         )
         for k, (light, direction, intensity) in enumerate(
             zip(record.lights, directions, intensities, strict=True)
         )
     )
+
+
+def _hex_color(color_linear: tuple[float, float, float]) -> str:
+    if color_linear == (1.0, 1.0, 1.0):
+        return ""
+    red, green, blue = encode_srgb_bytes(np.array(color_linear) / max(color_linear)).tolist()
+    return f"#{red:02x}{green:02x}{blue:02x}"
 
 
 def alternative_lights(record: ResultRecord) -> tuple[tuple[str, str], ...]:

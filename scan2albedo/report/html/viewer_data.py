@@ -16,6 +16,7 @@ from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
+from scan2albedo.lighting.environment_light import open_shading
 from scan2albedo.lighting.shadow_map import shadow_offset_mm
 from scan2albedo.report.html.encoding import (
     TextureStyle,
@@ -158,11 +159,15 @@ def _light(light: Any) -> dict[str, Any]:
         "elevation": light.elevation_deg,
         "distance": light.distance_mm,
         "intensity": light.intensity,
+        "color": list(light.color_linear),
     }
 
 
 def _harmonics(record: ResultRecord) -> list[float] | None:
-    """Return the light as 9 rows of 3 coefficients of the shading, row by row, where it was found as such."""
+    """Return soft light as 9 rows of 3 coefficients of the shading of an open surface, row by row."""
+    if record.environment is not None:
+        shading = open_shading(record.environment.environment())
+        return np.asarray(shading).ravel().tolist()
     rows = record.parameters.get("sh_coefficients")
     if record.parameters.get("brdf") != "spherical-harmonics" or rows is None:
         return None

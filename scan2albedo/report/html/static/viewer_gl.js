@@ -167,7 +167,7 @@ class FacePainter {
     if (state.mode !== "light") return 1;
     const near = (distance) => distance ? (distance / Math.max(distance - 0.6 * this.face.reach, 0.2 * distance)) ** 2 : 1;
     const brightest = Math.max(0, ...lights.map((light) => light.intensity * near(light.distance)));
-    return 0.8 / (state.harmonic ? 1.5 : Math.max(state.ambient + brightest, 1e-3));
+    return 0.8 / Math.max((state.harmonic ? 1.5 : state.ambient) + brightest, 1e-3);
   }
 
   draw(state) {
@@ -209,7 +209,7 @@ class FacePainter {
     gl.uniformMatrix4fv(place("u_clip_from_model"), false, camera.matrix);
     lights.forEach((light, k) => {
       gl.uniform4fv(place(`u_light[${k}]`), [...directionOf(light.azimuth, light.elevation), light.distance ? 1 / light.distance : 0]);
-      gl.uniform1f(place(`u_energy[${k}]`), light.intensity);
+      gl.uniform3fv(place(`u_energy[${k}]`), (light.color || [1, 1, 1]).map((part) => part * light.intensity));
       if (!cast) return;
       gl.uniformMatrix4fv(place(`u_shadow_from_model[${k}]`), false, this.shadows.views[k].matrix);
       gl.uniform1f(place(`u_texel[${k}]`), this.shadows.views[k].texel);

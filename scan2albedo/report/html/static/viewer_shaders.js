@@ -39,7 +39,7 @@ uniform sampler2D u_albedo, u_texture, u_gloss;
 uniform float u_albedo_scale, u_gloss_scale, u_roughness, u_strength, u_exponent;
 uniform float u_ambient, u_exposure, u_offset;
 uniform vec4 u_light[${MOST_LIGHTS}];
-uniform float u_energy[${MOST_LIGHTS}];
+uniform vec3 u_energy[${MOST_LIGHTS}];
 uniform float u_texel[${MOST_LIGHTS}];
 uniform mat4 u_shadow_from_model[${MOST_LIGHTS}];
 uniform bool u_cast, u_harmonic;
@@ -101,7 +101,8 @@ void main() {
   if (u_mode == 4) { color = vec4(0.5 * normal + 0.5, 1.0); return; }
   if (u_mode == 5) { color = vec4(v_known > 0.5 ? heat(v_residual / max(v_known, 1e-3)) : vec3(0.6), 1.0); return; }
   vec3 light = u_harmonic ? harmonic_light(normal) : vec3(u_ambient);
-  float specular = 0.0, gloss = u_strength > 0.0 ? u_strength * u_gloss_scale * texture(u_gloss, v_uv).r : 0.0;
+  vec3 specular = vec3(0.0);
+  float gloss = u_strength > 0.0 ? u_strength * u_gloss_scale * texture(u_gloss, v_uv).r : 0.0;
   for (int k = 0; k < ${MOST_LIGHTS}; k++) {
     if (k >= u_count) break;
     vec3 ray = u_light[k].xyz - u_light[k].w * v_position;
@@ -109,7 +110,8 @@ void main() {
     vec3 toward = ray * inversesqrt(square);
     float n_l = dot(normal, toward);
     if (n_l <= 0.0) continue;
-    float l_v = dot(toward, view), energy = u_energy[k] / square * visible(k, normal);
+    float l_v = dot(toward, view);
+    vec3 energy = u_energy[k] / square * visible(k, normal);
     light += energy * diffuse_factor(n_l, n_v, l_v);
     float r_v = min(2.0 * n_l * n_v - l_v, 1.0);
     if (gloss > 0.0 && r_v > 0.0) specular += energy * pow(r_v, u_exponent);
