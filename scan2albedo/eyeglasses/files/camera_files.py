@@ -29,20 +29,14 @@ class Camera:
 
     Raises ValueError, naming the camera, when the name is no file name, the matrix is not finite, has another
     shape or a singular left 3x3 part, or the shape is not positive.
-
-    Parameters
-    ----------
-    name : str
-        Of its picture, labels and mask.
-    matrix : (3, 4) float64
-        Pixels (column, row), centres at integers, from points in mm; any scale and sign.
-    shape : (H, W)
-        Of its picture in pixels.
     """
 
     name: str
+    """Of its picture, labels and mask."""
     matrix: FloatArray
+    """(3, 4): pixels (column, row), centres at integers, from points in mm; any scale and sign."""
     shape: tuple[int, int]
+    """(H, W) of its picture in pixels."""
 
     def __post_init__(self) -> None:
         checked_name(self.name)

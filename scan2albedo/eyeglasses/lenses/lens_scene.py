@@ -28,32 +28,23 @@ class Surface:
 
     Raises EyeglassesError when there are no faces or numbers are not finite; ValueError when an array has the
     wrong shape, or the texture comes without `uv`.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-    faces : (F, 3) array_like of int
-        Of any winding; both sides are seen.
-    albedo_linear : (3,) or (V, 3) array_like of float
-        Ignored where there is a texture.
-    uv : (V, 2) or (F, 3, 2) array_like of float, optional
-        Of vertices, or of each face's corners; v = 0 is the bottom row.
-    texture_linear : (H, W, 3) array_like of float, optional
-        Albedo; needs `uv`.
-    roughness_rad : float
-        Oren and Nayar's sigma; 0 is Lambert.
-    specular, shininess : float
-        Strength and exponent of Phong's highlight, as in `lighting.kernels`.
     """
 
     vertices: ArrayLike
+    """(V, 3)."""
     faces: ArrayLike
+    """(F, 3) of any winding; both sides are seen."""
     albedo_linear: ArrayLike = (0.5, 0.5, 0.5)
+    """(3,) or (V, 3); ignored where there is a texture."""
     uv: ArrayLike | None = None
+    """(V, 2) of vertices or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
     texture_linear: ArrayLike | None = None
+    """(H, W, 3) albedo; needs `uv`."""
     roughness_rad: float = 0.0
+    """Oren and Nayar's sigma; 0 is Lambert."""
     specular: float = 0.0
     shininess: float = 32.0
+    """`specular` and `shininess` are strength and exponent of Phong's highlight, as in `lighting.kernels`."""
 
     def __post_init__(self) -> None:
         xyz, index = checked_mesh(self.vertices, self.faces, "a surface")
