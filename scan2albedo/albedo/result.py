@@ -22,71 +22,49 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 
 @dataclass(frozen=True)
 class AlbedoEstimate:
-    """Result of `estimate_albedo`; images are zero outside the mask.
-
-    Parameters
-    ----------
-    albedo_linear : (H, W, 3) float32
-        Up to one global scale, which no image determines: ambient light is 1.
-    lights : tuple of PointLight
-        Strongest first; empty for spherical harmonics.
-    parameters : dict
-        ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
-        light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3).
-    shading : (H, W, 3) float32
-        I_a + I_d of each channel, which divided the texture.
-    specular : (H, W) float32
-        I_s, which was subtracted from the texture: highlights are white.
-    shadow : (H, W) float32
-        Visibility in [0, 1], the smallest over the lights.
-    confidence : (H, W) float32
-        In [0, 1]: how much of the texel's albedo is its own measurement.
-    plan : Plan
-    trace : Trace
-    converged : bool
-        False when the budget ended the search.
-    iterations : int
-        Evaluations of the objective.
-    residual : float
-        The objective's final value: the part of V that lit block albedos leave.
-    image : GeometryImage
-        The image estimated from.
-    view_direction : (float, float, float)
-        Unit, toward the viewer.
-    reflectance : Reflectance
-        How the surface reflects.
-    casts_shadows : bool
-        Whether shadow rays were used.
-    shadow_offset_mm : float
-        Of the shadow rays.
-    uncertainty : LightUncertainty or None
-        How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended.
-    albedo_deviation : (H, W) float32 or None
-        Relative standard deviation of the albedo that follows from it, best scale removed.
-    environment : EnvironmentLight or None
-        The soft light; None is the constant white ambient light of 1.
-    """
+    """Result of `estimate_albedo`; images are zero outside the mask."""
 
     albedo_linear: NDArray[np.float32]
+    """(H, W, 3): up to one global scale, which no image determines: ambient light is 1."""
     lights: tuple[PointLight, ...]
+    """Strongest first; empty for spherical harmonics."""
     parameters: dict[str, object]
+    """ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
+    light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3)."""
     shading: NDArray[np.float32]
+    """(H, W, 3): I_a + I_d of each channel, which divided the texture."""
     specular: NDArray[np.float32]
+    """(H, W): I_s, which was subtracted from the texture: highlights are white."""
     shadow: NDArray[np.float32]
+    """(H, W): visibility in [0, 1], the smallest over the lights."""
     confidence: NDArray[np.float32]
+    """(H, W): in [0, 1], how much of the texel's albedo is its own measurement."""
     plan: Plan
+    """What ran and what was left out, and why."""
     trace: Trace
+    """Error against run time."""
     converged: bool
+    """False when the budget ended the search."""
     iterations: int
+    """Evaluations of the objective."""
     residual: float
+    """The objective's final value: the part of V that lit block albedos leave."""
     image: GeometryImage
+    """The image estimated from."""
     view_direction: tuple[float, float, float]
+    """Unit vector toward the viewer."""
     reflectance: Reflectance
+    """How the surface reflects."""
     casts_shadows: bool
+    """Whether shadow rays were used."""
     shadow_offset_mm: float
+    """Of the shadow rays."""
     uncertainty: LightUncertainty | None = None
+    """How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended."""
     albedo_deviation: NDArray[np.float32] | None = None
+    """(H, W): relative standard deviation of the albedo that follows from it, best scale removed."""
     environment: EnvironmentLight | None = None
+    """The soft light; None is the constant white ambient light of 1."""
 
     def relit(
         self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None

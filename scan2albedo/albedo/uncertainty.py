@@ -19,18 +19,13 @@ _NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
 
 @dataclass(frozen=True)
 class Alternative:
-    """Other lights that explain the image nearly as well: a second minimum of the objective.
-
-    Parameters
-    ----------
-    lights : tuple of PointLight
-    excess : float
-        By which part their cost is larger, before roughness and the like are freed; negative where one light
-        found may be two close ones.
-    """
+    """Other lights that explain the image nearly as well: a second minimum of the objective."""
 
     lights: tuple[PointLight, ...]
+    """In place of those that were found."""
     excess: float
+    """By which part their cost is larger, before roughness and the like are freed; negative where one light
+    found may be two close ones."""
 
 
 @dataclass(frozen=True)
@@ -39,23 +34,16 @@ class LightUncertainty:
 
     They hold as far as the model of the light does: a surface that is wrong, or a lamp of another kind, is
     not part of them.
-
-    Parameters
-    ----------
-    direction_rad : tuple of float
-        Of each light's direction, root mean square over its two coordinates.
-    intensity : tuple of float
-        Of each intensity relative to ambient, as a part of it.
-    albedo : float
-        Root mean square over the surface of the albedo's relative deviation, best scale removed.
-    alternatives : tuple of Alternative
-        Best first; empty where the objective has one minimum only.
     """
 
     direction_rad: tuple[float, ...]
+    """Of each light's direction, root mean square over its two coordinates."""
     intensity: tuple[float, ...]
+    """Of each intensity relative to ambient, as a part of it."""
     albedo: float
+    """Root mean square over the surface of the albedo's relative deviation, best scale removed."""
     alternatives: tuple[Alternative, ...] = ()
+    """Best first; empty where the objective has one minimum only."""
 
     @property
     def ambiguous(self) -> bool:

@@ -12,19 +12,13 @@ from scan2albedo.core.trace import Trace, TraceRow
 
 @dataclass(frozen=True)
 class Budget:
-    """How much an iterative stage may spend; ``None`` means without limit.
-
-    Parameters
-    ----------
-    seconds : float, optional
-        Wall-clock seconds, > 0.
-    evaluations : int, optional
-        Objective evaluations (or iterations, where a stage counts those), >= 1.
-        Only a budget in evaluations makes results reproducible bit by bit.
-    """
+    """How much an iterative stage may spend; ``None`` means without limit."""
 
     seconds: float | None = None
+    """Wall-clock seconds, > 0."""
     evaluations: int | None = None
+    """Objective evaluations (or iterations, where a stage counts those), >= 1. Only a budget in evaluations
+    makes results reproducible bit by bit."""
 
     def __post_init__(self) -> None:
         if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):

@@ -51,43 +51,29 @@ def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
 class GeometryImage:
     """Position, normal, texture and annotation per texel; row 0 is v = 1 (the forehead).
 
-    Parameters
-    ----------
-    position : (H, W, 3) float64
-        Millimetres in the model's frame; zeros outside `mask`.
-    normal : (H, W, 3) float64
-        Unit outward normals; zeros outside `mask`.
-    mask : (H, W) bool
-        Texels that belong to the surface.
-    texture_linear : (H, W, 3) float32, optional
-        Linear colour looked up on the raw scan.
-    region : (H, W) uint8, optional
-        Region index of the model's annotation; 255 outside `mask`.
-    occluder : (vertices (V, 3), faces (F, 3)), optional
-        Mesh that casts shadows; triangulated from `position` when None.
-    texture_valid : (H, W) bool, optional
-        Texels whose texture was really seen (not hidden, not at a grazing angle, not far from the scan);
-        all of `mask` when None.
-    specular_scale : (H, W) float32, optional
-        Expected relative strength of highlights from the annotation; 1 when None.
-    inpaint : (H, W) bool, optional
-        Texels where the annotation permits inpainting; all of `mask` when None.
-
-    Raises
-    ------
-    GeometryImageError
-        For shapes that disagree, values that are not finite inside the mask, or an occluder that is no mesh.
+    Raises GeometryImageError for shapes that disagree, values that are not finite inside the mask, or an
+    occluder that is no mesh.
     """
 
     position: NDArray[np.float64]
+    """(H, W, 3): millimetres in the model's frame; zeros outside `mask`."""
     normal: NDArray[np.float64]
+    """(H, W, 3): unit outward normals; zeros outside `mask`."""
     mask: NDArray[np.bool_]
+    """(H, W): texels that belong to the surface."""
     texture_linear: NDArray[np.float32] | None = None
+    """(H, W, 3): linear colour looked up on the raw scan."""
     region: NDArray[np.uint8] | None = None
+    """(H, W): region index of the model's annotation; 255 outside `mask`."""
     occluder: Occluder | None = None
+    """(vertices (V, 3), faces (F, 3)): mesh that casts shadows; triangulated from `position` when None."""
     texture_valid: NDArray[np.bool_] | None = None
+    """(H, W): texels whose texture was really seen (not hidden, not at a grazing angle, not far from the
+    scan); all of `mask` when None."""
     specular_scale: NDArray[np.float32] | None = None
+    """(H, W): expected relative strength of highlights from the annotation; 1 when None."""
     inpaint: NDArray[np.bool_] | None = None
+    """(H, W): texels where the annotation permits inpainting; all of `mask` when None."""
 
     def __post_init__(self) -> None:
         grid = np.asarray(self.mask).shape

@@ -8,33 +8,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PlanStep:
-    """One decision: a step that ran or was left out.
-
-    Parameters
-    ----------
-    stage : str
-        Stage and step, for example "albedo.shadows".
-    ran : bool
-        Whether the step was carried out.
-    reason : str
-        Why, in words.
-    evidence : str
-        The measured figure behind the reason, with its unit; empty when the caller decided.
-    """
+    """One decision: a step that ran or was left out."""
 
     stage: str
+    """Stage and step, for example "albedo.shadows"."""
     ran: bool
+    """Whether the step was carried out."""
     reason: str
+    """Why, in words."""
     evidence: str = ""
+    """The measured figure behind the reason, with its unit; empty when the caller decided."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """Decisions in the order they were taken.
-
-    Parameters
-    ----------
-    steps : tuple of PlanStep
 
     Examples
     --------
@@ -44,6 +32,7 @@ class Plan:
     """
 
     steps: tuple[PlanStep, ...] = ()
+    """In the order they were decided."""
 
     def __iter__(self) -> Iterator[PlanStep]:
         return iter(self.steps)

@@ -15,35 +15,24 @@ _MEAN_TOLERANCE = 1e-6
 class PointLight:
     """One light source in the model's frame.
 
-    Parameters
-    ----------
-    azimuth_rad : float
-        From +z toward +x.
-    elevation_rad : float
-        From the xz-plane toward +y.
-    distance_mm : float
-        Distance from the model's origin; ``inf`` is a distant light without falloff.
-    intensity : float
-        Irradiance factor relative to ambient = 1 at the origin's distance: a surface there facing the
-        light gets `intensity`, and (distance_mm / r)^2 of it at distance r from the light.
-    color_linear : (float, float, float)
-        Of its light, red, green, blue, of mean 1: `intensity` is the mean over the channels.
-    radius_deg : float
-        Angular radius as seen from the face: how soft its shadows are. 0 is a point.
-
-    Raises
-    ------
-    ValueError
-        For angles or an intensity that are not finite, a negative intensity, a distance that is not above 0,
-        a colour that is negative or not of mean 1, or a radius outside 0 to 90 degrees.
+    Raises ValueError for angles or an intensity that are not finite, a negative intensity, a distance that is
+    not above 0, a colour that is negative or not of mean 1, or a radius outside 0 to 90 degrees.
     """
 
     azimuth_rad: float
+    """From +z toward +x."""
     elevation_rad: float
+    """From the xz-plane toward +y."""
     distance_mm: float = math.inf
+    """Distance from the model's origin; ``inf`` is a distant light without falloff."""
     intensity: float = 1.0
+    """Irradiance factor relative to ambient = 1 at the origin's distance: a surface there facing the light
+    gets `intensity`, and (distance_mm / r)^2 of it at distance r from the light."""
     color_linear: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Of its light, red, green, blue, of mean 1: `intensity` is the mean over the
+    channels."""
     radius_deg: float = 0.0
+    """Angular radius as seen from the face: how soft its shadows are. 0 is a point."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.azimuth_rad, self.elevation_rad, self.intensity))):

@@ -19,37 +19,24 @@ _LARGEST_UV = 1e12
 class RawScan:
     """A raw scan; inputs are checked and converted, never mutated.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64
-        Millimetres, any pose.
-    faces : (F, 3) int64
-        Indices into `vertices`.
-    uv : (F, 3, 2) float64, optional
-        Texture coordinates of each face's corners; v = 0 is the bottom row of the texture.
-    texture_linear : (H, W, 3) float32, optional
-        Linear colour, 1 = display white; row 0 is the top.
-    vertex_color_linear : (V, 3) float32, optional
-        Linear colour of each vertex, for scans without a texture.
-    name : str
-        Used in messages and output folders.
-    notes : tuple of str
-        What loading decided and repaired (unit, dropped faces, missing texture), one sentence each.
-
-    Raises
-    ------
-    ScanError
-        For wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face indices out
-        of range, or a name that names no folder.
+    Raises ScanError for wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face
+    indices out of range, or a name that names no folder.
     """
 
     vertices: NDArray[np.float64]
+    """(V, 3): millimetres, any pose."""
     faces: NDArray[np.int64]
+    """(F, 3): indices into `vertices`."""
     uv: NDArray[np.float64] | None = None
+    """(F, 3, 2): texture coordinates of each face's corners; v = 0 is the bottom row of the texture."""
     texture_linear: NDArray[np.float32] | None = None
+    """(H, W, 3): linear colour, 1 = display white; row 0 is the top."""
     vertex_color_linear: NDArray[np.float32] | None = None
+    """(V, 3): linear colour of each vertex, for scans without a texture."""
     name: str = "scan"
+    """Used in messages and output folders."""
     notes: tuple[str, ...] = ()
+    """What loading decided and repaired (unit, dropped faces, missing texture), one sentence each."""
 
     def __post_init__(self) -> None:
         if self.name in ("", ".", "..") or set(self.name) & set("/\\\0"):

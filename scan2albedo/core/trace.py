@@ -20,26 +20,19 @@ _LOG_FROM = 5.0
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One point of the error-against-run-time curve of a stage.
-
-    Parameters
-    ----------
-    stage : str
-    elapsed_s, cpu_s : float
-        Wall-clock and CPU seconds since the stage began.
-    evaluations : int
-        Spent by then.
-    error : float
-    unit : str
-        Of the error.
-    """
+    """One point of the error-against-run-time curve of a stage."""
 
     stage: str
+    """That recorded the row."""
     elapsed_s: float
     cpu_s: float
+    """`elapsed_s` and `cpu_s` are wall-clock and CPU seconds since the stage began."""
     evaluations: int
+    """Spent by then."""
     error: float
+    """In `unit`."""
     unit: str
+    """Of the error."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +40,10 @@ class Trace:
     """Rows (stage, elapsed_s, cpu_s, evaluations, error, unit) in the order they were recorded.
 
     Times and evaluations count from the start of each row's own stage.
-
-    Parameters
-    ----------
-    rows : tuple of TraceRow
     """
 
     rows: tuple[TraceRow, ...] = ()
+    """In the order they were recorded."""
 
     def __iter__(self) -> Iterator[TraceRow]:
         return iter(self.rows)

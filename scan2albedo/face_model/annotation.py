@@ -22,27 +22,18 @@ MOUTH_REGION = "between_lips"
 
 @dataclass(frozen=True)
 class Region:
-    """One annotated region of the face.
-
-    Parameters
-    ----------
-    name : str
-        For example "nose" or "left_cheek" (the subject's left, +x).
-    index : int
-        Value in `AnnotatedFaceModel.region`, 0 ... 254.
-    stiffness : float
-        Relative stiffness in the fit, 1 = average; rigid parts (forehead, nose) are above.
-    specular_scale : float
-        Relative strength of highlights expected there, 1 = average skin, 0 = none.
-    inpaint : bool
-        Whether saturated texels may be filled by exemplar synthesis there.
-    """
+    """One annotated region of the face."""
 
     name: str
+    """For example "nose" or "left_cheek" (the subject's left, +x)."""
     index: int
+    """Value in `AnnotatedFaceModel.region`, 0 ... 254."""
     stiffness: float = 1.0
+    """Relative stiffness in the fit, 1 = average; rigid parts (forehead, nose) are above."""
     specular_scale: float = 1.0
+    """Relative strength of highlights expected there, 1 = average skin, 0 = none."""
     inpaint: bool = True
+    """Whether saturated texels may be filled by exemplar synthesis there."""
 
 
 @dataclass(frozen=True)

@@ -18,18 +18,13 @@ _FINEST_ROWS = 256
 
 @dataclass(frozen=True)
 class DistantLights:
-    """Lights far away: each has one direction for the whole scene.
-
-    Parameters
-    ----------
-    directions : (K, 3) array_like of float
-        Towards the lights, of any length.
-    irradiance_linear : (K, 3) or (K,) array_like of float
-        On a surface that faces the light; a matte white one then has the radiance irradiance / pi.
-    """
+    """Lights far away: each has one direction for the whole scene."""
 
     directions: ArrayLike
+    """(K, 3): towards the lights, of any length."""
     irradiance_linear: ArrayLike
+    """(K, 3) or (K,): on a surface that faces the light; a matte white one then has the radiance irradiance /
+    pi."""
 
     def __post_init__(self) -> None:
         toward = _checked_directions(self.directions)

@@ -25,40 +25,27 @@ _HUMAN_SCALE = (0.75, 1.3)
 
 @dataclass(frozen=True)
 class Registration:
-    """Rigid pose of a scan in the model's frame.
-
-    Parameters
-    ----------
-    model_from_scan : (4, 4) float64
-        Maps scan points (mm) into the model's frame.
-    rmse_mm : float
-        Root mean square distance model -> scan over the inliers at the final pose.
-    depth_error : float or None
-        Depth-derivative objective at the final pose; None when annealing did not run.
-    converged : bool
-        False when a budget ended the search.
-    confidence : float
-        0 ... 1: how clearly a face was found (see `registration.register`).
-    iterations : int
-        Objective evaluations and ICP iterations spent.
-    trace : Trace
-        Stages "icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced.
-    notes : tuple of (step, ran, reason, evidence)
-        What the steps inside decided, for the plan.
-    face_scale : float
-        Size of the face relative to the model's, about the model's origin; `model_from_scan` is rigid
-        and does not contain it.
-    """
+    """Rigid pose of a scan in the model's frame."""
 
     model_from_scan: FloatArray
+    """(4, 4): maps scan points (mm) into the model's frame."""
     rmse_mm: float
+    """Root mean square distance model -> scan over the inliers at the final pose."""
     depth_error: float | None
+    """Depth-derivative objective at the final pose; None when annealing did not run."""
     converged: bool
+    """False when a budget ended the search."""
     confidence: float
+    """0 ... 1: how clearly a face was found (see `registration.register`)."""
     iterations: int
+    """Objective evaluations and ICP iterations spent."""
     trace: Trace
+    """Stages "icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced."""
     notes: tuple[tuple[str, bool, str, str], ...] = ()
+    """What the steps inside decided, for the plan."""
     face_scale: float = 1.0
+    """Size of the face relative to the model's, about the model's origin; `model_from_scan` is rigid and does
+    not contain it."""
 
 
 def register(
