@@ -80,30 +80,20 @@ def grace(seconds: float) -> float:
 
 @dataclass
 class Meter:
-    """Clock, evaluation count and trace of one running stage.
-
-    Parameters
-    ----------
-    stage : str
-        Name written into the trace rows.
-    unit : str
-        Unit of the errors recorded, for example "mm".
-    budget : Budget
-        Limits that `exhausted` checks.
-    on_progress : callable, optional
-        Called with every recorded `TraceRow`.
-    evaluations : int
-        Spent so far.
-    rows : list of TraceRow
-        Recorded so far.
-    """
+    """Clock, evaluation count and trace of one running stage."""
 
     stage: str
+    """Name written into the trace rows."""
     unit: str
+    """Unit of the errors recorded, for example "mm"."""
     budget: Budget = field(default_factory=Budget)
+    """Limits that `exhausted` checks."""
     on_progress: ProgressCallback | None = None
+    """Called with every recorded `TraceRow`."""
     evaluations: int = 0
+    """Spent so far."""
     rows: list[TraceRow] = field(default_factory=list)
+    """Recorded so far."""
     _wall_start: float = field(default_factory=time.perf_counter)
     _cpu_start: float = field(default_factory=time.process_time)
 

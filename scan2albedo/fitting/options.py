@@ -15,58 +15,41 @@ class FitOptions:
 
     Stiffness is given as a length: features of the displacement shorter than it are smoothed away,
     longer ones follow the scan. It falls geometrically from the first to the last stage.
-
-    Parameters
-    ----------
-    levels : tuple of int
-        Loop refinements whose limit vertices feel forces, one entry a stage: coarse to fine.
-    finest_level : int
-        Refinement of a short last stage for scans at least as fine as its samples; 0 leaves it out.
-    steps : int
-        Most time steps a stage.
-    bending_mm : (float, float)
-        Thin-plate smoothing length in the first and last stage.
-    membrane_mm : (float, float)
-        Membrane smoothing length in the first and last stage.
-    tangential : float
-        Part of the force along the surface, relative to 1 across it.
-    gate_mm : (float, float)
-        Scan points farther than this exert no force, first and last stage.
-    time_step, mass, damping : float
-        dt, and M and D as multiples of the surface's area (a unit force is a unit area).
-    rigid_iterations : int
-        Most iterations of the pose and scale refinement; 0 keeps the pose given.
-    proportion_iterations : int
-        Iterations of the symmetric stretch that gives the face its proportions; 0 leaves it out.
-    scale_range : (float, float)
-        Least and greatest size of the face relative to the model.
-    open_mouth : bool
-        Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks).
-    result_levels : int
-        Loop refinements of the surface returned.
-    gain_tolerance : float
-        A stage ends when five steps gained less than this fraction of the error.
-    smoothing_mm : float
-        Scans finer than this are averaged over it, so that their noise does not steer the fit.
     """
 
     levels: tuple[int, ...] = (0, 0, 0, 1, 1, 1, 1, 1)
+    """Loop refinements whose limit vertices feel forces, one entry a stage: coarse to fine."""
     finest_level: int = 2
+    """Refinement of a short last stage for scans at least as fine as its samples; 0 leaves it out."""
     steps: int = 10
+    """Most time steps a stage."""
     bending_mm: tuple[float, float] = (40.0, 0.9)
+    """Thin-plate smoothing length in the first and last stage."""
     membrane_mm: tuple[float, float] = (6.0, 0.5)
+    """Membrane smoothing length in the first and last stage."""
     tangential: float = 0.01
+    """Part of the force along the surface, relative to 1 across it."""
     gate_mm: tuple[float, float] = (20.0, 3.0)
+    """Scan points farther than this exert no force, first and last stage."""
     time_step: float = 10.0
     mass: float = 1.0
     damping: float = 0.1
+    """`time_step`, `mass` and `damping` are dt, and M and D as multiples of the surface's area (a unit
+    force is a unit area)."""
     rigid_iterations: int = 5
+    """Most iterations of the pose and scale refinement; 0 keeps the pose given."""
     proportion_iterations: int = 8
+    """Iterations of the symmetric stretch that gives the face its proportions; 0 leaves it out."""
     scale_range: tuple[float, float] = (0.75, 1.35)
+    """Least and greatest size of the face relative to the model."""
     open_mouth: bool = True
+    """Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks)."""
     result_levels: int = 2
+    """Loop refinements of the surface returned."""
     gain_tolerance: float = 0.003
+    """A stage ends when five steps gained less than this fraction of the error."""
     smoothing_mm: float = 0.8
+    """Scans finer than this are averaged over it, so that their noise does not steer the fit."""
 
     def __post_init__(self) -> None:
         if not self.levels or not all(0 <= level <= MOST_LEVELS for level in self.levels):

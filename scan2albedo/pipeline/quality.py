@@ -16,16 +16,6 @@ from scan2albedo.registration import RegistrationOptions
 class Quality:
     """Options of every stage of `process`.
 
-    Parameters
-    ----------
-    name : str
-        What results call it.
-    size : int
-        Height and width of the geometry image in texels, where the caller asks for none.
-    registration : RegistrationOptions
-    fit : FitOptions
-    albedo : EstimateOptions
-
     Examples
     --------
     A preset with one option changed, for ``process(..., quality=softer)``:
@@ -38,10 +28,13 @@ class Quality:
     """
 
     name: str
+    """What results call it."""
     size: int = 512
+    """Height and width of the geometry image in texels, where the caller asks for none."""
     registration: RegistrationOptions = field(default_factory=RegistrationOptions)
     fit: FitOptions = field(default_factory=FitOptions)
     albedo: EstimateOptions = field(default_factory=EstimateOptions)
+    """`registration`, `fit` and `albedo` are what the stages are called with."""
 
     def __post_init__(self) -> None:
         check_size(self.size)

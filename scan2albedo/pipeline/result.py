@@ -55,51 +55,36 @@ FILES = frozenset(
 
 @dataclass(frozen=True)
 class ProcessResult:
-    """All results of one scan.
-
-    Parameters
-    ----------
-    scan : RawScan
-    registration : Registration or None
-        None without a model, or when registration was skipped.
-    fitted : FittedFace or None
-        None without a model.
-    geometry_image : GeometryImage
-    albedo : AlbedoEstimate or None
-        None when the scan has no colour, or the stage was skipped.
-    plan : Plan
-        What ran, what was left out, and why.
-    trace : Trace
-        Error against run time of every iterative stage.
-    timings_s : mapping of str to float
-        Wall-clock seconds of each stage.
-    options : mapping of str to object
-        What `process` was called with.
-    seed : int
-    source : Path or None
-        File the scan was read from.
-    out : Path or None
-        Folder with the files, when they were written.
-    messages : tuple of str
-        Warnings that stages gave.
-    input_sha256 : str or None
-        Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file.
-    """
+    """All results of one scan."""
 
     scan: RawScan
+    """As it was read."""
     registration: Registration | None
+    """None without a model, or when registration was skipped."""
     fitted: FittedFace | None
+    """None without a model."""
     geometry_image: GeometryImage
+    """The face, or the object, on its chart."""
     albedo: AlbedoEstimate | None
+    """None when the scan has no colour, or the stage was skipped."""
     plan: Plan
+    """What ran, what was left out, and why."""
     trace: Trace
+    """Error against run time of every iterative stage."""
     timings_s: Mapping[str, float]
+    """Wall-clock seconds of each stage."""
     options: Mapping[str, Any]
+    """What `process` was called with."""
     seed: int
+    """What random steps began from."""
     source: Path | None = None
+    """File the scan was read from."""
     out: Path | None = None
+    """Folder with the files, when they were written."""
     messages: tuple[str, ...] = ()
+    """Warnings that stages gave."""
     input_sha256: str | None = None
+    """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
