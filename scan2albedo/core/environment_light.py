@@ -15,21 +15,7 @@ class EnvironmentLight:
     Its radiance is L(d) = sum_k c_k Y_k(d) / Y_0. White surfaces that nothing hides have the light c_0 on
     average over their directions: (1, 1, 1) is the constant ambient light of 1.
 
-    Parameters
-    ----------
-    coefficients : (9, 3) array_like of float
-        c of each channel, in the order of `lighting.harmonics`; stored as float64.
-    occluded : bool
-        Whether the surface hides part of it from itself.
-    fill : float
-        In [0, 1], the part of the hidden constant light that comes back: from walls, or through the surface.
-    bounce : float
-        Albedo of the surface that throws light onto itself; 0 or more.
-
-    Raises
-    ------
-    ValueError
-        For coefficients of another shape or not finite, or for strengths outside their ranges.
+    Raises ValueError for coefficients of another shape or not finite, or for strengths outside their ranges.
 
     Examples
     --------
@@ -38,9 +24,13 @@ class EnvironmentLight:
     """
 
     coefficients: NDArray[np.float64]
+    """(9, 3): c of each channel, in the order of `lighting.harmonics`; stored as float64."""
     occluded: bool = True
+    """Whether the surface hides part of it from itself."""
     fill: float = 0.0
+    """Part in [0, 1] of the hidden constant light that comes back: from walls, or through the surface."""
     bounce: float = 0.0
+    """Albedo of the surface that throws light onto itself; 0 or more."""
 
     def __post_init__(self) -> None:
         given = np.array(self.coefficients, np.float64)

@@ -29,8 +29,7 @@ class PointLight:
     """Irradiance factor relative to ambient = 1 at the origin's distance: a surface there facing the light
     gets `intensity`, and (distance_mm / r)^2 of it at distance r from the light."""
     color_linear: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Of its light, red, green, blue, of mean 1: `intensity` is the mean over the
-    channels."""
+    """Of its light, red, green, blue, of mean 1: `intensity` is the mean over the channels."""
     radius_deg: float = 0.0
     """Angular radius as seen from the face: how soft its shadows are. 0 is a point."""
 
