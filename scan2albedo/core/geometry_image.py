@@ -25,6 +25,7 @@ _SHAPES = {
     "texture_valid": (np.bool_, None),
     "specular_scale": (np.float32, None),
     "inpaint": (np.bool_, None),
+    "skin": (np.float32, None),
 }
 
 
@@ -51,8 +52,8 @@ def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
 class GeometryImage:
     """Position, normal, texture and annotation per texel; row 0 is v = 1 (the forehead).
 
-    Raises GeometryImageError for shapes that disagree, values that are not finite inside the mask, or an
-    occluder that is no mesh.
+    Raises GeometryImageError for shapes that disagree, values that are not finite inside the mask, skin
+    beyond 0 to 1, or an occluder that is no mesh.
     """
 
     position: NDArray[np.float64]
@@ -74,6 +75,9 @@ class GeometryImage:
     """(H, W): expected relative strength of highlights from the annotation; 1 when None."""
     inpaint: NDArray[np.bool_] | None = None
     """(H, W): texels where the annotation permits inpainting; all of `mask` when None."""
+    skin: NDArray[np.float32] | None = None
+    """(H, W): how surely a texel is skin, 0 to 1; 0 on hair, brows, eyes, lips, cloth and glasses, and where
+    nothing was seen. When None it was not computed: every seen texel counts as 1."""
 
     def __post_init__(self) -> None:
         grid = np.asarray(self.mask).shape
@@ -88,10 +92,12 @@ class GeometryImage:
                     f"{field} has shape {array.shape}, expected {wanted} to match the mask"
                 )
             object.__setattr__(self, field, array.astype(dtype, copy=False))
-        for field in ("position", "normal", "texture_linear", "specular_scale"):
+        for field in ("position", "normal", "texture_linear", "specular_scale", "skin"):
             value = getattr(self, field)
             if value is not None and not np.isfinite(value[self.mask]).all():
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
+        if self.skin is not None and not ((self.skin >= 0) & (self.skin <= 1))[self.mask].all():
+            raise GeometryImageError("skin holds values beyond 0 to 1 inside the mask")
         if self.occluder is not None:
             object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
 
@@ -130,12 +136,14 @@ class GeometryImage:
         return 0.5 * np.linalg.norm(np.cross(down, up), axis=1)
 
     def figures(self) -> dict[str, float]:
-        """Return what part of the square is surface, what part of that was seen, and the texels' areas."""
+        """Return what part of the square is surface, what part of that was seen, or is skin; texel areas."""
         areas = self.texel_areas_mm2()
         low, median, high = np.percentile(areas, (5, 50, 95)) if len(areas) else (np.nan,) * 3
+        skin = {} if self.skin is None else {"skin": float(self.skin[self.mask].mean())}
         return {
             "coverage": float(self.mask.mean()),
             "seen": float(self.seen.sum() / max(int(self.mask.sum()), 1)),
+            **skin,
             "texel_area_mm2": float(median),
             "texel_area_p95_to_p5": float(high / low) if low > 0 else float("nan"),
         }

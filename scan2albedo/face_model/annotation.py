@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,16 @@ LANDMARK_LEVELS = 3
 """Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
 MOUTH_REGION = "between_lips"
 """The film between the lips, which closes the model's surface. It is no skin: no scan pulls at it."""
+SKIN_SHARE: Mapping[str, float] = MappingProxyType(
+    {
+        **dict.fromkeys(("left_brow", "right_brow"), 0.8),
+        **dict.fromkeys(("left_eye", "right_eye", "left_nostril", "right_nostril", "lower_lip"), 0.7),
+        MOUTH_REGION: 0.05,
+    }
+)
+"""Part of a region that is skin on most faces, beside hair, eyes and lips; 1 in the regions not named."""
+SKIN_REGIONS = frozenset({"forehead", "nose", "left_cheek", "right_cheek"})
+"""Regions that show bare skin on most faces, bearded ones too."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +45,16 @@ class Region:
     """Relative strength of highlights expected there, 1 = average skin, 0 = none."""
     inpaint: bool = True
     """Whether saturated texels may be filled by exemplar synthesis there."""
+
+    @property
+    def skin_share(self) -> float:
+        """Part of the region that is skin on most faces."""
+        return SKIN_SHARE.get(self.name, 1.0)
+
+    @property
+    def shows_skin(self) -> bool:
+        """Whether the region shows bare skin on most faces."""
+        return self.name in SKIN_REGIONS
 
 
 @dataclass(frozen=True)
@@ -127,7 +148,7 @@ class AnnotatedSurface:
         return moved + np.einsum("nij,nj->ni", frames, self.template_offset)
 
     def region_values(self, attribute: str) -> FloatArray:
-        """Return (256,) table from region index to a Region attribute (0 where unused).
+        """Return (256,) table from region index to a number of `Region` (0 where unused).
 
         >>> from scan2albedo import AnnotatedFaceModel
         >>> AnnotatedFaceModel.default().region_values("stiffness").shape

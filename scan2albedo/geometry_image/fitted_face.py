@@ -13,6 +13,7 @@ from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.geometry_image.skin import skin_weight
 from scan2albedo.geometry_image.texture_lookup import LookupOptions, texel_steps, texture_on_chart
 
 if TYPE_CHECKING:
@@ -40,6 +41,10 @@ class Fitted(Protocol):
         """(V, 2) chart coordinates."""
 
     @property
+    def residual_mm(self) -> NDArray[np.float64]:
+        """(V,) distance to the scan; NaN where there is none near."""
+
+    @property
     def region(self) -> NDArray[np.uint8]:
         """(F,) region index."""
 
@@ -58,7 +63,8 @@ def geometry_image(
     """Sample a fitted face on a regular grid over its chart.
 
     Position and normal come from the fitted limit surface, the texture from the closest point of the
-    raw scan, low-pass filtered over each texel's footprint in the photograph.
+    raw scan, low-pass filtered over each texel's footprint in the photograph. `skin` comes from the
+    annotation, the texture and the fit's residual (`geometry_image.skin`).
 
     Parameters
     ----------
@@ -110,6 +116,15 @@ def geometry_image(
         texture_valid=seen,
         specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
+        skin=skin_weight(
+            position,
+            normal,
+            raster.covered if seen is None else seen,
+            texture,
+            prior=_annotation(fitted, region, "skin_share"),
+            anchor=_annotation(fitted, region, "shows_skin") > 0,
+            residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
+        ),
     )
 
 

@@ -24,6 +24,7 @@ _NAME_IN_FILE = {
     "texture_valid": "texture_valid",
     "specular_scale": "specular_scale",
     "inpaint": "inpaint",
+    "skin": "skin",
 }
 _EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB"}
 _DTYPES = {"mask": bool, "texture_valid": bool, "inpaint": bool, "region": np.uint8}
@@ -33,8 +34,8 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     """Write a geometry image as a compressed ``.npz`` without loss, atomically.
 
     Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
-    ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``occluder_vertices_mm`` and
-    ``occluder_faces``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
+    ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``occluder_vertices_mm``
+    and ``occluder_faces``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
     for field, stored in _NAME_IN_FILE.items():
@@ -50,8 +51,8 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
     """Write a geometry image as a 32-bit float EXR with one layer a field, atomically.
 
     Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G`` ``.B``,
-    and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``. The occluder does
-    not fit into an image and is left out. Raises OutputError when the folder cannot be written.
+    and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``, ``skin.Y``. The
+    occluder does not fit into an image and is left out. Raises OutputError when the folder cannot be written.
     """
     channels: dict[str, NDArray[np.float32]] = {}
     for field, stored in _NAME_IN_FILE.items():

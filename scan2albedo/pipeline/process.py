@@ -250,7 +250,7 @@ def _plan(
         f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
     )
     if fitted is not None and scan.has_color:
-        evidence += f", texture seen in {figures['seen']:.1%} of them"
+        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
     chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
     steps.append(PlanStep("geometry_image", True, chart, evidence))
     if estimate is not None:

@@ -42,6 +42,7 @@ FILES = frozenset(
         "shading.exr",
         "specular.exr",
         "shadow.png",
+        "skin.png",
         "fitted.glb",
         "template.obj",
         "registration.json",
@@ -150,7 +151,7 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
     drawn: dict[str, bytes] = {}
     if pictures:
         panels = result_panels(result.scan, fitted, image, estimate, albedo_srgb)
-        drawn["overview.png"] = figure_png(overview_figure(summary, panels))
+        drawn["overview.png"] = figure_png(overview_figure(summary, panels, columns=6))
         drawn["error_vs_time.png"] = figure_png(result.trace.plot(), dpi=110)
     # An older run may have had more stages.
     with result_folder(folder, "result.json", obsolete=FILES, staged_in=out) as staging:
@@ -159,6 +160,9 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
         result.trace.to_csv(staging / "trace.csv")
         write_geometry_image(staging / "geometry_image.npz", image)
         write_geometry_image_exr(staging / "geometry_image.exr", image)
+        if image.skin is not None:
+            skin = np.where(image.mask, image.skin, 0)
+            write_png(staging / "skin.png", np.round(255 * skin).astype(np.uint8))
         if estimate is not None and albedo_srgb is not None:
             write_exr(staging / "albedo.exr", estimate.albedo_linear)
             write_png(staging / "albedo.png", albedo_srgb)

@@ -100,6 +100,8 @@ def _chart_panels(
     if image.texture_linear is not None:
         dimmed = np.where(image.seen[..., None], image.texture_linear, 0.35 * image.texture_linear)
         panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, image.mask)))
+    if image.skin is not None:
+        panels.append(Panel("skin (white): the light is found there", _weights(image.skin, image.mask)))
     if estimate is not None and albedo_srgb is not None:
         panels.append(Panel("diffuse light + ambient", _light(estimate.shading, image.mask)))
         panels.append(Panel("highlights", _gray(estimate.specular, image.mask)))
@@ -171,6 +173,10 @@ def _light(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
     bright = float(np.percentile(inside.max(-1), 99.5)) if len(inside) else 0.0
     shown = linear_to_srgb(np.clip(values / bright, 0, 1)) if bright > 0 else np.zeros_like(values)
     return _bytes(np.where(mask[..., None], shown, 1.0))
+
+
+def _weights(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+    return _bytes(np.repeat(np.where(mask, values, 1.0)[..., None], 3, axis=2))
 
 
 def _bytes(picture: NDArray[np.floating]) -> Picture:

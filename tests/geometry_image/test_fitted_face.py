@@ -33,10 +33,12 @@ class Patch:
     uv: np.ndarray
     model_from_scan: np.ndarray
     region: np.ndarray = field(init=False)
+    residual_mm: np.ndarray = field(init=False)
     model: FlatAnnotation = field(default_factory=FlatAnnotation)
 
     def __post_init__(self):
         self.region = np.full(len(self.faces), 3, np.uint8)
+        self.residual_mm = np.zeros(len(self.vertices))
 
 
 def grid_faces(n):
@@ -67,6 +69,16 @@ def test_position_follows_the_texel_centres_with_row_0_on_top():
     np.testing.assert_allclose(image.normal, np.broadcast_to([0, 0, 1], (50, 50, 3)), atol=1e-12)
     assert (image.region == 3).all()
     assert image.texture_linear is None
+
+
+def test_skin_is_where_the_surface_was_seen():
+    fitted = patch()
+    fitted.residual_mm[fitted.vertices[:, 0] > 20] = np.nan
+    for scan in (None, textured_scan(fitted, np.full((9, 9, 3), 0.4, np.float32))):
+        image = geometry_image(fitted, scan, size=50)
+        assert image.skin[:, :34] == pytest.approx(1)
+        assert image.skin[:, 36:] == pytest.approx(0)
+        assert image.figures()["skin"] == pytest.approx(0.7, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", range(3))

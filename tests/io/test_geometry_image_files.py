@@ -33,6 +33,7 @@ def picture(complete=True):
         texture_valid=RNG.random(mask.shape) > 0.3,
         specular_scale=RNG.random(mask.shape).astype(np.float32),
         inpaint=RNG.random(mask.shape) > 0.5,
+        skin=RNG.random(mask.shape).astype(np.float32),
     )
 
 
@@ -73,7 +74,7 @@ def test_exr_layers_have_the_names_other_programs_show(tmp_path):
         [f"position_mm.{c}" for c in "XYZ"]
         + [f"normal.{c}" for c in "XYZ"]
         + [f"texture_linear.{c}" for c in "RGB"]
-        + [f"{n}.Y" for n in ("mask", "region", "texture_valid", "specular_scale", "inpaint")]
+        + [f"{n}.Y" for n in ("mask", "region", "texture_valid", "specular_scale", "inpaint", "skin")]
     )
 
 
@@ -135,5 +136,7 @@ def test_an_occluder_that_is_no_mesh_is_refused(occluder, message):
 
 def test_nan_in_the_annotation_is_refused():
     grid = np.zeros((2, 2, 3))
+    with pytest.raises(GeometryImageError, match="skin holds values beyond 0 to 1"):
+        GeometryImage(grid, grid, np.ones((2, 2), bool), skin=np.full((2, 2), 1.1))
     with pytest.raises(GeometryImageError, match="specular_scale holds NaN"):
         GeometryImage(grid, grid, np.ones((2, 2), bool), specular_scale=np.full((2, 2), np.nan))

@@ -40,6 +40,7 @@ FILES = {
     "shading.exr",
     "specular.exr",
     "shadow.png",
+    "skin.png",
     "fitted.glb",
     "registration.json",
     "trace.csv",

@@ -132,6 +132,23 @@ def _() -> str:
     return "geometry only"
 
 
+@CASES.extreme(STAGE, "skin: all hair, one colour, a grey texture")
+def _() -> str:
+    random = np.random.default_rng(0)
+    texture = person().scan.texture_linear
+    assert texture is not None
+    hair = (0.1 * np.exp(random.normal(0, 1, (*texture.shape[:2], 1))) * np.ones(3)).clip(0, 1)
+    grey = np.repeat(texture.mean(-1, keepdims=True), 3, 2)
+    shares = []
+    for painted in (hair, np.full_like(texture, 0.4), grey):
+        image = sampled(replace(person().scan, texture_linear=painted.astype(np.float32)))
+        assert image.skin is not None
+        shares.append(float(image.skin[image.seen].mean()))
+    assert shares[0] < 0.5 * shares[2]
+    assert shares[1] > 0.9
+    return f"skin: {shares[0]:.0%}, {shares[1]:.0%} and {shares[2]:.0%} of the seen texels"
+
+
 @CASES.extreme(STAGE, "uv moved by 1, -5 and 1e6 whole periods")
 def _() -> str:
     scan = person().scan
