@@ -25,9 +25,14 @@ _CHOICE_SIDE = 15
 """Side [texels] of the square over which channels are compared."""
 
 
+_LEAST_SKIN, _NOT_SKIN = 0.05, 0.02
+"""Mean skin below which there is none to speak of, and the weight that other texels keep beside skin."""
+
+
 @dataclass(frozen=True)
 class Level:
-    """N cells of the image at one size; `weight` (N,) is the usable part of a cell's texels.
+    """N cells of the image at one size; `weight` (N,) is the usable part of a cell's texels times their
+    mean skin.
 
     `position`, `normal` (N, 3) are weighted means, normals of unit length again. `anchor` (N, 3) is one
     texel's position, where shadow rays start: it lies on the surface, as the mean need not. `value` (N,) and
@@ -166,7 +171,7 @@ def build_level(
         normalized(mean(image.normal)),
         anchor,
         value / unit,
-        count[filled] / factor**2,
+        count[filled] / factor**2 * mean(_skin(image, usable))[:, 0],
         scale,
         unit,
         mean(image.texture_linear) / unit,
@@ -175,6 +180,16 @@ def build_level(
         int(image.mask.sum()),
         factor,
     )
+
+
+def _skin(image: GeometryImage, usable: BoolArray) -> NDArray[np.floating]:
+    """Return (H, W) the part that each texel takes in the search: hair, eyes and cloth hardly any.
+
+    Of a surface without skin every texel takes part alike.
+    """
+    if image.skin is None or image.skin[usable].mean() < _LEAST_SKIN:
+        return np.ones(image.shape)
+    return np.maximum(image.skin, _NOT_SKIN)
 
 
 @njit(cache=True, nogil=True)

@@ -49,6 +49,23 @@ def test_anchors_are_texels_of_the_surface(make_image):
     assert np.linalg.norm(level.anchor - level.position, axis=1).max() < 10
 
 
+def test_cells_weigh_by_their_skin(make_image):
+    plain = make_image()
+    usable = usable_texels(plain, OPTIONS)
+    skin = np.where(np.arange(64) < 32, 0.0, 0.8) * np.ones((64, 1))
+    level, whole = (build_level(image, usable, 16) for image in (make_image(skin=skin), plain))
+    right = whole.cell[:, 1] >= 8
+    assert level.weight[right] == pytest.approx(0.8 * whole.weight[right])
+    assert level.weight[~right] == pytest.approx(0.02 * whole.weight[~right])  # no block is without weight
+
+
+def test_surfaces_without_skin_weigh_all_texels_alike(make_image):
+    plain = make_image()
+    usable = usable_texels(plain, OPTIONS)
+    level = build_level(make_image(skin=np.zeros((64, 64))), usable, 16)
+    assert level.weight == pytest.approx(build_level(plain, usable, 16).weight)
+
+
 def test_blocks_have_the_area_asked_for(make_image):
     image = make_image(128)
     level = build_level(image, usable_texels(image, OPTIONS), 128)
