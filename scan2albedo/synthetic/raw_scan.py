@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
@@ -146,7 +146,7 @@ def scan_of(
         rng=rng,
         colors=colors,
     )
-    scan = _assembled(measured, pods, texture, scan_from_model, settings, rng, name)
+    scan = assembled(measured, pods, texture, scan_from_model, settings, rng, name)
     return scan, _truth(sitter, scan_from_model, flashes, material, exposure, settings.size)
 
 
@@ -159,16 +159,19 @@ def _flashes(seed: int) -> tuple[PointLight, ...]:
     )
 
 
-def _assembled(
+def assembled(
     measured: RangeMesh,
-    pods: tuple[Pod, Pod],
+    pods: Sequence[Pod],
     texture: NDArray[np.float32],
     scan_from_model: FloatArray,
     settings: RawScanOptions,
     rng: np.random.Generator,
     name: str,
 ) -> RawScan:
-    """Return the scan: noise, holes and crumbs on the measured mesh, textured where pictured, posed."""
+    """Return the scan: noise, holes and crumbs on the measured mesh, textured where pictured, posed.
+
+    The texture holds the pods' square pictures side by side.
+    """
     points = disturbed(measured.vertices, measured.faces, rng, settings.noise_mm, settings.spikes)
     centers = points[rng.choice(len(points), settings.holes)]
     kept = np.ones(len(measured.faces), bool)
@@ -180,10 +183,15 @@ def _assembled(
     plane = np.stack([camera.project(vertices) for camera in pods])[pod[:, None], faces]
     pictured = (np.abs(plane) < 1).all((1, 2))
     faces, pod, plane = faces[pictured], pod[pictured], plane[pictured]
-    uv = np.stack([(plane[..., 0] + 1) / 4 + pod[:, None] / 2, (plane[..., 1] + 1) / 2], -1)
+    uv = beside(plane, pod[:, None], len(pods))
     used, renumbered = np.unique(faces, return_inverse=True)
     posed = transform_points(scan_from_model, vertices[used])
     return RawScan(posed, renumbered.reshape(-1, 3), uv=uv, texture_linear=texture, name=name)
+
+
+def beside(plane: FloatArray, pod: IntArray, pods: int) -> FloatArray:
+    """Return texture coordinates (..., 2) of picture-plane points (..., 2) when all pictures lie in a row."""
+    return np.stack([((plane[..., 0] + 1) / 2 + pod) / pods, (plane[..., 1] + 1) / 2], -1)
 
 
 def _truth(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -68,7 +68,7 @@ def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
 class RangeMesh:
     """The mesh that the pods measured: `vertices` (V, 3) mm, exactly on the scene, `faces` (F, 3) outward.
 
-    `face_pod` (F,) is the pod, 0 or 1, that sees the face better and colours it.
+    `face_pod` (F,) is the number of the pod that sees the face best and colours it.
     """
 
     vertices: FloatArray
@@ -79,7 +79,7 @@ class RangeMesh:
 def capture(
     vertices: FloatArray,
     faces: IntArray,
-    pods: tuple[Pod, Pod],
+    pods: Sequence[Pod],
     *,
     spacing_mm: float,
     rng: np.random.Generator,
@@ -89,7 +89,7 @@ def capture(
 
     Jittered horizontal rays toward a vertical axis through `axis_mm` (3,), about `spacing_mm` apart where
     they pass a head's surface, are triangulated in the unrolled cylinder. Triangles that bridge a jump in
-    depth, lean too far away, or hide from both pods are dropped, as stereo matching does.
+    depth, lean too far away, or hide from all pods are dropped, as stereo matching does.
     """
     scene = RayScene(vertices, faces)
     origins, rays, unrolled = _cylinder_rays(vertices, axis_mm, spacing_mm, rng)
@@ -105,7 +105,7 @@ def capture(
     return RangeMesh(
         points[used],
         renumbered.reshape(-1, 3).astype(np.int64),
-        _better_pod(facing[kept], renumbered.reshape(-1, 3)),
+        _best_pod(facing[kept], renumbered.reshape(-1, 3)),
     )
 
 
@@ -149,15 +149,18 @@ def _facing(
     return np.where(hidden[triangles].any(1), -1.0, cosine)
 
 
-def _better_pod(facing: FloatArray, faces: IntArray) -> IntArray:
-    """Return (F,) the pod that sees each face better; averaged around, so that the seam is one line."""
-    lead = facing[:, 0] - facing[:, 1]
+def _best_pod(facing: FloatArray, faces: IntArray) -> IntArray:
+    """Return (F,) the pod that sees each face best; averaged around, so that the seam is one line."""
+    pods = range(facing.shape[1])
+    lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in pods], 1)
     count = np.bincount(faces.ravel(), minlength=faces.max() + 1)
-    for _ in range(12):
-        around = np.bincount(faces.ravel(), np.repeat(lead, 3), minlength=len(count)) / count
-        lead = around[faces].mean(1)
-    hidden = facing < 0
-    return np.where(hidden.any(1), facing.argmax(1), lead < 0).astype(np.int64)
+    for k in pods:
+        for _ in range(12):
+            around = np.bincount(faces.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
+            lead[:, k] = around[faces].mean(1)
+    best = lead.argmax(1)
+    hidden = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
+    return np.where(hidden, facing.argmax(1), best)
 
 
 _BACKDROP = np.array([0.010, 0.016, 0.030])

@@ -28,8 +28,8 @@ def face_data(name: str) -> Path:
     return path
 
 
-def write_obj(scan: RawScan, path: Path) -> None:
-    """Write a textured scan as OBJ, MTL and PNG of one stem, in mm."""
+def write_obj(scan: RawScan, path: Path, *, decimals: int = 4) -> None:
+    """Write a textured scan as OBJ, MTL and PNG of one stem, in the scan's unit to so many decimals."""
     if scan.uv is None or scan.texture_linear is None:
         raise ValueError(f"{scan.name} has no texture")
     write_png(path.with_suffix(".png"), scan.texture_linear)
@@ -38,6 +38,6 @@ def write_obj(scan: RawScan, path: Path) -> None:
     triangles = np.stack([scan.faces, index.reshape(-1, 3)], axis=2).reshape(-1, 6) + 1
     with path.open("w", encoding="utf-8") as file:
         file.write(f"mtllib {path.stem}.mtl\nusemtl skin\n")
-        np.savetxt(file, scan.vertices, "v %.4f %.4f %.4f")
+        np.savetxt(file, scan.vertices, " ".join(["v", *[f"%.{decimals}f"] * 3]))
         np.savetxt(file, corners, "vt %.6f %.6f")
         np.savetxt(file, triangles, "f %d/%d %d/%d %d/%d")
