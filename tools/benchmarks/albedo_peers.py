@@ -33,14 +33,17 @@ def robust_harmonics(
     ----------
     .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
     """
-    basis, lit = harmonics(normal[mask], 2), value[mask]
+    albedo = np.zeros(mask.shape)
+    albedo[mask] = value[mask] / robust_light(harmonics(normal[mask], 2), value[mask], iterations)
+    return albedo
+
+
+def robust_light(basis: FloatArray, lit: FloatArray, iterations: int = 30) -> FloatArray:
+    """Return (N,) the light `basis` (N, K) c that is nearest to `lit` (N,) in L1: albedo is constant."""
     weight = np.ones(len(lit))
     coefficients: FloatArray = np.zeros(basis.shape[1])
     for _ in range(iterations):
         scaled = basis * weight[:, None]
         coefficients = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0], float)
         weight = 1 / np.maximum(np.abs(basis @ coefficients - lit), 1e-3)
-    shading = np.maximum(basis @ coefficients, 0.02 * np.median(basis @ coefficients))
-    albedo = np.zeros(mask.shape)
-    albedo[mask] = lit / shading
-    return albedo
+    return np.maximum(basis @ coefficients, 0.02 * np.median(basis @ coefficients))

@@ -25,6 +25,8 @@ TILTS = (0.0, 0.15, 0.3, 0.6, 1.0, 2.0, 5.0)
 GRAZING = 0.05
 """Least cosine between the view direction and the normals: below, the answer is noise or black."""
 _BATCH = 2**22
+_EVEN = 64
+"""Paths of one ray that are spread evenly; a square, as multijittered sampling wants it."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,33 @@ def measured_from(
     return target, toward, int(open_.sum())
 
 
+def textured_mesh(
+    mitsuba: Any,
+    vertices: FloatArray,
+    normals: FloatArray,
+    faces: IntArray,
+    uv: FloatArray,
+    properties: Any,
+    name: str = "surface",
+) -> Any:
+    """Return Mitsuba's mesh; `uv` (V, 2) counts rows of the picture downward, `properties` hold the BSDF."""
+    mesh = mitsuba.Mesh(
+        name,
+        len(vertices),
+        len(faces),
+        props=properties,
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+    )
+    parameters = mitsuba.traverse(mesh)
+    parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
+    parameters["vertex_normals"] = normals.astype(np.float32).ravel()
+    parameters["vertex_texcoords"] = uv.astype(np.float32).ravel()
+    parameters["faces"] = faces.astype(np.uint32).ravel()
+    parameters.update()
+    return mesh
+
+
 class Bake:
     """A surface in Mitsuba, ready to be lit by one emitter at a time.
 
@@ -153,22 +182,9 @@ class Bake:
             "filter_type": "nearest",
         }
         properties["bsdf"] = mitsuba.load_dict({**bsdf, albedo_slot: texture})
-        mesh = mitsuba.Mesh(
-            "surface",
-            len(vertices),
-            len(faces),
-            props=properties,
-            has_vertex_normals=True,
-            has_vertex_texcoords=True,
-        )
-        parameters = mitsuba.traverse(mesh)
-        parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
-        parameters["vertex_normals"] = normals.astype(np.float32).ravel()
         row, column = np.nonzero(mask)
         uv = (np.stack([column, row], 1) + 0.5) / np.array(mask.shape[::-1])
-        parameters["vertex_texcoords"] = uv.astype(np.float32).ravel()
-        parameters["faces"] = faces.astype(np.uint32).ravel()
-        parameters.update()
+        mesh = textured_mesh(mitsuba, vertices, normals, faces, uv, properties)
         self._mesh = mesh
         self.target, self.toward, self.misses = measured_from(vertices, normals, faces)
 
@@ -186,24 +202,46 @@ class Bake:
         """
         mi, dr = self._mi, self._dr
         scene = mi.load_dict({"type": "scene", "surface": self._mesh, **emitters_of(mi, lamp)})
-        integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 1000})
-        sampler = mi.load_dict({"type": "independent"})
-        count = len(self.target)
-        repeats = max(1, min(paths, _BATCH // count))
-        texel = dr.arange(mi.UInt32, count * repeats) // repeats
+        start = self.target + ABOVE_MM * self.toward
+        return trace(mi, dr, scene, start, -self.toward, paths=paths, depth=depth, seed=seed)
 
-        def spread(values: FloatArray) -> Any:
-            columns = [mi.Float(np.ascontiguousarray(c, np.float32)) for c in values.T]
-            return dr.gather(mi.Point3f, mi.Point3f(*columns), texel)
 
-        direction = mi.Vector3f(spread(-self.toward))
-        start = spread(self.target + ABOVE_MM * self.toward)
-        total = np.zeros((count, 3))
-        rounds = -(-paths // repeats)
-        for turn in range(rounds):
-            sampler.seed(1000 * seed + turn, count * repeats)
-            ray = mi.RayDifferential3f(start, direction)
-            spectrum, _, _ = integrator.sample(scene, sampler, ray)
-            for c in range(3):
-                total[:, c] += np.array(dr.block_reduce(dr.ReduceOp.Add, spectrum[c], repeats))
-        return total / (rounds * repeats)
+def trace(
+    mitsuba: Any,
+    drjit: Any,
+    scene: Any,
+    start: FloatArray,
+    direction: FloatArray,
+    *,
+    paths: int,
+    depth: int,
+    seed: int = 0,
+    sampler: str = "independent",
+) -> FloatArray:
+    """Return (N, 3) the mean radiance that arrives at `start` (N, 3) against unit `direction` (N, 3).
+
+    `paths` a ray, of at most `depth` edges; "multijitter" spreads each ray's samples evenly, 64 at a time.
+    """
+    integrator = mitsuba.load_dict({"type": "path", "max_depth": depth, "rr_depth": 1000})
+    count = len(start)
+    repeats = max(1, min(paths, _BATCH // count))
+    if sampler != "independent":
+        repeats = _EVEN
+    drawn = mitsuba.load_dict({"type": sampler, "sample_count": repeats})
+    if sampler != "independent":
+        drawn.set_samples_per_wavefront(repeats)
+    ray_of = drjit.arange(mitsuba.UInt32, count * repeats) // repeats
+
+    def spread(values: FloatArray) -> Any:
+        columns = [mitsuba.Float(np.ascontiguousarray(c, np.float32)) for c in values.T]
+        return drjit.gather(mitsuba.Point3f, mitsuba.Point3f(*columns), ray_of)
+
+    rays = mitsuba.RayDifferential3f(spread(start), mitsuba.Vector3f(spread(direction)))
+    total = np.zeros((count, 3))
+    rounds = -(-paths // repeats)
+    for turn in range(rounds):
+        drawn.seed(1000 * seed + turn, count * repeats)
+        spectrum, _, _ = integrator.sample(scene, drawn, rays)
+        for c in range(3):
+            total[:, c] += np.array(drjit.block_reduce(drjit.ReduceOp.Add, spectrum[c], repeats))
+    return total / (rounds * repeats)

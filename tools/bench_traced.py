@@ -1,0 +1,178 @@
+"""Albedo error on the path-traced set, beside simple peers: images with exact shape, and raw scans.
+
+    S2A_TRACED=FOLDER python tools/bench_traced.py [--set images|scans] [--only NAME ...]
+
+FOLDER is made by tools/build_traced_scans.py. A row a scene: 100 x MSE after the best single scale, on V and
+on colour, of the texture as it is, divided by ambient occlusion, by nine harmonics (SH), by the same with the
+face's own shadows, and ours; outlines in the albedo that the photograph lacks (share, and mean excess in log
+units); lamps found of all lamps (of those with hard shadows); CPU seconds. A dash marks what failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from benchmarks.traced_set import (
+    VARIABLE,
+    AlbedoScore,
+    InventedOutlines,
+    ScanTruth,
+    invented_outlines,
+    judged_scan,
+    load_image,
+    scene_names,
+    score,
+    simple_peers,
+    traced_folder,
+)
+
+import scan2albedo as s2a
+from scan2albedo.albedo import AlbedoEstimate
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import Scan2AlbedoError
+
+OURS = "ours"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scene: scores by method, outlines, lamps as text, CPU seconds, and what else there is to say."""
+
+    name: str
+    scores: dict[str, AlbedoScore]
+    outlines: InventedOutlines
+    lamps: str
+    cpu_s: float
+    note: str = ""
+
+
+def scored(
+    name: str,
+    image: s2a.GeometryImage,
+    estimate: AlbedoEstimate,
+    truth: FloatArray,
+    judged: BoolArray,
+    *,
+    lamps: str,
+    cpu_s: float,
+    note: str = "",
+) -> Row:
+    """Return the row of an estimate."""
+    ours = np.asarray(estimate.albedo_linear, np.float64)
+    scores = {peer: score(albedo, truth, judged) for peer, albedo in simple_peers(image).items()}
+    shading = np.asarray(estimate.shading, np.float64)
+    outlines = invented_outlines(
+        np.asarray(image.texture_linear, np.float64).max(2),
+        shading.max(2) if shading.ndim == 3 else shading,
+        ours.max(2),
+        image.mask,
+    )
+    return Row(name, scores | {OURS: score(ours, truth, judged)}, outlines, lamps, cpu_s, note)
+
+
+def image_row(folder: Path, name: str) -> Row:
+    """Estimate the albedo of a geometry image."""
+    scene = load_image(folder, name)
+    start = time.process_time()
+    estimate = s2a.estimate_albedo(scene.image, seed=0)
+    cpu_s = time.process_time() - start
+    hard = sum(lamp["hard"] for lamp in scene.lamps)
+    lamps = f"{len(estimate.lights)} of {len(scene.lamps)} ({hard})"
+    return scored(
+        name, scene.image, estimate, scene.albedo_linear, scene.image.mask, lamps=lamps, cpu_s=cpu_s
+    )
+
+
+def scan_row(folder: Path, name: str) -> Row:
+    """Process a raw scan."""
+    truth = ScanTruth.read(folder, name)
+    with tempfile.TemporaryDirectory() as out:
+        start = time.process_time()
+        result = s2a.process(folder / f"{name}.obj", out, seed=0)
+        cpu_s = time.process_time() - start
+    judged = judged_scan(result, truth)
+    lamps = f"{len(result.albedo.lights)} of {len(truth.light_directions)}"
+    note = f"surface {judged.surface_mm:.2f} mm"
+    return scored(
+        name,
+        result.geometry_image,
+        result.albedo,
+        judged.albedo_linear,
+        judged.judged,
+        lamps=lamps,
+        cpu_s=cpu_s,
+        note=note,
+    )
+
+
+def rows(folder: Path, kinds: tuple[str, ...], only: list[str]) -> Iterator[Row | str]:
+    """Yield a row a scene, or what went wrong with it."""
+    make = {"images": image_row, "scans": scan_row}
+    for kind in kinds:
+        for name in scene_names(folder, kind):
+            if only and name not in only:
+                continue
+            try:
+                yield make[kind](folder, name)
+            except Scan2AlbedoError as error:
+                yield f"{name:26} - {error}"
+
+
+def line(row: Row) -> str:
+    """Return a row as text."""
+    on_value = " ".join(f"{s.value_percent:7.2f}" for s in row.scores.values())
+    on_color = " ".join(f"{s.color_percent:7.2f}" for s in row.scores.values())
+    found = f"{row.outlines.share:5.0%} {row.outlines.mean_excess:5.3f} of {row.outlines.edges:5d}"
+    return f"{row.name:26}{on_value} |{on_color} | {found} | {row.lamps:10} | {row.cpu_s:5.1f} s {row.note}"
+
+
+def heading() -> str:
+    """Return the table's first line."""
+    methods = " ".join(f"{name[:7]:>7}" for name in ("as is", "AO", "SH", "SH+sh.", OURS))
+    return f"{'V % | colour %':26}{methods} |{methods} | {'invented outlines':>20} | {'lamps':10} | CPU"
+
+
+def summary(done: list[Row]) -> str:
+    """Return mean and worst of all scenes."""
+    lines = []
+    for title, reduce in (("mean", np.mean), ("worst", np.max)):
+        of = [
+            [float(reduce([getattr(row.scores[m], kind) for row in done])) for m in done[0].scores]
+            for kind in ("value_percent", "color_percent")
+        ]
+        value, color = (" ".join(f"{x:7.2f}" for x in numbers) for numbers in of)
+        share = float(reduce([row.outlines.share for row in done]))
+        excess = float(reduce([row.outlines.mean_excess for row in done]))
+        cpu_s = float(reduce([row.cpu_s for row in done]))
+        lines.append(
+            f"{title:26}{value} |{color} | {share:5.0%} {excess:5.3f}{'':9} | {'':10} | {cpu_s:5.1f} s"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--set", choices=("images", "scans"), help="both when omitted")
+    parser.add_argument("--only", nargs="*", default=[], help="names of scenes")
+    arguments = parser.parse_args()
+    folder = traced_folder()
+    if folder is None:
+        raise SystemExit(f"{VARIABLE} names no folder with scenes; tools/build_traced_scans.py makes one")
+    for kind in (arguments.set,) if arguments.set else ("images", "scans"):
+        print(heading(), flush=True)
+        done = []
+        for row in rows(folder, (kind,), arguments.only):
+            print(line(row) if isinstance(row, Row) else row, flush=True)
+            done += [row] if isinstance(row, Row) else []
+        if done:
+            print(summary(done))
+
+
+if __name__ == "__main__":
+    main()
