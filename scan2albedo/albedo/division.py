@@ -1,40 +1,43 @@
-"""From light to albedo: M_A = (M_T - I_s) / (I_d + I_a), with a confidence and shrinkage in the dark."""
+"""From light to albedo: M_A = (M_T - I_s) / (I_d + I_a), its noise drawn toward the neighbourhood."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+from numba import njit
+from numpy.typing import NDArray
 
-from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
+from scan2albedo.albedo.noise import WINDOW, channel_noise, window_mean
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
-_WINDOW = 3
-"""Side, in texels, of the neighbourhood toward whose mean a noisy texel is drawn."""
-_STATISTICS_WINDOW = 17
-"""Side, in texels, over which variances are estimated: some 300 texels give them to a tenth."""
-_NOISE_GROUPS = 12
-"""Groups of equal light over which noise is separated from texture."""
-_DIM = 0.15
-"""Light, as a part of its median, below which it is not trusted."""
-_SHARP, _BESIDE = 0.3, 9
-"""Fall of log light between neighbours that makes a sharp outline; window of the means beside it."""
-_TAKEN_OVER = 0.9
-"""Light is continued into texels that keep less than this part of their own quotient."""
+_SCALES = (3, 5)
+"""Sides, in texels, of the neighbourhoods toward whose means a noisy texel is drawn."""
+_EDGE, _LEAST_NOISE = 3.0, 0.02
+"""Standard deviations of noise, never less than this, at which a neighbour counts a quarter: it differs."""
+_AROUND = 17
+"""Side, in texels, of the mean that relative values refer to."""
+_DARK = 1e-6
+"""Least such mean, as a part of the largest."""
+_BLACK = 0.05
+"""Relative value up to which errors refer to that of the texel."""
 
 
 @dataclass(frozen=True)
 class Division:
-    """`albedo` V (H, W) and `confidence` (H, W) in [0, 1], both 0 outside the mask; `noise` of V."""
+    """`albedo` (H, W) or (H, W, C), 0 outside the mask, and how sure it is.
 
-    albedo: FloatArray
+    `confidence` (H, W) in [0, 1] is how much of the texel's albedo is its own measurement, 0 where it is not
+    usable; `deviation` (H, W) is the relative standard deviation of the noise that is left, 1 there.
+    """
+
+    albedo: NDArray
     confidence: FloatArray
-    noise: float
+    deviation: FloatArray
 
 
 def divide_light(
-    value: FloatArray,
+    texture: NDArray,
     light: FloatArray,
     specular: FloatArray,
     mask: BoolArray,
@@ -42,97 +45,116 @@ def divide_light(
     *,
     shrink: bool = True,
 ) -> Division:
-    """Return (V - I_s) / I, drawn toward the neighbourhood's albedo where noise outweighs it.
+    """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
 
-    With noise of standard deviation s in V the quotient has variance s^2 / I^2. Against a local variance t of
-    the albedo the best linear estimate keeps the part c = t / (t + s^2 / I^2) of the texel's own deviation
-    from the local mean (Wiener's filter). Where the light is less than about a seventh of its median, the
-    light itself is wrong, for surfaces around send some that no lamp does: there log I is continued smoothly
-    (harmonically) from where there is more, and the quotient by it takes over by the part 1 / (1 + (I / (0.15
-    median I))^6). The product of the two is the confidence, 0 outside `usable`.
+    The quotient, relative to its mean nearby, is filtered in its leading channel and in the others'
+    differences from it: noise that the channels share is in the first alone, noise of one channel in both.
 
-    `value`, `light` (> 0), `specular` (H, W) are V of the texture, I_a + I_d and I_s. Without `shrink`
-    nothing is drawn toward the means, but the confidence is the same.
+    Parameters
+    ----------
+    texture : (H, W) or (H, W, C) float
+        Linear.
+    light : (H, W) or of the texture's shape
+        I_a + I_d > 0.
+    specular : (H, W) float
+        I_s: highlights are white.
+    mask, usable : (H, W) bool
+        Texels of the surface, and those that were measured; the others keep the plain quotient.
+    shrink : bool
+        False keeps it everywhere; confidence and deviation are the same.
     """
-    divisor = np.where(light > 0, light, 1.0)
-    quotient = np.where(mask, np.maximum(value - specular, 0.0) / divisor, 0.0)
-    weight = np.where(usable, divisor**2, 0.0)
-    noise = noise_deviation(value - specular, light, usable)
-    mean = _local_mean(quotient, weight, _WINDOW)
-    variance = _local_mean((quotient - mean) ** 2, weight, _STATISTICS_WINDOW)
-    noise_here = _local_mean(noise**2 / divisor**2, weight, _STATISTICS_WINDOW)
-    # The window's own texel is part of the mean, which takes 1/n of the variance away.
-    variance *= _WINDOW**2 / (_WINDOW**2 - 1)
-    own = np.clip((variance - noise_here) / np.maximum(variance, 1e-30), 0.0, 1.0)
-    own = np.where(noise > 0, own, 1.0)
-    kept = np.where(usable, mean + own * (quotient - mean), quotient)
-    typical = float(np.median(light[usable])) if usable.any() else 1.0
-    # Powers of 2 and 3: NumPy multiplies for a square, but not for a sixth power.
-    lit = 1 / (1 + ((_DIM * typical / divisor) ** 2) ** 3)
-    if shrink:
-        continued = np.maximum(value - specular, 0.0) / _continued_light(
-            value, light, lit < _TAKEN_OVER, mask, usable
-        )
-        kept = continued + lit * (kept - continued)
-    else:
-        kept = quotient
-    albedo = np.where(mask, np.maximum(kept, 0.0), 0.0)
-    return Division(albedo, np.where(usable, own * lit, 0.0), noise)
+    channels = texture.reshape(*mask.shape, -1).astype(np.float64) - specular[..., None]
+    light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
+    quotient = np.where(mask[..., None], channels / light, 0.0)
+    known = usable.astype(np.float64)
+    around = np.stack([window_mean(c, known, _AROUND) for c in np.moveaxis(quotient, -1, 0)], -1)
+    around = np.maximum(around, max(_DARK * float(around.max(initial=0.0)), 1e-12))
+    relative = quotient / around
+    noise = channel_noise(relative, channels, around, light, usable)
+    weight = known * light[..., noise.lead] ** 2
+    leading = _filtered(relative[..., noise.lead], weight, noise.leading)
+    filtered = np.empty(relative.shape)
+    for c in range(relative.shape[-1]):
+        beside = relative[..., c] - relative[..., noise.lead]
+        if noise.beside[..., c].any():
+            beside = _filtered(beside, weight, noise.beside[..., c]).field
+        filtered[..., c] = (leading.field + beside) * around[..., c]
+    kept = np.where((usable & shrink)[..., None], filtered, quotient)
+    albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
+    own = np.where(usable, leading.own, 0.0)
+    deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, _BLACK)
+    return Division(albedo, own, np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0))
 
 
-def _continued_light(
-    value: FloatArray, light: FloatArray, dim: BoolArray, mask: BoolArray, usable: BoolArray
-) -> FloatArray:
-    """Return `light` with its logarithm continued harmonically into `dim`; > 0 everywhere.
+@dataclass(frozen=True)
+class _Filtered:
+    """A field (H, W), how much of each texel is its own, and the variance of the noise that is left."""
 
-    Across a shadow's sharp outline the light falls by as much as `value` does on average; it is the albedo,
-    and not the light, that is continuous there.
+    field: FloatArray
+    own: FloatArray
+    variance: FloatArray
+
+
+def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filtered:
+    """Return a field without white noise of the variance `noise` (H, W): Wiener's filter at two scales.
+
+    The field is its mean over 5 x 5 texels, what the mean over 3 x 3 adds to it, and what the texel adds to
+    that. White noise has 1/25, 1/9 - 1/25 and 1 - 1/9 of its variance in them. Of each addition, whose
+    variance nearby is v and the noise's n, the best linear estimate keeps the part c = 1 - n / v; noise of
+    variance c n stays. The means are weighted, and leave out what lies beyond an edge (bilateral).
     """
-    log_light = np.log(np.where(light > 0, light, 1.0))
-    region, known = dim & mask, mask & ~dim
-    if not (region.any() and known.any()):
-        return np.exp(log_light)
-    inside, outside = (_local_mean(value, (side & usable).astype(float), _BESIDE) for side in (region, known))
-    around = np.log(np.maximum(np.where(region, inside, outside), 1e-6))
-    falls = []
-    differences = zip(forward_differences(log_light), forward_differences(around), strict=True)
-    for axis, (fall, observed) in zip((1, 0), differences, strict=True):
-        outline = (np.diff(region.astype(int), axis=axis) != 0) & (np.abs(fall) > _SHARP)
-        falls.append(np.where(outline, observed, 0.0))
-    return np.exp(integrate_gradients(log_light, region, known, *falls))
+    if not noise.any():
+        return _Filtered(field, np.ones(field.shape), np.zeros(field.shape))
+    # Running sums may end below 0 by a rounding error.
+    noise_here = np.maximum(window_mean(noise, weight, WINDOW), 0.0)
+    guide, reach = _without_spikes(field, weight), _EDGE**2 * (noise_here + _LEAST_NOISE**2)
+    finer, finer_share = field, np.ones(field.shape)
+    result, own, variance = np.zeros(field.shape), np.zeros(field.shape), np.zeros(field.shape)
+    for window in _SCALES:
+        coarser, share = _means_of_alike(field, weight, guide, reach, window)
+        share = np.minimum(share, finer_share)
+        added = finer - coarser
+        there = np.maximum(window_mean(added**2, weight, WINDOW), 1e-30)
+        part = (finer_share - share) * noise_here
+        kept = np.where(part > 0, np.maximum(1 - part / there, 0.0), 1.0)
+        result += kept * added
+        own += kept * (finer_share - share)
+        variance += kept * part
+        finer, finer_share = coarser, share
+    return _Filtered(result + finer, own + finer_share, variance + finer_share * noise_here)
 
 
-def _local_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
-    """Return the weighted mean over a small window; 0 where nothing in it has weight."""
+def _without_spikes(field: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the median over 3 x 3 texels: edges stay, single texels go."""
     import cv2
 
-    box, outside = (window, window), cv2.BORDER_CONSTANT
-    mass = cv2.boxFilter(weight, -1, box, borderType=outside)
-    total = cv2.boxFilter(field * weight, -1, box, borderType=outside)
-    return np.where(mass > 1e-12, total / np.maximum(mass, 1e-12), 0.0)
+    known = weight > 0
+    whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
+    return cv2.medianBlur(whole.astype(np.float32), 3).astype(np.float64)
 
 
-def noise_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:
-    """Return the standard deviation of additive noise in V, separated from texture by how each follows light.
+@njit(cache=True, nogil=True)
+def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-untyped-def]
+    """Return weighted means (H, W) over windows, and the part of white noise's variance that they have.
 
-    The variance of the second difference of V - I_s, `diffuse` (H, W), is k (s^2 + t I^2): noise s^2 does not
-    depend on the light I, texture t is multiplied by it. Both are fitted, not negative, to the medians over
-    texels grouped by I. 0 where the light hardly varies, since the two cannot be separated there.
+    Texels whose guide differs by d count by 1 / (1 + d^2 / reach)^2. Texels without weight keep their value.
     """
-    second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
-    inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
-    # A shadow's edge is neither noise nor texture.
-    jump = np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1]
-    chosen = inner & jump
-    if int(chosen.sum()) < 100 * _NOISE_GROUPS:
-        return 0.0
-    square, energy = second[chosen] ** 2 / 1.5, light[:, 1:-1][chosen] ** 2
-    groups = np.array_split(np.argsort(energy, kind="stable"), _NOISE_GROUPS)
-    # The median of a squared normal deviate is 0.4549 of its variance.
-    variance = np.array([np.median(square[group]) for group in groups]) / 0.4549
-    level = np.array([np.mean(energy[group]) for group in groups])
-    if level.max() < 2 * level.min() or variance.max() <= 0:
-        return 0.0
-    weight = 1 / np.maximum(variance, 1e-6 * variance.max())
-    (noise, _), _ = nnls(np.stack([weight, weight * level], 1), weight * variance)
-    return float(np.sqrt(noise))
+    rows, columns = field.shape
+    radius = window // 2
+    mean, share = field.copy(), np.ones((rows, columns))
+    for row in range(rows):
+        for column in range(columns):
+            if weight[row, column] <= 0:
+                continue
+            total = mass = squares = 0.0
+            for i in range(max(0, row - radius), min(rows, row + radius + 1)):
+                for j in range(max(0, column - radius), min(columns, column + radius + 1)):
+                    apart = guide[i, j] - guide[row, column]
+                    alike = 1 / (1 + apart * apart / reach[row, column])
+                    w = weight[i, j] * alike * alike
+                    total += w * field[i, j]
+                    mass += w
+                    squares += w * w
+            mean[row, column] = total / mass
+            share[row, column] = squares / (mass * mass)
+    return mean, share

@@ -161,21 +161,19 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
     )
     shading = _on_grid(mask, lit.shading.light_linear)
-    texture = under_white_light(image.texture_linear, shading, light, specular)
-    value = value_channel(texture)
     # What makes a good albedo better is left out once the seconds have ended.
     late, begin = meter.out_of_time, meter.elapsed_s
-    division = divide_light(value, light, specular, mask, usable, shrink=options.shrink and not late)
+    division = divide_light(
+        image.texture_linear, shading, specular, mask, usable, shrink=options.shrink and not late
+    )
     # Lines along shadows err most, and go in at most twice the seconds that the division took.
     late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))
     rectification = _left_out("albedo.rectification", options, late)
-    albedo = division.albedo
+    albedo = value = value_channel(division.albedo)
     if rectification is None:
         forced = options.choice("albedo.rectification") is True
         albedo, rectification = rectified(albedo, light, cast, usable, forced=forced)
-    # A highlight is white: what remains below it has the albedo's hue.
-    below = np.maximum(texture - specular[..., None], 0)
-    color = recolor(below, value_channel(below), albedo)
+    color = recolor(division.albedo, value, albedo)
     inpainting = _left_out("albedo.inpainting", options, late)
     if inpainting is None:
         color, inpainting = inpainted(color, image, usable, options, seed)
@@ -187,9 +185,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan(
-            (*found.steps, limits_step(found.solution, division.albedo[usable]), rectification, inpainting)
-        ),
+        plan=Plan((*found.steps, limits_step(found.solution, value[usable]), rectification, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
@@ -201,6 +197,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         shadow_offset_mm=options.shadow_offset_mm,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
+        expected_error=np.hypot(division.deviation, 0 if deviation is None else deviation).astype(np.float32),
     )
 
 
@@ -226,20 +223,6 @@ def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray
     black = value <= 1e-9
     color[black] = wanted[black, None]
     return color
-
-
-def under_white_light(
-    texture_linear: NDArray, shading: NDArray, light: NDArray, specular: NDArray
-) -> NDArray:
-    """Return the texture (H, W, 3) as it would be if `shading` (H, W, 3) were the white `light` (H, W).
-
-    Highlights, `specular` (H, W), keep their place; where the light is white nothing changes.
-    """
-    white = light[..., None]
-    if (shading == white).all():
-        return texture_linear
-    gain = np.where(shading > 0, white / np.where(shading > 0, shading, 1.0), 1.0)
-    return specular[..., None] + gain * (texture_linear - specular[..., None])
 
 
 def _on_grid(mask: NDArray[np.bool_], values: NDArray) -> NDArray[np.float64]:
@@ -269,20 +252,18 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
     assert image.texture_linear is not None
     coefficients = fit_harmonic_light(image, scene.usable, options, meter)
     shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
-    values = image.texture_linear.astype(np.float64)
-    divisions = [
-        divide_light(values[..., c], shading[..., c], none, image.mask, scene.usable, shrink=options.shrink)
-        for c in range(3)
-    ]
+    division = divide_light(
+        image.texture_linear, shading, none, image.mask, scene.usable, shrink=options.shrink
+    )
     step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
     return AlbedoEstimate(
-        albedo_linear=np.stack([d.albedo for d in divisions], -1).astype(np.float32),
+        albedo_linear=division.albedo.astype(np.float32),
         lights=(),
         parameters={"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()},
         shading=np.where(image.mask[..., None], shading, 0).astype(np.float32),
         specular=none.astype(np.float32),
         shadow=image.mask.astype(np.float32),
-        confidence=np.mean([d.confidence for d in divisions], 0).astype(np.float32),
+        confidence=division.confidence.astype(np.float32),
         plan=Plan((step,)),
         trace=meter.trace,
         converged=not meter.exhausted,
@@ -294,4 +275,5 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         casts_shadows=True,
         shadow_offset_mm=options.shadow_offset_mm,
         environment=environment_of_shading(coefficients),
+        expected_error=division.deviation.astype(np.float32),
     )

@@ -65,6 +65,9 @@ class AlbedoEstimate:
     """(H, W): relative standard deviation of the albedo that follows from it, best scale removed."""
     environment: EnvironmentLight | None = None
     """The soft light; None is the constant white ambient light of 1."""
+    expected_error: NDArray[np.float32] | None = None
+    """(H, W): relative standard deviation of each texel's albedo: the noise that is left and, where it is
+    known, `albedo_deviation`; 1 where nothing was measured."""
 
     def relit(
         self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None

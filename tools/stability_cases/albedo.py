@@ -145,7 +145,8 @@ def _unlit() -> str:
     scene = _ball((light_at(30, intensity=1e12),))
     estimate = estimate_albedo(scene.image, 1)
     dark = scene.image.mask & scene.shadow[..., 0]
-    sure = _error(estimate, scene, estimate.confidence > 0.5)
+    assert estimate.expected_error is not None
+    sure = _error(estimate, scene, estimate.expected_error < 0.1)
     assert sure < 0.02
     assert not estimate.confidence[dark].any()
     return f"off by {sure:.3f} % where it is sure, confidence 0 in the dark"

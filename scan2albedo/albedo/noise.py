@@ -1,0 +1,173 @@
+"""Noise told from texture: it is white in space, not quite shared by channels, blind to the light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
+
+WINDOW = 25
+"""Side, in texels, over which variances are estimated: some 600 texels give them to a tenth."""
+_LEAST_PAIRS = 40
+"""Pairs of texels without which a window tells nothing."""
+_WHITE_TEXTURE = 0.016
+"""Standard deviation, as a part of the albedo, of texture that is as white as noise: pores of one texel."""
+_SHARED = 16.0
+"""Most that channels share of their noise, as a multiple of the variance of what they do not share."""
+_OWN = 0.6
+"""Most that one channel has of the variance of the difference of two."""
+_UNDERRATED = 1.2
+"""Noise over its estimate: the least of six falls short, and a line through lags does on smooth texture."""
+_HEAVY = 2.0
+"""Most that the mean square of noise exceeds its robust estimate: heavy tails, not lines of the texture."""
+_GREY = 1e-3
+"""Channels that differ by less than this, white = 1, are one."""
+_NOISE_GROUPS = 12
+"""Groups of equal light over which noise is separated from texture."""
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """Variances of relative noise: `leading` (H, W) of channel number `lead`, and `beside` (H, W, C).
+
+    The latter are those of each channel's difference from the leading one. `rounding` (H, W) is what 8 bits
+    alone give the leading channel.
+    """
+
+    lead: int
+    leading: FloatArray
+    beside: FloatArray
+    rounding: FloatArray
+
+
+def channel_noise(
+    relative: FloatArray, texture: FloatArray, around: FloatArray, light: FloatArray, usable: BoolArray
+) -> ChannelNoise:
+    """Return how noisy the quotient of texture and light is.
+
+    Noise is white in space, texture is not (`white_variance`). White texture, such as pores, is told by the
+    channels: it moves all of them together, noise hardly ever does. So the noise of the leading channel is
+    the white part of its variance, less what texture may have of it, at most 16 times the least white part
+    of a difference of two channels; and at least what it does not share with the others, which is half of
+    d_01 + d_02 - d_12. What 8 bits do to differences is taken off. Where all channels are equal, noise that
+    does not depend on the light is all that can be told (`additive_deviation`).
+
+    Parameters
+    ----------
+    relative : (H, W, C) float64
+        The quotient divided by `around`.
+    texture, around, light : (H, W, C) float64
+        Linear texture without highlights, the quotient's local mean, and the light.
+    usable : (H, W) bool
+    """
+    lead = int(np.argmax(around[usable].mean(0))) if usable.any() else 0
+    beside = np.zeros(texture.shape)
+    rounding = _rounding_variance(texture) / (light * around) ** 2
+    spread = np.ptp(texture[usable], axis=-1) if usable.any() else np.zeros(1)
+    if texture.shape[-1] < 3 or spread.max(initial=0.0) < _GREY:
+        deviation = additive_deviation(texture[..., lead], light[..., lead], usable)
+        leading = (deviation / (light[..., lead] * around[..., lead])) ** 2
+        return ChannelNoise(lead, leading, beside, rounding[..., lead])
+    differences = {}
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        eight_bits = window_mean(rounding[..., i] + rounding[..., j], usable.astype(float), WINDOW)
+        white = white_variance(relative[..., i] - relative[..., j], usable)
+        differences[i, j] = differences[j, i] = np.maximum(white - eight_bits, 0.0)
+    one, two = (c for c in range(3) if c != lead)
+    least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
+    shared = white_variance(relative[..., lead], usable) - _WHITE_TEXTURE**2
+    own = (differences[lead, one] + differences[lead, two] - differences[one, two]) / 2
+    leading = np.maximum(_UNDERRATED * np.minimum(shared, _SHARED * least), np.minimum(own, _OWN * least))
+    for c in (one, two):
+        # White texture may colour a channel beside the others: it leaves one difference without any.
+        beside[..., c] = np.minimum(differences[lead, c], 4 * least)
+    return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead])
+
+
+def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
+    """Return (H, W) the variance of the white part of a field, over a window about each texel; may be < 0.
+
+    The structure function g(h) = E (f(x + h) - f(x))^2 / 2 is s^2 at every lag h for white noise, and rises
+    at least in proportion to h for edges and spots of two texels and more: what is left at lag 0 of the line
+    through lags 1 and 2 is noise. Stripes fall short of it at lag 3, or along one of the two axes; lone lines
+    and points do where g is estimated robustly [1]_. The least of all counts.
+
+    References
+    ----------
+    .. [1] N. Cressie, D. Hawkins, "Robust estimation of the variogram", Mathematical Geology 12, 1980.
+    """
+    least = np.full(field.shape, np.inf)
+    for axis in (0, 1):
+        lags = [_structure(field, usable, lag, axis) for lag in (1, 2, 3)]
+        for (first, second, third), slack in zip(zip(*lags, strict=True), (1.0, _HEAVY), strict=True):
+            white = np.minimum(2 * first - second, np.minimum(second, third))
+            least = np.minimum(least, slack * white)
+    return least
+
+
+def _structure(field: FloatArray, usable: BoolArray, lag: int, axis: int) -> tuple[FloatArray, FloatArray]:
+    """Return g(lag) along an axis over a window, by mean squares and robustly; 0 from too few texels."""
+    start, end, middle = ([slice(None)] * 2 for _ in range(3))
+    start[axis], end[axis] = slice(None, -lag), slice(lag, None)
+    middle[axis] = slice(lag // 2, lag // 2 - lag)
+    pairs, squares = np.zeros(field.shape), np.zeros(field.shape)
+    if min(field.shape) <= 3:
+        return pairs, squares
+    known = usable[tuple(start)] & usable[tuple(end)]
+    pairs[tuple(middle)] = known
+    squares[tuple(middle)] = np.where(known, (field[tuple(end)] - field[tuple(start)]) ** 2 / 2, 0.0)
+    count = _sum(pairs, WINDOW)
+    share = np.where(count >= _LEAST_PAIRS, 1 / np.maximum(count, 1.0), 0.0)
+    # The mean of the root of a normal deviate's size, to the fourth power, is 0.457 of its variance.
+    roots = np.maximum(_sum(np.sqrt(np.sqrt(squares)), WINDOW), 0.0)
+    return share * _sum(squares, WINDOW), (share * roots) ** 4 / 0.457
+
+
+def _rounding_variance(linear: FloatArray) -> FloatArray:
+    """Return the variance that rounding of sRGB to 8 bits has in linear values."""
+    code = linear_to_srgb(np.clip(linear, 0.0, 1.0))
+    return (srgb_to_linear(code + 0.5 / 255) - srgb_to_linear(code - 0.5 / 255)) ** 2 / 12
+
+
+def _sum(field: FloatArray, window: int) -> FloatArray:
+    """Return sums over square windows; 0 counts outside the image."""
+    import cv2
+
+    box, outside = (window, window), cv2.BORDER_CONSTANT
+    return np.asarray(cv2.boxFilter(field, -1, box, normalize=False, borderType=outside), np.float64)
+
+
+def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
+    """Return the weighted mean over a square window; 0 where nothing in it has weight."""
+    mass = _sum(weight, window)
+    return np.where(mass > 1e-12, _sum(field * weight, window) / np.maximum(mass, 1e-12), 0.0)
+
+
+def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:
+    """Return the standard deviation of additive noise, separated from texture by how each follows light.
+
+    The variance of the second difference of T - I_s, `diffuse` (H, W), is k (s^2 + t I^2): noise s^2 does not
+    depend on the light I, texture t is multiplied by it. Both are fitted, not negative, to the medians over
+    texels grouped by I. 0 where the light hardly varies, since the two cannot be separated there.
+    """
+    second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
+    inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
+    # A shadow's edge is neither noise nor texture.
+    jump = np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1]
+    chosen = inner & jump
+    if int(chosen.sum()) < 100 * _NOISE_GROUPS:
+        return 0.0
+    square, energy = second[chosen] ** 2 / 1.5, light[:, 1:-1][chosen] ** 2
+    groups = np.array_split(np.argsort(energy, kind="stable"), _NOISE_GROUPS)
+    # The median of a squared normal deviate is 0.4549 of its variance.
+    variance = np.array([np.median(square[group]) for group in groups]) / 0.4549
+    level = np.array([np.mean(energy[group]) for group in groups])
+    if level.max() < 2 * level.min() or variance.max() <= 0:
+        return 0.0
+    weight = 1 / np.maximum(variance, 1e-6 * variance.max())
+    (noise, _), _ = nnls(np.stack([weight, weight * level], 1), weight * variance)
+    return float(np.sqrt(noise))

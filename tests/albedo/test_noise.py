@@ -1,0 +1,122 @@
+"""White noise told from texture, in one channel and between channels."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, zoom
+
+from scan2albedo.albedo.noise import additive_deviation, channel_noise, white_variance
+
+SIZE = 200
+EVERYWHERE = np.ones((SIZE, SIZE), bool)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def lit(rng):
+    """Texture, and light that falls from 5 to 1 down the image."""
+    albedo = 0.5 + 0.05 * rng.standard_normal((SIZE, SIZE))
+    return albedo, np.linspace(5, 1, SIZE)[:, None] * np.ones((1, SIZE))
+
+
+def _smooth(rng, texels, deviation):
+    field = gaussian_filter(rng.standard_normal((SIZE, SIZE)), texels)
+    return deviation * field / field.std()
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.06, 0.2])
+def test_additive_noise_is_told_by_the_light(lit, noise, rng):
+    albedo, light = lit
+    value = albedo * light + noise * rng.standard_normal(light.shape)
+    assert additive_deviation(value, light, EVERYWHERE) == pytest.approx(noise, rel=0.15, abs=0.012)
+
+
+def test_texture_alone_is_not_taken_for_additive_noise(lit):
+    albedo, light = lit
+    assert additive_deviation(albedo * light, light, EVERYWHERE) < 0.012
+    assert additive_deviation(albedo, np.ones_like(light), EVERYWHERE) == 0
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+def test_the_variance_of_white_noise_is_found_beside_smooth_texture(noise, rng):
+    field = 1 + _smooth(rng, 3, 0.02) + noise * rng.standard_normal((SIZE, SIZE))
+    found = white_variance(field, EVERYWHERE)
+    # The least of several estimates falls short.
+    assert 0.7 * noise**2 < np.median(found) < noise**2
+
+
+def _spots(rng):
+    field = np.ones((SIZE, SIZE))
+    for row, column in rng.integers(5, SIZE - 5, (200, 2)):
+        field[row : row + 3, column : column + 3] = 0.7
+    return field
+
+
+TEXTURES = {
+    "smooth grain": lambda rng: 1 + _smooth(rng, 1, 0.05),
+    "an edge": lambda rng: np.where(np.arange(SIZE) < 90, 0.4, 1.0) * np.ones((SIZE, 1)),
+    "spots of three texels": _spots,
+    "stripes of three texels' period": lambda rng: (
+        1 + 0.2 * np.sin(np.arange(SIZE) * 2 * np.pi / 3 + 0 * rng.random((SIZE, 1)))
+    ),
+    "noise enlarged by resampling": lambda rng: (
+        1 + 0.05 * zoom(rng.standard_normal((SIZE // 2, SIZE // 2)), 2, order=1)
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TEXTURES)
+def test_texture_and_correlated_noise_are_not_white(kind, rng):
+    field = TEXTURES[kind](rng)
+    white = np.maximum(white_variance(field, EVERYWHERE), 0)
+    # Means over the image: a window here and there finds some by chance.
+    assert white.mean() < 0.03 * field.var()
+
+
+def test_texels_that_are_not_usable_do_not_count(rng):
+    field = 1 + 0.05 * rng.standard_normal((SIZE, SIZE))
+    usable = rng.random((SIZE, SIZE)) > 0.3
+    broken = np.where(usable, field, 100.0)
+    assert 0.7 * 0.05**2 < np.median(white_variance(broken, usable)[usable]) < 0.05**2
+    assert np.all(white_variance(broken, np.zeros_like(usable)) == 0)
+
+
+def _channels(relative):
+    """Return the noise of a texture of some skin's colour under light of 1."""
+    around = np.array([0.6, 0.42, 0.33]) * np.ones_like(relative)
+    return channel_noise(relative, relative * around, around, np.ones_like(relative), EVERYWHERE)
+
+
+def test_noise_of_each_channel_is_found(rng):
+    noise = _channels(1 + 0.03 * rng.standard_normal((SIZE, SIZE, 3)))
+    assert noise.lead == 0
+    assert np.median(noise.leading) == pytest.approx(0.03**2, rel=0.25)
+    assert np.median(noise.beside[..., 1]) == pytest.approx(2 * 0.03**2, rel=0.15)
+    assert np.all(noise.beside[..., 0] == 0)
+
+
+def test_noise_that_the_channels_nearly_share_is_found(rng):
+    shared, own = 0.05 * rng.standard_normal((SIZE, SIZE, 1)), 0.015 * rng.standard_normal((SIZE, SIZE, 3))
+    noise = _channels(1 + shared + own)
+    assert np.median(noise.leading) == pytest.approx(0.05**2 + 0.015**2, rel=0.25)
+
+
+def test_white_texture_moves_all_channels_and_is_no_noise(rng):
+    """Pores of one texel, in the colour of skin and stronger where it absorbs more, at 8 bits."""
+    pores = 1 + 0.03 * rng.standard_normal((SIZE, SIZE, 1)) * np.array([1.0, 1.0, 1.6])
+    noise = _channels(pores)
+    assert np.median(noise.leading) < 0.05 * 0.03**2
+    assert np.median(noise.beside[..., 2]) < 0.05 * 0.03**2
+
+
+def test_grey_noise_is_told_by_the_light_alone(lit, rng):
+    albedo, light = lit
+    value = albedo * light + 0.06 * rng.standard_normal(light.shape)
+    grey = np.repeat(value[..., None], 3, 2)
+    lights, around = light[..., None] * np.ones(3), np.full(grey.shape, 0.5)
+    noise = channel_noise(grey / lights / around, grey, around, lights, EVERYWHERE)
+    assert noise.leading == pytest.approx((0.06 / light / 0.5) ** 2, rel=0.35)
+    assert not noise.beside.any()
