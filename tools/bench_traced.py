@@ -5,7 +5,8 @@
 FOLDER is made by tools/build_traced_scans.py. A row a scene: 100 x MSE after the best single scale, on V and
 on colour, of the texture as it is, divided by ambient occlusion, by nine harmonics (SH), by the same with the
 face's own shadows, and ours; outlines in the albedo that the photograph lacks (share, and mean excess in log
-units); lamps found of all lamps (of those with hard shadows); CPU seconds. A dash marks what failed.
+units); lamps found of all lamps (of those with hard shadows); CPU seconds. A dash marks what failed. Texels
+that got less than 3 % of the median light do not count.
 """
 
 from __future__ import annotations
@@ -84,9 +85,7 @@ def image_row(folder: Path, name: str) -> Row:
     cpu_s = time.process_time() - start
     hard = sum(lamp["hard"] for lamp in scene.lamps)
     lamps = f"{len(estimate.lights)} of {len(scene.lamps)} ({hard})"
-    return scored(
-        name, scene.image, estimate, scene.albedo_linear, scene.image.mask, lamps=lamps, cpu_s=cpu_s
-    )
+    return scored(name, scene.image, estimate, scene.albedo_linear, scene.judged, lamps=lamps, cpu_s=cpu_s)
 
 
 def scan_row(folder: Path, name: str) -> Row:

@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from benchmarks.albedo_peers import robust_light
@@ -38,6 +39,8 @@ _OFFSET_MM = 0.3
 _DIRECTIONS = 256
 _FARTHEST_MM = 2.0
 _DARKEST, _UNLIT = 0.01, 0.03
+_DIMMEST = 0.1
+"""Peers divide by no less: the light of a fit may come near 0, or below."""
 
 
 def traced_folder() -> Path | None:
@@ -57,11 +60,15 @@ def scene_names(folder: Path, kind: str) -> list[str]:
 
 @dataclass(frozen=True)
 class TracedImage:
-    """A geometry image with its true albedo (H, W, 3), linear, and what is known of its lamps."""
+    """A geometry image with its true albedo (H, W, 3), linear, and what is known of its lamps.
+
+    `judged` (H, W) are the texels that count: those that got light.
+    """
 
     name: str
     image: s2a.GeometryImage
     albedo_linear: FloatArray
+    judged: BoolArray
     lamps: list[dict[str, Any]]
 
 
@@ -79,7 +86,17 @@ def load_image(folder: Path, name: str) -> TracedImage:
         occluder=(shape["occluder_vertices"].astype(np.float64), shape["occluder_faces"].astype(np.int64)),
     )
     lamps = json.loads(str(fields["lights"])) if "lights" in fields else []
-    return TracedImage(name, image, fields["albedo_linear"].astype(np.float64), lamps)
+    albedo, mask = fields["albedo_linear"].astype(np.float64), image.mask
+    judged = np.zeros(mask.shape, bool)
+    assert image.texture_linear is not None
+    judged[mask] = lit(image.texture_linear[mask], albedo[mask], np.ones(int(mask.sum()), bool))
+    return TracedImage(name, image, albedo, judged, lamps)
+
+
+def lit(texture: NDArray[np.floating], albedo: FloatArray, known: BoolArray) -> BoolArray:
+    """Return which `known` (N,) texels, of colours (N, 3), got more than 3 % of the median light."""
+    light = texture.max(1) / np.maximum(albedo.max(1), 1e-3)
+    return known & (light > _UNLIT * np.median(light[known]))
 
 
 @dataclass(frozen=True)
@@ -141,8 +158,7 @@ def judged_scan(result: ProcessResult, truth: ScanTruth) -> JudgedScan:
     counted = (distance < _FARTHEST_MM) & (true.min(1) > _DARKEST)
     if image.seen is not None:
         counted &= np.asarray(image.seen)[mask]
-    light = np.asarray(image.texture_linear)[mask].max(1) / np.maximum(true.max(1), 1e-3)
-    counted &= light > _UNLIT * np.median(light[counted])
+    counted = lit(np.asarray(image.texture_linear)[mask], true, counted)
     albedo, judged = np.zeros((*mask.shape, 3)), np.zeros(mask.shape, bool)
     albedo[mask], judged[mask] = true, counted
     return JudgedScan(albedo, judged, float(distance[counted].mean()))
@@ -246,7 +262,8 @@ def received(image: s2a.GeometryImage) -> Received:
 def simple_peers(image: s2a.GeometryImage) -> dict[str, FloatArray]:
     """Return albedos (H, W, 3) by name: texture as is, on occlusion, on harmonics without and with shadows.
 
-    Each channel is divided by its own light, so coloured light is theirs to take off.
+    Each channel is divided by its own light, of median 1: coloured light that differs from place to place is
+    theirs to take off. Light below a tenth of its median is taken for a tenth.
     """
     assert image.texture_linear is not None
     mask, light = image.mask, received(image)
@@ -258,11 +275,12 @@ def simple_peers(image: s2a.GeometryImage) -> dict[str, FloatArray]:
         return albedo
 
     def fitted(basis: FloatArray) -> FloatArray:
-        return divided(np.stack([robust_light(basis, channel) for channel in texture.T], 1))
+        lights = np.stack([robust_light(basis, channel) for channel in texture.T], 1)
+        return divided(np.maximum(lights / np.median(lights, axis=0), _DIMMEST))
 
     return {
         "as is": divided(np.ones((len(texture), 1))),
-        "AO": divided(np.maximum(light.open_part, 0.05)[:, None]),
+        "AO": divided(np.maximum(light.open_part, _DIMMEST)[:, None]),
         "SH": fitted(light.plain),
         "SH+shadows": fitted(light.shadowed),
     }
