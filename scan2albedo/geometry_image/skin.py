@@ -1,4 +1,4 @@
-"""How surely each texel of a face is skin: from its region, its colour and grain, and the fit's residual."""
+"""How surely each texel of a face is skin: from its region, its colour and grain, its relief and residual."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.geometry_image.skin_color import ColorEvidence, color_evidence
+from scan2albedo.geometry_image.skin_color import ColorEvidence, color_evidence, local_mean, odd_side
 
 SURE = 0.95
 """Prior of skin where the annotation speaks of nothing else."""
@@ -14,8 +14,9 @@ TEXEL_MM = 1.4
 """Colours are compared at about this size: pores and a picture's noise are averaged there, hairs are not."""
 _FEWEST_TEXELS, _LEAST_PART, _STEPS = 64, 0.25, 32
 _TOLERATED_DEVIATIONS, _PER_DEVIATION = 2.0, 0.9
-_TOLERATED_GRAIN, _PER_GRAIN = 0.3, 12.0
+_TOLERATED_GRAIN, _PER_GRAIN = 0.29, 13.0
 _TOLERATED_DARKNESS, _PER_DARKNESS = 0.1, 4.0
+_TOLERATED_RELIEF, _PER_RELIEF = 1.5, 2.0
 """What skin itself shows, and the log odds against skin of what goes beyond, set on path-traced faces."""
 _SPOT, _SPOT_MM2 = 0.75, 80.0
 """Islands below this weight, up to the size of a large mole and its rim, are moles."""
@@ -23,6 +24,8 @@ _LIKELY = 0.9
 """Prior below which islands are left: eyes and brows are no moles."""
 _CLOSE_MM, _FAR_MM = 1.0, 3.0
 """Residuals of a good fit, and of hair or glasses over it."""
+_RELIEF_MM, _SMOOTH_MM = 12.0, 0.05
+"""Side of the squares over which relief is averaged, and the residual of skin without noise."""
 
 Coarse = NDArray[np.float32]
 
@@ -57,8 +60,8 @@ def skin_weight(
 
     Notes
     -----
-    Log odds of the region, less those of colour, grain and darkness, at texels of `TEXEL_MM`. Islands of the
-    size of moles become skin. O(H W); 0.1 s at 512 x 512.
+    Log odds of the region, less those of colour, grain, darkness and relief, at texels of `TEXEL_MM`.
+    Islands of the size of moles become skin. O(H W); 0.1 s at 512 x 512.
     """
     seen = seen if residual_mm is None else seen & np.isfinite(residual_mm)
     if not seen.any():
@@ -69,15 +72,16 @@ def skin_weight(
     likely = np.clip(region, 1 - SURE, SURE)
     odds = np.log(likely / (1 - likely))
     known = part > _LEAST_PART
-    if texture_linear is not None and np.count_nonzero(known) >= _FEWEST_TEXELS:
-        trusted = known if anchor is None else known & (_resized(anchor.astype(np.float32), shape) > 0.5)
-        evidence = color_evidence(
-            _mean(texture_linear, seen, part),
-            _mean(normal, seen, part),
-            known,
-            trusted if np.count_nonzero(trusted) >= _FEWEST_TEXELS else known,
-        )
-        odds -= _log_odds_against(evidence, 1 - likely / SURE)
+    trusted = known if anchor is None else known & (_resized(anchor.astype(np.float32), shape) > 0.5)
+    if np.count_nonzero(trusted) < _FEWEST_TEXELS:
+        trusted = known
+    if np.count_nonzero(known) >= _FEWEST_TEXELS:
+        if texture_linear is not None:
+            means = _mean(texture_linear, seen, part), _mean(normal, seen, part)
+            odds -= _log_odds_against(color_evidence(*means, known, trusted, texel_mm), 1 - likely / SURE)
+        if residual_mm is not None:
+            relief = _relief(_mean(np.minimum(residual_mm, _CLOSE_MM), seen, part), part, trusted, texel_mm)
+            odds -= _PER_RELIEF * np.maximum(relief - _TOLERATED_RELIEF, 0)
     coarse = np.minimum(1 / (1 + np.exp(-odds)) / SURE, 1)
     skin = _resized(_without_moles(coarse, likely, texel_mm), seen.shape)
     if residual_mm is not None:
@@ -122,6 +126,12 @@ def _log_odds_against(evidence: ColorEvidence, doubt: Coarse) -> Coarse:
     against += _PER_GRAIN * np.maximum(evidence.grain - _TOLERATED_GRAIN, 0)
     against += doubt * _PER_DARKNESS * np.maximum(evidence.darkness - _TOLERATED_DARKNESS, 0)
     return against
+
+
+def _relief(residual_mm: Coarse, part: Coarse, trusted: BoolArray, texel_mm: float) -> Coarse:
+    """Return how rough the scan is around, in parts of the face's own skin: the fitted surface is smooth."""
+    rough = local_mean(residual_mm, part, odd_side(_RELIEF_MM / texel_mm))
+    return rough / np.float32(max(float(np.median(rough[trusted])), _SMOOTH_MM))
 
 
 def _without_moles(skin: Coarse, likely: Coarse, texel_mm: float) -> Coarse:

@@ -32,7 +32,10 @@ _SKIN_GRAIN, _LEAST_GRAIN, _MOST_GRAIN = 1.8, 0.025, 0.12
 """Contrast beyond so many times the median of the face's own skin is not skin's; least and most [log]."""
 _SHADOW_GRAIN = 0.09
 """Parts of white at which a picture's noise has grown by a half."""
-_GRAIN_SIDE, _AROUND_SIDE = 7, 15
+_GRAIN_MM, _AROUND_MM = 10.5, 21.0
+"""Sides of the squares over which grain is counted, and which is around."""
+_FINE_MM = 1.8
+"""Size of texels up to which skin's own relief makes no contrast; it grows with the square of the size."""
 
 
 @dataclass(frozen=True)
@@ -48,20 +51,22 @@ class ColorEvidence:
 
 
 def color_evidence(
-    texture_linear: Image, normal: Image, known: BoolArray, anchor: BoolArray
+    texture_linear: Image, normal: Image, known: BoolArray, anchor: BoolArray, texel_mm: float
 ) -> ColorEvidence:
-    """Compare each `known` texel (H, W) of some 1.5 mm with the skin of the `anchor` texels (H, W).
+    """Compare each `known` texel (H, W) of `texel_mm`, at best some 1.5, with the `anchor` texels (H, W).
 
-    `texture_linear` and `normal` are (H, W, 3). Light that changes its colour over the face does so with the
-    normal (lamps, sky) or with the brightness (shadows that a second light fills): log chroma is fitted by
-    both, robustly, so that neither makes skin something else.
+    `texture_linear` and `normal` are (H, W, 3); anchors are skin. Light that changes its colour over
+    the face does so with the normal (lamps, sky) or with the brightness (shadows that a second light fills):
+    log chroma is fitted by both, robustly, so that neither makes skin something else.
     """
     weight = known.astype(np.float32)
     floor = max(_DARKEST * _white(texture_linear, known), 1e-9)
     logarithm = np.log(np.maximum(texture_linear, np.float32(floor)))
     brightness = np.where(known, logarithm.max(-1), 0)
-    grain = _grain(brightness, weight, anchor, np.exp(brightness) * np.float32(_DARKEST / floor))
-    around = _local_mean(brightness, weight, _AROUND_SIDE)
+    around = local_mean(brightness, weight, odd_side(_AROUND_MM / texel_mm))
+    part_of_white = np.exp(brightness) * np.float32(_DARKEST / floor)
+    rough = _rough(np.where(known, brightness, around), weight, anchor, part_of_white, texel_mm)
+    grain = local_mean(rough.astype(np.float32), weight, odd_side(_GRAIN_MM / texel_mm))
     return ColorEvidence(
         np.where(known, _chroma_distance(logarithm, normal, known, anchor), 0).astype(np.float32),
         np.where(known, grain, 0),
@@ -131,23 +136,31 @@ def _commonest_skin(chroma: FloatArray, part: FloatArray) -> FloatArray:
     return np.asarray(candidates[np.argmax(support * (typical + 1e-3))])
 
 
-def _grain(brightness: Image, weight: Image, anchor: BoolArray, part_of_white: Image) -> Image:
-    """Return (H, W) the part of the texels around whose contrast is stronger than that of the face's skin.
+def _rough(
+    brightness: Image, weight: Image, anchor: BoolArray, part_of_white: Image, texel_mm: float
+) -> BoolArray:
+    """Return (H, W) which texels have more contrast than the face's skin.
 
-    An edge, of a shadow or of a mole, is a small part of its surroundings; hair and stubble are most of them.
+    Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
+    In the dark it is more, by a picture's noise.
     """
     import cv2
 
-    whole = np.where(weight > 0, brightness, _local_mean(brightness, weight, _AROUND_SIDE))
-    edgeless = np.abs(whole - cv2.medianBlur(whole, 5))
-    contrast = np.minimum(edgeless, np.abs(brightness - _local_mean(brightness, weight, 3)))
+    edgeless = np.abs(brightness - cv2.medianBlur(brightness, 5))
+    contrast = np.minimum(edgeless, np.abs(brightness - local_mean(brightness, weight, 3)))
     own = float(np.median(contrast[anchor])) if anchor.any() else 0.0
-    least = float(np.clip(_SKIN_GRAIN * own, _LEAST_GRAIN, _MOST_GRAIN))
-    threshold = least * np.sqrt(1 + (_SHADOW_GRAIN / np.maximum(part_of_white, 1e-3)) ** 2)
-    return _local_mean((contrast > threshold).astype(np.float32), weight, _GRAIN_SIDE)
+    coarseness = max(1.0, texel_mm / _FINE_MM) ** 2
+    least = float(np.clip(_SKIN_GRAIN * own, _LEAST_GRAIN * coarseness, _MOST_GRAIN))
+    noise = np.sqrt(1 + (_SHADOW_GRAIN / np.maximum(part_of_white, np.float32(1e-3))) ** 2)
+    return np.asarray(contrast > least * noise)
 
 
-def _local_mean(field: Image, weight: Image, side: int) -> Image:
+def odd_side(texels: float) -> int:
+    """Return the odd number of texels nearest to `texels`, at least 3."""
+    return max(3, 2 * round((texels - 1) / 2) + 1)
+
+
+def local_mean(field: Image, weight: Image, side: int) -> Image:
     """Return the weighted mean of `field` (H, W) over squares of `side` texels; 0 without any weight."""
     import cv2
 

@@ -142,6 +142,26 @@ def test_without_texture_region_and_residual_decide():
     assert skin[kept & (face.y > 50)] == pytest.approx(0.3 / 0.95, abs=0.01)
 
 
+def test_rough_relief_is_hair():
+    face = Face()
+    beard = face.y < -35
+    residual = np.abs(face.random.normal(0, np.where(beard, 0.5, 0.1)))
+    skin = face.skin(None, residual_mm=residual)
+    assert skin[face.mask & (face.y < -42)].mean() < 0.3
+    assert skin[face.mask & (face.y > -25)].mean() > 0.97
+    assert face.skin(None, residual_mm=0.1 * residual)[face.mask].mean() > 0.97  # less than any scan's noise
+
+
+def test_coarse_images_keep_the_relief_of_a_face():
+    face = Face(size=40)
+    nose = 20 * np.exp(-((face.x / 10) ** 2 + (face.y / 20) ** 2))
+    across, down = np.gradient(nose, face.x[0], axis=1), np.gradient(nose, face.y[:, 0], axis=0)
+    normal = face.normal - np.stack([across, down, 0 * nose], -1)
+    face.normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    skin = face.skin(face.texture())
+    assert skin[face.mask].mean() > 0.95
+
+
 def test_finer_images_say_the_same():
     means = []
     for size in (SIZE, 3 * SIZE):
