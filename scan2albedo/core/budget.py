@@ -52,11 +52,6 @@ def checked_seed(seed: int) -> int:
     ------
     ValueError
         When it is none: None would give another answer every time.
-
-    Examples
-    --------
-    >>> checked_seed(7)
-    7
     """
     if isinstance(seed, Integral) and seed >= 0:
         return int(seed)

@@ -17,8 +17,6 @@ class EnvironmentLight:
 
     Raises ValueError for coefficients of another shape or not finite, or for strengths outside their ranges.
 
-    Examples
-    --------
     >>> EnvironmentLight.constant().coefficients[0].tolist()
     [1.0, 1.0, 1.0]
     """

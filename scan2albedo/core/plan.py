@@ -24,8 +24,6 @@ class PlanStep:
 class Plan:
     """Decisions in the order they were taken.
 
-    Examples
-    --------
     >>> plan = Plan((PlanStep("albedo.shadows", False, "the surface casts none", "0.0 % of lit texels"),))
     >>> plan.ran("albedo.shadows")
     False

@@ -48,7 +48,7 @@ def fit(
     options: FitOptions | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FittedFace:
-    """Deform the model's limit surface onto a scan.
+    """Return the model's limit surface deformed onto a scan, with the refined pose.
 
     The control points P = s P_0 + q follow M q'' + D q' + K q = f, with K the membrane and thin-plate
     energy of q weighted by each region's stiffness, and f the forces of the scan on samples of the limit
@@ -69,11 +69,6 @@ def fit(
     options : FitOptions, optional
     on_progress : callable, optional
         Called with each trace row.
-
-    Returns
-    -------
-    FittedFace
-        In the model's frame; its `model_from_scan` is the refined pose.
 
     Raises
     ------

@@ -29,7 +29,9 @@ SUPPORTED_SCANS = tuple(_READERS)
 
 
 def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) -> RawScan:
-    """Load a scan, repair what is harmless and bring it to millimetres and linear colour.
+    """Return a scan from a file: harmless damage repaired, in millimetres and linear colour.
+
+    Its `notes` name the unit, every repair, missing textures and the number of loose components.
 
     Parameters
     ----------
@@ -39,11 +41,6 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
         What one unit of the file is; "auto" decides from the size of a head.
     name : str, optional
         Name of the scan in messages and output folders; the file's stem when omitted.
-
-    Returns
-    -------
-    RawScan
-        Its `notes` name the unit, every repair, missing textures and the number of loose components.
 
     Raises
     ------

@@ -55,7 +55,7 @@ def simulated_annealing(
     options: AnnealingOptions = AnnealingOptions(),
     meter: Meter | None = None,
 ) -> AnnealingResult:
-    """Minimise `objective` over a box by Corana-type simulated annealing.
+    """Return the minimum of `objective` over a box, by Corana-type simulated annealing.
 
     One coordinate moves at a time; a worse cost is accepted with probability exp(-(c' - c) / T).
     Step lengths follow the acceptance rate, T falls geometrically with the evaluations spent.
@@ -75,10 +75,6 @@ def simulated_annealing(
     meter : Meter, optional
         Counts evaluations, records every improvement and ends the run with its budget.
 
-    Returns
-    -------
-    AnnealingResult
-
     Raises
     ------
     ValueError
@@ -89,8 +85,6 @@ def simulated_annealing(
     .. [1] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
        'simulated annealing' algorithm", ACM TOMS 13(3), 1987.
 
-    Examples
-    --------
     >>> result = simulated_annealing(lambda x: float(np.sum((x - 0.3) ** 2)), [0, 0], [-1, -1], [1, 1])
     >>> bool(np.abs(result.x - 0.3).max() < 0.02)
     True

@@ -99,7 +99,7 @@ def minimize(
     meter: Meter | None = None,
     on_better: Callable[[Point], None] | None = None,
 ) -> Descent[Point]:
-    """Go down by damped Gauss-Newton steps, each solving (matrix + damping diag(matrix)) d = -gradient.
+    """Return where damped Gauss-Newton steps lead, (matrix + damping diag(matrix)) d = -gradient each.
 
     A step is taken when it lowers the cost; else it is tried again with more damping.
 
@@ -118,10 +118,6 @@ def minimize(
         Its budget ends the descent with the best so far.
     on_better : callable, optional
         Gets the start and every better point.
-
-    Returns
-    -------
-    Descent
 
     References
     ----------

@@ -41,43 +41,8 @@ def _option(default: Any, flag: Any, help: str, **limits: Any) -> Any:
 class ProcessOptions:
     """How `process` takes a scan through its stages.
 
-    Parameters
-    ----------
-    model : AnnotatedFaceModel, path, "default" or "none"
-        The template, from a model's JSON file or a mesh (`AnnotatedFaceModel.from_mesh`); None is "default".
-        "none" processes any object without a face: xatlas charts, no registration, no fit.
-    size : int, optional
-        Height and width of the geometry image; that of `quality` when omitted, 512 for "standard".
-    lights : "auto" or int
-        How many lights, 1 to 4; "auto" decides by evidence.
-    brdf : str
-        "oren-nayar", "lambert", "minnaert" or "spherical-harmonics".
-    unit : str
-        "auto", "mm", "cm" or "m".
-    quality : str or Quality
-        "draft", "standard" or "best" (standard with 1024 texels a side), or the options of every stage.
-    budget : Budget or float, optional
-        Seconds for the whole run, or a Budget whose evaluations hold for each stage.
-    seed : int
-        Same seed, input and budget in evaluations: same result, bit by bit.
-    skip : sequence of str
-        Names from `STAGES` to leave out.
-    force : sequence of str
-        Names from `FORCEABLE`: steps to carry out whatever the evidence says, where there is anything to do
-        (a shadow's outline to rectify, a saturated texel to inpaint).
-    pictures : bool
-        Whether overview.png and error_vs_time.png are drawn among the files.
-
-    Raises
-    ------
-    ValueError
-        For an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced, or is both, a
-        size or number of lights out of range, an invalid seed or budget.
-
-    Examples
-    --------
-    >>> ProcessOptions(size=128).arguments()["size"]
-    128
+    Raises ValueError for an unknown stage, BRDF, unit or quality, a stage that cannot be skipped or forced,
+    or is both, a size or number of lights out of range, an invalid seed or budget.
     """
 
     model: AnnotatedFaceModel | str | Path | None = _option(
@@ -85,24 +50,35 @@ class ProcessOptions:
         str,
         "A model's JSON file; a template's mesh; 'default'; or 'none' for an object without a face.",
     )
+    """The template, or its file (`AnnotatedFaceModel.from_mesh`); None is "default". "none" processes any
+    object without a face: xatlas charts, no registration, no fit."""
     size: int | None = _option(
         None, int | None, "Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8
     )
+    """Height and width of the geometry image; that of `quality` when omitted."""
     lights: int | str = _option("auto", str, "'auto', or how many.")
+    """1 to 4; "auto" decides by evidence."""
     brdf: str = _option("oren-nayar", str, "oren-nayar, lambert, minnaert or spherical-harmonics.")
     unit: str = _option("auto", str, "auto, mm, cm or m.")
     quality: Quality | str = _option(
         "standard", str, "draft, standard, or best: standard with 1024 texels a side."
     )
+    """`brdf`, `unit`, `quality`: one of these names; `quality` also the options of every stage."""
     budget: Budget | float | None = _option(None, float | None, "Seconds a scan may take.")
+    """Seconds for the whole run, or a Budget whose evaluations hold for each stage."""
     seed: int = _option(0, int, "Seed of every random step.", min=0)
+    """Same seed, input and budget in evaluations: same result, bit by bit."""
     skip: Sequence[str] = _option((), list[str] | None, "A stage to leave out; may be repeated.")
+    """Names from `STAGES`."""
     force: Sequence[str] = _option(
         (),
         list[str] | None,
         "An optional step to carry out in any case, such as albedo.shadows; may be repeated.",
     )
+    """Names from `FORCEABLE`: steps to carry out whatever the evidence says, where there is anything to do (a
+    shadow's outline to rectify, a saturated texel to inpaint)."""
     pictures: bool = _option(True, bool, "Draw overview.png and error_vs_time.png among the files.")
+    """Whether these are drawn."""
 
     def __post_init__(self) -> None:
         if self.model is None or isinstance(self.model, Path):

@@ -69,7 +69,7 @@ def process(
     on_progress: ProgressCallback | None = None,
     **options: Any,
 ) -> ProcessResult:
-    """Take one raw scan through every stage it needs.
+    """Return the result of one raw scan, taken through every stage it needs.
 
     Parameters
     ----------
@@ -83,10 +83,6 @@ def process(
         Called with every `TraceRow`.
     **options
         The fields of `ProcessOptions`, such as ``size=1024``, ``budget=20`` or ``skip=["albedo"]``.
-
-    Returns
-    -------
-    ProcessResult
 
     Raises
     ------

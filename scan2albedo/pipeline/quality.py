@@ -16,8 +16,6 @@ from scan2albedo.registration import RegistrationOptions
 class Quality:
     """Options of every stage of `process`.
 
-    Examples
-    --------
     A preset with one option changed, for ``process(..., quality=softer)``:
 
     >>> from dataclasses import replace

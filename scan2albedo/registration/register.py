@@ -57,7 +57,7 @@ def register(
     options: RegistrationOptions = RegistrationOptions(),
     on_progress: ProgressCallback | None = None,
 ) -> Registration:
-    """Find the rigid pose of a scan's face in the model's frame.
+    """Return the rigid pose of a scan's face in the model's frame.
 
     Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane
     ICP, then by one that also estimates the face's size; the pose whose depth image has the relief of
@@ -76,10 +76,6 @@ def register(
     options : RegistrationOptions
     on_progress : callable, optional
         Called with every trace row.
-
-    Returns
-    -------
-    Registration
 
     Warns
     -----

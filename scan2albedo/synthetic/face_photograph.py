@@ -86,12 +86,6 @@ def face_photograph(
     ------
     ValueError
         When the map has another shape or is not finite.
-
-    Examples
-    --------
-    >>> few = FacePhotographOptions(picture_size=48, lights=4)
-    >>> face_photograph(0, np.ones((4, 8, 3)), options=few).image.shape
-    (48, 48, 3)
     """
     lights = DistantLights.from_environment(environment_linear, options.lights)
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())

@@ -125,12 +125,6 @@ def flash_capture(
     options : FlashCaptureOptions
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
-
-    Examples
-    --------
-    >>> few = FlashCaptureOptions(views=1, flashes=2, picture_size=48, levels=1)
-    >>> flash_capture(options=few).flash.shape
-    (2, 48, 48, 3)
     """
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
     person = GlossyPerson.of(sitter, hair=options.hair)

@@ -77,12 +77,6 @@ def eyeglasses(
         the hinges' gap of a millimetre, the bridge stuck into the rims.
     nose_pads : bool
         Pads on thin arms, stuck into the rims as parts of their own.
-
-    Examples
-    --------
-    >>> glasses = eyeglasses(seed=3)
-    >>> glasses.keypoints.shape, glasses.names[0], int(glasses.part.max()) + 1
-    ((20, 3), 'bridge_top', 3)
     """
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
     half = build_half(measures, welded=welded, nose_pads=nose_pads)

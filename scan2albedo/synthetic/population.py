@@ -75,7 +75,7 @@ def population_scan(
     options: PopulationOptions = PopulationOptions(),
     model: AnnotatedFaceModel | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
-    """Scan one person of a population.
+    """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
 
     Shape, skin with its moles and freckles, brows and lips belong to the person; light, highlight,
     expression, pose, noise and damage to the session.
@@ -89,12 +89,6 @@ def population_scan(
     options : PopulationOptions
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
-
-    Returns
-    -------
-    scan : RawScan
-        Named "person-<person>-session-<session>".
-    truth : SyntheticTruth
     """
     template = model or AnnotatedFaceModel.default()
     own = np.random.default_rng([seed, person, 11])

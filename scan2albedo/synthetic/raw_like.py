@@ -51,7 +51,10 @@ class RawLikeOptions:
 def raw_like(
     vertices: ArrayLike, faces: ArrayLike, seed: int = 0, *, options: RawLikeOptions | None = None
 ) -> tuple[RawScan, FloatArray]:
-    """Scan a clean face with a virtual two-pod scanner: resampled, noisy, with holes and clutter, posed.
+    """Return a clean face as a virtual two-pod scanner sees it, untextured, and `scan_from_shape` (4, 4).
+
+    The scan is resampled, noisy, with holes and clutter, and in the frame and unit that `scan_from_shape`
+    maps the clean shape into.
 
     Parameters
     ----------
@@ -61,13 +64,6 @@ def raw_like(
     seed : int
         Same seed, same scan.
     options : RawLikeOptions, optional
-
-    Returns
-    -------
-    scan : RawScan
-        Untextured.
-    scan_from_shape : (4, 4) float64
-        Maps the clean shape into the scan's frame and unit.
     """
     settings, rng = options or RawLikeOptions(), np.random.default_rng(seed)
     shape, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)

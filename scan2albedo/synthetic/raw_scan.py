@@ -86,7 +86,9 @@ def raw_scan(
     model: AnnotatedFaceModel | None = None,
     options: RawScanOptions | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
-    """Scan a random synthetic person with a virtual two-pod stereo scanner.
+    """Return the scan of a random synthetic person by a virtual two-pod stereo scanner, and its truth.
+
+    The scan is in a random pose; its texture holds both pods' pictures side by side.
 
     Parameters
     ----------
@@ -101,12 +103,6 @@ def raw_scan(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     options : RawScanOptions, optional
-
-    Returns
-    -------
-    scan : RawScan
-        In a random pose; its texture holds both pods' pictures side by side.
-    truth : SyntheticTruth
     """
     settings, rng = options or RawScanOptions(), np.random.default_rng([seed, 7])
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())

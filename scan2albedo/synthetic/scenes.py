@@ -78,9 +78,6 @@ def light_at(
         From +z toward +x, and toward +y.
     distance_mm, intensity : float
         As in `PointLight`.
-
-    >>> light_at(90).direction.round(6)
-    array([1., 0., 0.])
     """
     return PointLight(
         float(np.deg2rad(azimuth_deg)), float(np.deg2rad(elevation_deg)), distance_mm, intensity

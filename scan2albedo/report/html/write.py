@@ -34,13 +34,7 @@ MOST_ROWS = 10_000
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Settings of `write_report`.
-
-    Raises
-    ------
-    ValueError
-        For a number out of range.
-    """
+    """Settings of `write_report`; ValueError for a number out of range."""
 
     scans: int = 40
     """How many scans of a batch get a section of their own."""
@@ -75,7 +69,7 @@ def write_report(
     options: ReportOptions = ReportOptions(),
     on_progress: Callable[[str], None] | None = None,
 ) -> WrittenReport:
-    """Write a self-contained HTML report of processed scans, atomically.
+    """Write a self-contained HTML report of processed scans, atomically, and return what it holds.
 
     Parameters
     ----------
