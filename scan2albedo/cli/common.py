@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
+from scan2albedo.core import Budget
 from scan2albedo.io.atomic import remove_unfinished
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text, process_options
 
@@ -23,6 +24,8 @@ DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
 
 Command = Callable[..., None]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
+OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
+BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
 
 
 def echo_json(value: Any) -> None:
@@ -30,6 +33,17 @@ def echo_json(value: Any) -> None:
     from scan2albedo.io.records import plain_json
 
     typer.echo(json.dumps(plain_json(value), indent=2, allow_nan=False))
+
+
+def checked_budget(budget: float | None, unit: str = "auto") -> Budget:
+    """Return the budget; refuse one, or a unit, that no library call takes."""
+    from scan2albedo.io.units import check_unit
+
+    try:
+        check_unit(unit)
+        return Budget.of(budget)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def refuse_shared_folders(scans: list[Path]) -> None:

@@ -11,24 +11,14 @@ from importlib.metadata import PackageNotFoundError, requires, version
 SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
 """Debian packages that Open3D's wheel needs and slim machines lack."""
 
+_OTHER_IMPORT_NAMES = {"libigl": "igl", "opencv-python-headless": "cv2", "pillow": "PIL"}
 IMPORT_NAMES = {
-    "cholespy": "cholespy",
-    "embreex": "embreex",
-    "libigl": "igl",
-    "matplotlib": "matplotlib",
-    "numba": "numba",
-    "numpy": "numpy",
-    "open3d": "open3d",
-    "opencv-python-headless": "cv2",
-    "OpenEXR": "OpenEXR",
-    "pillow": "PIL",
-    "pydantic": "pydantic",
-    "rich": "rich",
-    "scipy": "scipy",
-    "threadpoolctl": "threadpoolctl",
-    "trimesh": "trimesh",
-    "typer": "typer",
-    "xatlas": "xatlas",
+    package: _OTHER_IMPORT_NAMES.get(package, package)
+    for package in (
+        *("cholespy", "embreex", "libigl", "matplotlib", "numba", "numpy", "open3d"),
+        *("opencv-python-headless", "OpenEXR", "pillow", "pydantic", "rich", "scipy"),
+        *("threadpoolctl", "trimesh", "typer", "xatlas"),
+    )
 }
 """Libraries that every installation needs, with the name that each is imported by."""
 EXTRA_IMPORT_NAMES = {

@@ -10,7 +10,10 @@ import typer
 from scan2albedo.cli.common import (
     SOME_FAILED,
     USAGE_ERROR,
+    BudgetOption,
     JsonOption,
+    OutFolder,
+    checked_budget,
     echo_json,
     refuse_shared_folders,
     stop_cleanly_on_interrupt,
@@ -19,12 +22,10 @@ from scan2albedo.errors import one_line
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.core import Budget
 
 app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces.", no_args_is_help=True)
 
 UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")]
-BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
 
 
 @app.callback()
@@ -70,7 +71,10 @@ def canonicalize(
     from scan2albedo.eyeglasses.app.records import FailedFrameRecord
     from scan2albedo.io.atomic import check_writable
 
-    carrier, spend = _carrier(handles), _checked_budget(unit, budget)
+    if handles not in ("turned", "translated"):
+        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
+    carrier: Literal["turned", "translated"] = "turned" if handles == "turned" else "translated"
+    spend = checked_budget(budget, unit)
     stop_cleanly_on_interrupt(out)
     check_writable(out)
     figures: dict[str, dict[str, Any]] = {}
@@ -101,24 +105,6 @@ def canonicalize(
         raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
 
 
-def _carrier(handles: str) -> Literal["turned", "translated"]:
-    if handles not in ("turned", "translated"):
-        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
-    return "turned" if handles == "turned" else "translated"
-
-
-def _checked_budget(unit: str, budget: float | None) -> Budget:
-    """Return the budget, or refuse what no library call takes."""
-    from scan2albedo.core import Budget
-    from scan2albedo.io.units import check_unit
-
-    try:
-        check_unit(unit)
-        return Budget.of(budget)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
-
-
 def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out: Path) -> dict[str, Any]:
     if reason is not None:
         return {"frame": str(mesh), "status": "failed", "reason": reason}
@@ -136,7 +122,7 @@ def register(
     mesh: Annotated[
         Path, typer.Argument(help="OBJ, PLY, GLB, STL or OFF file, or a canonical.npz.", metavar="MESH")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    out: OutFolder,
     cameras: Annotated[Path, typer.Option(help="JSON file of the cameras.")],
     labels: Annotated[Path, typer.Option(help="JSON file of key points labelled in their pictures.")],
     masks: Annotated[
@@ -169,7 +155,7 @@ def register(
     from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
     from scan2albedo.io.atomic import check_writable
 
-    spend = _checked_budget(unit, budget)
+    spend = checked_budget(budget, unit)
     if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
         raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
     files = RegistrationFiles(mesh, cameras, labels, masks, head, keypoints, start, unit)
@@ -204,7 +190,7 @@ def register(
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("glasses_out"),
+    out: OutFolder = Path("glasses_out"),
     seed: Annotated[int, typer.Option(help="Of the person, the frame and the noise.", min=0)] = 0,
     json_summary: JsonOption = False,
 ) -> None:
@@ -227,7 +213,7 @@ def lenses(
     frame: Annotated[
         Path, typer.Argument(help="The frame's mesh where it sits on the head.", metavar="FRAME")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    out: OutFolder,
     cameras: Annotated[Path, typer.Option(help="cameras.json.")],
     head: Annotated[Path, typer.Option(help="The head's mesh, in the same world.")],
     view: Annotated[

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
 
 if TYPE_CHECKING:
-    from scan2albedo.recognition import LabelledTemplates, TemplateOptions
     from scan2albedo.recognition.app.files import IdentificationRecord
 
 COMBINATIONS = ("best", "mean")
@@ -54,7 +53,12 @@ def identify(
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
-    from scan2albedo.recognition import identify_results, read_labelled_templates, write_templates
+    from scan2albedo.recognition import (
+        TemplateOptions,
+        identify_results,
+        read_labelled_templates,
+        write_templates,
+    )
     from scan2albedo.recognition.app.files import identification_record, write_identification
 
     with removed_if_empty(out), ProgressLines("identify") as progress:
@@ -62,7 +66,7 @@ def identify(
             check_writable(out)
         known = read_labelled_templates(
             gallery,
-            options=_template_options(size),
+            options=None if size is None else TemplateOptions(size=size),
             on_count=lambda done, total: progress.count("gallery", done, total),
         )
         if save_templates is not None:
@@ -70,7 +74,11 @@ def identify(
             progress.say(f"identify: {len(known.templates)} templates in {save_templates}")
         if probes is None:
             if json_summary:
-                echo_json({"templates": str(save_templates), **_counts(known)})
+                counts = {
+                    "gallery_images": len(known.templates),
+                    "persons": sorted(set(known.templates.names)),
+                }
+                echo_json({"templates": str(save_templates), **counts})
             return
         found = identify_results(known, probes, combine=combine, on_count=progress.count)  # type: ignore[arg-type]
         for note in found.notes:
@@ -90,16 +98,6 @@ def _check_options(probes: Path | None, out: Path | None, combine: str, save_tem
         raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
     if probes is None and (save_templates is None or out is not None):
         raise typer.BadParameter("there are no probes; give --probes (or --save-templates alone)")
-
-
-def _counts(gallery: LabelledTemplates) -> dict[str, Any]:
-    return {"gallery_images": len(gallery.templates), "persons": sorted(set(gallery.templates.names))}
-
-
-def _template_options(size: int | None) -> TemplateOptions | None:
-    from scan2albedo.recognition import TemplateOptions
-
-    return None if size is None else TemplateOptions(size=size)
 
 
 def _summary(record: IdentificationRecord) -> str:

@@ -9,18 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import (
+    BudgetOption,
+    JsonOption,
+    OutFolder,
+    checked_budget,
+    echo_json,
+    stop_cleanly_on_interrupt,
+)
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.core import Budget
 
 app = typer.Typer(
     help="Reflectance of faces: from flash photographs, and as a morphable model.", no_args_is_help=True
 )
 
-OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
-BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
 CaptureArgument = Annotated[
     Path, typer.Argument(help="A capture file: poses, flashes, pictures, mesh.", metavar="CAPTURE")
@@ -36,7 +40,7 @@ def _common() -> None:
 
 
 @app.command()
-def olat(capture: CaptureArgument, out: OutOption, json_summary: JsonOption = False) -> None:
+def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = False) -> None:
     """Write what each flash added to the room's light, as linear EXR pictures."""
     with _work("olat", out) as progress:
         from scan2albedo.reflectance import read_capture
@@ -54,7 +58,7 @@ def olat(capture: CaptureArgument, out: OutOption, json_summary: JsonOption = Fa
 @app.command()
 def fit(
     capture: CaptureArgument,
-    out: OutOption,
+    out: OutFolder,
     light_gains: Annotated[
         bool, typer.Option(help="Find the strength of each flash, too; otherwise all are equal.")
     ] = False,
@@ -78,7 +82,7 @@ def fit(
         raise typer.BadParameter(str(error)) from None
     if held_out_every == 1:
         raise typer.BadParameter("--held-out-every 1 would leave nothing to fit; give 0, or 2 or more")
-    spend = _checked_budget(budget)
+    spend = checked_budget(budget)
     with _work("fit", out) as progress:
         from scan2albedo.reflectance import read_capture
         from scan2albedo.reflectance.app.capture_run import fit_capture, write_fit
@@ -119,7 +123,7 @@ def build(
             metavar="SAMPLE...",
         ),
     ],
-    out: OutOption,
+    out: OutFolder,
     components: Annotated[
         int | None, typer.Option(help="Directions to keep; all when omitted.", min=0)
     ] = None,
@@ -155,7 +159,7 @@ def build(
 @app.command()
 def sample(
     model: ModelArgument,
-    out: OutOption,
+    out: OutFolder,
     count: Annotated[int, typer.Option(help="How many.", min=1)] = 6,
     scale: Annotated[
         float, typer.Option(help="Standard deviation of the coefficients; 1 is the model's own.", min=0)
@@ -178,13 +182,13 @@ def fit_image(
         Path,
         typer.Argument(help="A photograph file: image, camera, mesh or landmarks.", metavar="PHOTOGRAPH"),
     ],
-    out: OutOption,
+    out: OutFolder,
     model: Annotated[Path, typer.Option(help="Folder that `reflectance build` or `finetune` wrote.")],
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
     """Find the reflectance and the light of one photograph with a model."""
-    spend = _checked_budget(budget)
+    spend = checked_budget(budget)
     with _work("fit-image", out) as progress:
         from scan2albedo.reflectance import read_photograph
         from scan2albedo.reflectance.app.image_run import fit_photograph, write_fitted_photograph
@@ -207,7 +211,7 @@ def finetune(
     photographs: Annotated[
         list[Path], typer.Argument(help="Photograph files of other faces.", metavar="PHOTOGRAPH...")
     ],
-    out: OutOption,
+    out: OutFolder,
     held_out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -218,7 +222,7 @@ def finetune(
     json_summary: JsonOption = False,
 ) -> None:
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
-    spend = _checked_budget(budget)
+    spend = checked_budget(budget)
     with _work("finetune", out) as progress:
         from scan2albedo.reflectance.app.image_run import tune_model, write_tuned_model
         from scan2albedo.reflectance.app.model_run import read_model_folder
@@ -243,7 +247,7 @@ def finetune(
 
 @app.command()
 def demo(
-    out: OutOption = Path("reflectance_demo"),
+    out: OutFolder = Path("reflectance_demo"),
     people: Annotated[int, typer.Option(help="From whom the model is learned.", min=2)] = 8,
     photographs: Annotated[
         int, typer.Option(help="Of others, to fine-tune with; half are held out.", min=2)
@@ -279,15 +283,6 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
     with removed_if_empty(out), ProgressLines(name) as progress:
         check_writable(out)
         yield progress
-
-
-def _checked_budget(budget: float | None) -> Budget:
-    from scan2albedo.core import Budget
-
-    try:
-        return Budget.of(budget)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
 
 
 def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:

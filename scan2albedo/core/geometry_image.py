@@ -164,13 +164,19 @@ class GeometryImage:
         for triangle in ((a, c, b), (b, c, d)):
             texels = np.stack(triangle, -1).reshape(-1, 3)
             faces.append(texels[(texels >= 0).all(1)])
-        stacked = np.concatenate(faces)
-        vertices, normals = self.position[self.mask], self.normal[self.mask]
-        corners = vertices[stacked]
-        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        vertices = self.position[self.mask]
         # Face by face: a chart may be cut into pieces, some of them mirrored.
-        against = np.einsum("ij,ij->i", outward, normals[stacked].sum(1)) < 0
-        return vertices, np.where(against[:, None], stacked[:, ::-1], stacked)
+        return vertices, wound_like(vertices, np.concatenate(faces), self.normal[self.mask])
+
+
+def wound_like(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Return the triangles (F, 3), each wound to agree with the normals (V, 3) at its corners."""
+    corners = vertices[faces]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    against = np.einsum("ij,ij->i", outward, normals[faces].sum(1)) < 0
+    return np.where(against[:, None], faces[:, ::-1], faces)
 
 
 def check_size(size: int) -> None:

@@ -103,9 +103,16 @@ def _arrays_of(model: AnnotatedSurface) -> Arrays:
 
 def load_model(path: str | Path) -> AnnotatedSurface:
     """Read a model that `save_model` wrote; raises `ModelError` when files are damaged or do not match."""
-    entry = _read_entry(Path(path))
+    entry = read_record(
+        path,
+        FaceModelFile,
+        what="face model",
+        advice="give the .json file of a model (data_schemas/annotated_face_model.schema.json)",
+        error=ModelError,
+    )
     arrays_path = Path(path).with_name(entry.arrays)
-    arrays = _read_arrays(arrays_path)
+    advice = "copy it beside its .json file again"
+    arrays = read_npz(arrays_path, what="face model", advice=advice, error=ModelError)
     _check_shapes(entry, arrays, arrays_path)
     template_faces = arrays.get("template_faces")
     return AnnotatedSurface(
@@ -122,20 +129,6 @@ def load_model(path: str | Path) -> AnnotatedSurface:
         notes=tuple(entry.notes),
         name=entry.name,
     )
-
-
-def _read_entry(path: Path) -> FaceModelFile:
-    return read_record(
-        path,
-        FaceModelFile,
-        what="face model",
-        advice="give the .json file of a model (data_schemas/annotated_face_model.schema.json)",
-        error=ModelError,
-    )
-
-
-def _read_arrays(path: Path) -> Arrays:
-    return read_npz(path, what="face model", advice="copy it beside its .json file again", error=ModelError)
 
 
 def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:

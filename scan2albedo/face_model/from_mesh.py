@@ -64,7 +64,8 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     inner = project(subdivision, control.vertices, template.vertices, normals)
     placed = _all_placed(template, subdivision, control, inner)
     matrix = subdivision.points_matrix(placed)
-    offset = _local_offset(matrix @ control.vertices, template.all_vertices, control, placed)
+    frames = surface_frames(control.vertices[control.faces[placed.face]])
+    offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control.vertices)
     region, table = _regions(given.regions, faces, template, control, name)
     if template.filled.any():
         index = len(table)
@@ -120,13 +121,6 @@ def _all_placed(
     return SurfacePoints(face, barycentric)
 
 
-def _local_offset(
-    surface: FloatArray, template: FloatArray, control: ControlMesh, placed: SurfacePoints
-) -> FloatArray:
-    frames = surface_frames(control.vertices[control.faces[placed.face]])
-    return np.einsum("nij,ni->nj", frames, template - surface)
-
-
 def _chart(
     uv: FloatArray | None,
     template: CleanTemplate,
@@ -146,7 +140,8 @@ def _chart(
             )
         if np.isfinite(given[template.source]).all():
             chart = _control_chart(given[template.source], matrix[template.source])
-            if _unfolded(chart, control.faces):
+            flat = np.column_stack([chart, np.zeros(len(chart))])
+            if (face_cross_products(flat, control.faces)[:, 2] > 0).all():
                 return chart, ()
             reason = "folds over or leaves the unit square"
         else:
@@ -161,11 +156,6 @@ def _control_chart(uv: FloatArray, matrix: sparse.csr_matrix) -> FloatArray:
     tie = 1e-6 * sparse.identity(matrix.shape[1])
     chart = splu((matrix.T @ matrix + tie).tocsc()).solve(matrix.T @ uv)
     return np.clip(chart, 0.0, 1.0)
-
-
-def _unfolded(chart: FloatArray, faces: IntArray) -> bool:
-    flat = np.column_stack([chart, np.zeros(len(chart))])
-    return bool((face_cross_products(flat, faces)[:, 2] > 0).all())
 
 
 def _regions(

@@ -23,13 +23,7 @@ from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 
 @dataclass(frozen=True)
 class AnnotatedFaceModel(AnnotatedSurface):
-    """A face template whose surface is the Loop limit surface of a control mesh; see `AnnotatedSurface`.
-
-    References
-    ----------
-    .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
-       Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
-    """
+    """A face template whose surface is the Loop limit surface of a control mesh; see `AnnotatedSurface`."""
 
     @classmethod
     def default(cls) -> AnnotatedFaceModel:
@@ -58,14 +52,18 @@ class AnnotatedFaceModel(AnnotatedSurface):
         annotate: bool = True,
         name: str = "template",
     ) -> Self:
-        """Make an `AnnotatedFaceModel` from a dense face template of 100 to 100,000 vertices.
+        """Return an `AnnotatedFaceModel` made from a dense face template of 100 to 100,000 vertices.
 
         The template is mended (unit, seams, loose parts, a few faces that spoil the surface, holes for eyes
-        and mouth) and turned into the model's axes, its
-        edges are collapsed to about `control_size` vertices, and these are moved until the Loop limit
-        surface passes near the template. Every template vertex is placed on that surface, so that a fit
-        returns the face in the template's own topology. Regions and landmarks that are not given are
-        carried over from the default model, registered and fitted to the template.
+        and mouth) and turned into the model's axes, its edges are collapsed to about `control_size` vertices,
+        and these are moved until the Loop limit surface passes near the template. Every template vertex is
+        placed on that surface, so that a fit returns the face in the template's own topology. Regions and
+        landmarks that are not given are carried over from the default model, registered and fitted to the
+        template.
+
+        The model is in millimetres, its origin at the centroid of the template's vertices in faces; the
+        template's own axes stay where they are within 25 degrees of the convention's. Raises ModelError when
+        the template, the regions or the landmarks cannot be used; the message says why.
 
         Parameters
         ----------
@@ -91,17 +89,6 @@ class AnnotatedFaceModel(AnnotatedSurface):
             face is recognised in the template, its axes are taken as they are and `notes` says so.
         name : str
             Used in messages and results.
-
-        Returns
-        -------
-        AnnotatedFaceModel
-            In millimetres, origin at the centroid of the template's vertices in faces; the template's own
-            axes where they are within 25 degrees of the convention's, else turned.
-
-        Raises
-        ------
-        ModelError
-            When the template, the regions or the landmarks cannot be used; the message says why.
         """
         given = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
         surface = template_surface(vertices, faces, name)

@@ -118,8 +118,9 @@ def _welded(xyz: FloatArray, faces: IntArray) -> IntArray:
     """Join vertices at equal positions (UV seams), unless that makes an edge with three faces."""
     step = 1e-7 * float(np.max(np.ptp(xyz, axis=0)))
     _, first, inverse = np.unique(np.round(xyz / step), axis=0, return_index=True, return_inverse=True)
-    joined = first[inverse.ravel()][faces]
-    return _proper(xyz, joined if _edge_manifold(_proper(xyz, joined)) else faces)
+    joined = _proper(xyz, first[inverse.ravel()][faces])
+    manifold = len(joined) > 0 and int(edges_with_faces(joined)[1].max()) <= 2
+    return joined if manifold else _proper(xyz, faces)
 
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
@@ -128,10 +129,6 @@ def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
     good = faces[area > 1e-14 * area.max()]
     _, first = np.unique(np.sort(good, axis=1), axis=0, return_index=True)
     return good[np.sort(first)]
-
-
-def _edge_manifold(faces: IntArray) -> bool:
-    return len(faces) > 0 and int(edges_with_faces(faces)[1].max()) <= 2
 
 
 def largest_component(vertex_count: int, faces: IntArray) -> IntArray:
@@ -178,12 +175,9 @@ def _spoilt(faces: IntArray) -> IntArray:
         at_knot = np.isin(keys, key[uses > 2]).any(1)
         loose = at_knot & np.isin(keys, key[uses == 1]).any(1)
         return np.flatnonzero(loose if loose.any() else at_knot)
-    pinched = np.setdiff1d(np.flatnonzero(~igl.is_vertex_manifold(faces)), _unused(faces))
+    # Vertices without a face count as pinched, but no face is at them.
+    pinched = np.flatnonzero(~igl.is_vertex_manifold(faces))
     return np.flatnonzero(np.isin(faces, pinched).any(1))
-
-
-def _unused(faces: IntArray) -> IntArray:
-    return np.setdiff1d(np.arange(faces.max() + 1), faces)
 
 
 def _outward(xyz: FloatArray, faces: IntArray) -> IntArray:

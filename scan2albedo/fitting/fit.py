@@ -70,10 +70,7 @@ def fit(
     on_progress : callable, optional
         Called with each trace row.
 
-    Raises
-    ------
-    FitError
-        When there is next to no scan where the model is.
+    Raises FitError when there is next to no scan where the model is.
 
     Notes
     -----
@@ -83,8 +80,6 @@ def fit(
     lets them. Closest points that are not mutual do not pull; folds left at the end are stiffened away.
     A step costs O(samples).
 
-    References
-    ----------
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An Automated Method for Human Face
        Modeling and Relighting with Application to Face Recognition", section 3.1.2.
     .. [2] C. Mandal, H. Qin, B. Vemuri, "A Novel FEM-Based Dynamic Framework for Subdivision Surfaces",

@@ -136,7 +136,7 @@ def write_glb(
         attributes["TEXCOORD_0"] = (from_top.astype("f4"), "VEC2")
     mesh = file.add_mesh("face", points, triangles, attributes=attributes)
     color = (*_GREY, 1.0) if texture_srgb is None else (1.0, 1.0, 1.0, 1.0)
-    material = _material("albedo", color, 0.9, double_sided=False)
+    material = plain_material("albedo", color, 0.9, double_sided=False)
     if texture_srgb is not None:
         view = file.add_bytes(encode_image(np.asarray(texture_srgb, np.uint8), ".png"))
         textures = {"images": [{"bufferView": view, "mimeType": "image/png"}], "textures": [{"source": 0}]}
@@ -178,14 +178,15 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
         kept, renumbered = without_unreferenced(vertices, faces)
         file.add_mesh(part.name, vertices[kept], renumbered, number)
         color = np.clip([*part.color_linear, part.opacity], 0, 1).tolist()
-        material = _material(part.name, color, part.roughness)
+        material = plain_material(part.name, color, part.roughness)
         materials.append(material if part.opacity >= 1 else {**material, "alphaMode": "BLEND"})
     nodes = [{"name": part.name, "mesh": number} for number, part in enumerate(parts)]
     file.write(path, nodes, list(range(len(parts))), materials=materials)
 
 
-def _material(
+def plain_material(
     name: str, color: Sequence[float], roughness: float, *, double_sided: bool = True
 ) -> dict[str, Any]:
+    """Return the entry of a material of one colour (red, green, blue, opacity), which is no metal."""
     surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}
     return {"name": name, "doubleSided": double_sided, "pbrMetallicRoughness": surface}

@@ -42,14 +42,9 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     name : str, optional
         Name of the scan in messages and output folders; the file's stem when omitted.
 
-    Raises
-    ------
-    ScanError
-        When the file is missing, of an unsupported kind, damaged, without faces, of a size that is no head in
-        any unit, or so far from the origin that rounding destroys its shape. The message names the file, what
-        is wrong and what to do.
-    ValueError
-        For an unknown unit.
+    Raises ScanError when the file is missing, of an unsupported kind, damaged, without faces, of a size that
+    is no head in any unit, or so far from the origin that rounding destroys its shape; the message names the
+    file, what is wrong and what to do. Raises ValueError for an unknown unit.
     """
     from scan2albedo.io.units import millimetres_per_unit
 

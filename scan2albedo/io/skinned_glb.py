@@ -11,21 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.io.glb import METRES_PER_MM, GlbFile
+from scan2albedo.io.glb import METRES_PER_MM, GlbFile, plain_material
 
 _A_SET = 4
 """Joints of a vertex in one pair of attributes JOINTS_n, WEIGHTS_n."""
 _NOTHING = 2.0**-24
 """Weights below this vanish beside 1 in 32 bits."""
-_MATERIAL = {
-    "name": "frame",
-    "doubleSided": True,
-    "pbrMetallicRoughness": {
-        "baseColorFactor": [0.25, 0.25, 0.28, 1.0],
-        "metallicFactor": 0.0,
-        "roughnessFactor": 0.6,
-    },
-}
+_MATERIAL = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
 
 
 @dataclass(frozen=True)

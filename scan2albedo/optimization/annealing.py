@@ -80,8 +80,6 @@ def simulated_annealing(
     ValueError
         When start and box do not agree.
 
-    References
-    ----------
     .. [1] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
        'simulated annealing' algorithm", ACM TOMS 13(3), 1987.
 

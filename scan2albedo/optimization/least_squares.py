@@ -119,8 +119,6 @@ def minimize(
     on_better : callable, optional
         Gets the start and every better point.
 
-    References
-    ----------
     .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
        1963.
     """

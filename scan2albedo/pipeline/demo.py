@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo import AlbedoError, AlbedoEstimate, albedo_error
 from scan2albedo.core import PointLight, ProgressCallback
-from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.pipeline.process import process
@@ -101,13 +100,14 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
     both = image.mask & truth.image.mask
     position = transform_points(truth_from_fit, image.position[both])
     landmarks = transform_points(truth_from_fit, fitted.landmarks)
+    surface = ClosestPointQuery(transform_points(truth_from_fit, fitted.vertices), fitted.faces)
     true_albedo, usable = _true_albedo_at(truth, position, image.seen[both])
     assert image.texture_linear is not None
     return DemoReport(
         result=result,
         pose_rotation_deg=float(np.degrees(rotation_angle_rad(truth_from_fit[:3, :3]))),
         pose_translation_mm=float(np.linalg.norm(transform_points(truth_from_fit, center[None])[0] - center)),
-        surface_mm=_surface_mm(fitted, truth, truth_from_fit),
+        surface_mm=float(surface.query(truth.image.position[truth.image.mask]).distance.mean()),
         correspondence_mm=float(np.linalg.norm(position - truth.image.position[both], axis=1).mean()),
         landmarks_mm=float(np.linalg.norm(landmarks - truth.landmarks, axis=1)[INNER_LANDMARKS].mean()),
         light_deg=_light_deg(estimate, truth.lights, truth_from_fit),
@@ -116,11 +116,6 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
         texture=albedo_error(image.texture_linear[both], true_albedo, usable),
         albedo=albedo_error(estimate.albedo_linear[both], true_albedo, usable),
     )
-
-
-def _surface_mm(fitted: FittedFace, truth: SyntheticTruth, truth_from_fit: NDArray[np.float64]) -> float:
-    surface = ClosestPointQuery(transform_points(truth_from_fit, fitted.vertices), fitted.faces)
-    return float(surface.query(truth.image.position[truth.image.mask]).distance.mean())
 
 
 def _true_albedo_at(

@@ -134,7 +134,7 @@ def _with_refined(
             )
             pose = Similarity(refined[:3, :3], refined[:3, 3])
             meter.count()
-        if any(_alike(pose, other) for other in poses):
+        if any(pose.is_near(other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
             continue
         poses.append(pose)
         candidates.append(_scored(scan, template, samples, pose, options.scaled_iterations))
@@ -152,10 +152,6 @@ def _scored(
     rms_mm = residuals(scan.samples, samples, pose).trimmed_rms_mm(samples.areas)
     scores = template.image.scores(scan.vertices, scan.faces, pose.inverse(), rms_mm)
     return Candidate(pose, scores)
-
-
-def _alike(a: Similarity, b: Similarity) -> bool:
-    return a.is_near(b, _SAME_ROTATION_RAD, _SAME_POSITION_MM)
 
 
 def import_open3d() -> ModuleType:

@@ -77,22 +77,10 @@ def register(
     on_progress : callable, optional
         Called with every trace row.
 
-    Warns
-    -----
-    UserWarning
-        When the face has a size that no person's has, or the scan holds a second face.
+    Warns when the face has a size that no person's has, or the scan holds a second face. Raises
+    RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
+    when `seed` is no whole number of 0 or more; MissingDependencyError when Open3D cannot be loaded.
 
-    Raises
-    ------
-    RegistrationError
-        When the scan is too small or too large, or holds no face; the message carries the figures.
-    ValueError
-        When `seed` is no whole number of 0 or more.
-    MissingDependencyError
-        When Open3D cannot be loaded.
-
-    References
-    ----------
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.1.1.
     """

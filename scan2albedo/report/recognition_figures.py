@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figure:
     """Return identification rate against rank, a curve a name; ValueError for none or mixed confidences."""
-    figure, axis = _figure(curves)
+    figure, axis = _figure(curves, "CMC", "rank", "probes whose person is among the first")
     for name, curve in curves.items():
         shown = curve.rank <= most_ranks
         first = f"{curve.rate[0]:.1%} ({curve.low[0]:.1%} to {curve.high[0]:.1%})"
@@ -28,16 +28,13 @@ def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figur
     last = max(min(int(curve.rank[-1]), most_ranks) for curve in curves.values())
     axis.set_xlim(0.8, last + 0.2)
     axis.set_xticks(sorted({1, *range(max(1, last // 4), last + 1, max(1, last // 4))}))
-    axis.set_title(f"CMC, {_confidence(curves)} intervals", fontsize=11)
-    axis.set_xlabel("rank")
-    axis.set_ylabel("probes whose person is among the first")
     figure.legend(loc="outside lower center", fontsize=9)
     return figure
 
 
 def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
     """Return true over logarithmic false accept rate; ValueError for no curve or mixed confidences."""
-    figure, axis = _figure(curves)
+    figure, axis = _figure(curves, "ROC", "false accept rate", "true accept rate")
     for name, curve in curves.items():
         shown = curve.false_accept_rate > 0
         least, most = curve.equal_error_interval
@@ -46,29 +43,27 @@ def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
         rate, low, high = curve.true_accept_rate[shown], curve.low[shown], curve.high[shown]
         _draw(axis, curve.false_accept_rate[shown], rate, low, high, label)
     axis.set_xscale("log")
-    axis.set_title(f"ROC, {_confidence(curves)} intervals", fontsize=11)
-    axis.set_xlabel("false accept rate")
-    axis.set_ylabel("true accept rate")
     figure.legend(loc="outside lower center", fontsize=9)
     return figure
 
 
-def _confidence(curves: Mapping[str, CmcCurve] | Mapping[str, RocCurve]) -> str:
-    found = {curve.confidence for curve in curves.values()}
-    if len(found) > 1:
-        raise ValueError(f"the curves' intervals have confidences {sorted(found)}, expected one")
-    return f"{found.pop():.0%}"
-
-
-def _figure(curves: Mapping[str, object]) -> tuple[Figure, Axes]:
+def _figure(
+    curves: Mapping[str, CmcCurve] | Mapping[str, RocCurve], title: str, x: str, y: str
+) -> tuple[Figure, Axes]:
     if not curves:
         raise ValueError("no curve was given, expected one or more")
+    confidences = {curve.confidence for curve in curves.values()}
+    if len(confidences) > 1:
+        raise ValueError(f"the curves' intervals have confidences {sorted(confidences)}, expected one")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 5.2), dpi=110, layout="constrained")
     axis = figure.subplots()
     axis.set_ylim(0, 1.02)
     axis.grid(alpha=0.3)
+    axis.set_title(f"{title}, {confidences.pop():.0%} intervals", fontsize=11)
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
     return figure, axis
 
 

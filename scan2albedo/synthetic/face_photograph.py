@@ -82,10 +82,7 @@ def face_photograph(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
 
-    Raises
-    ------
-    ValueError
-        When the map has another shape or is not finite.
+    Raises ValueError when the map has another shape or is not finite.
     """
     lights = DistantLights.from_environment(environment_linear, options.lights)
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())

@@ -176,7 +176,9 @@ def oren_nayar(
     the smaller of theta_i and theta_r (Oren, Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH
     1994, eq. 30). Angles are computed one by one; a viewer below the horizon counts as at the horizon.
     """
-    tangent = normalized(np.cross(normal, _any_other_axis(normal)))
+    # Of the coordinate axes each normal leans on this one least.
+    other_axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    tangent = normalized(np.cross(normal, other_axis))
     bitangent = np.cross(normal, tangent)
 
     def polar(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -200,8 +202,3 @@ def phong(
     along = np.einsum("ij,ij->i", normal, toward_light)
     mirrored = 2 * along[:, None] * normal - toward_light
     return np.maximum(0, np.einsum("ij,ij->i", mirrored, toward_viewer)) ** exponent
-
-
-def _any_other_axis(normal: FloatArray) -> FloatArray:
-    """Return (N, 3) the coordinate axis each normal leans on least."""
-    return np.eye(3)[np.argmin(np.abs(normal), axis=1)]

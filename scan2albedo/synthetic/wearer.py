@@ -160,7 +160,7 @@ def wearer(
         The default model when omitted; it needs landmarks.
     """
     sitter = sit_down(seed, expression="neutral", model=model or AnnotatedFaceModel.default())
-    head = _head(sitter, options.hair)
+    head = compact(sitter.vertices, sitter.faces[options.hair | (sitter.part != HAIR)])
     scene, eyes = RayScene(*head), sitter.face.landmarks[_EYES].mean(0)
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
     bend = bend if bend is not None else fit_temples(measures, seed, scene, eyes)
@@ -181,11 +181,6 @@ def wearer(
         labels=_labels(cameras, vertices[glasses.keypoint_vertices], hidden, glasses, options, rng),
         hidden=hidden,
     )
-
-
-def _head(sitter: Sitter, hair: bool) -> tuple[FloatArray, IntArray]:
-    faces = sitter.faces if hair else sitter.faces[sitter.part != HAIR]
-    return compact(sitter.vertices, faces)
 
 
 def _cameras(options: WearerOptions, vertices: FloatArray) -> FloatArray:

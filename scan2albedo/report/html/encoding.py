@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import GeometryImage, wound_like
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
 
@@ -70,8 +70,6 @@ def quantized(values: FloatArray, low: FloatArray, span: FloatArray) -> NDArray[
 def octahedral(normals: FloatArray) -> NDArray[np.int16]:
     """Return (V, 2) 16-bit octahedral coordinates of unit vectors (V, 3), off by 0.005 degrees at most [1]_.
 
-    References
-    ----------
     .. [1] Z. Cigolle et al., "A survey of efficient representations for independent unit vectors", Journal of
        Computer Graphics Techniques 3(2), 2014.
     """
@@ -113,7 +111,7 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
         for right in range(step + 1):
             whole &= image.mask[np.ix_(rows + down, columns + right)]
     faces = np.concatenate([_coarse(index, rows, columns, step, whole), _fine(full, image, step, whole)])
-    agreed = _wound_like(full, faces)
+    agreed = wound_like(full.vertices, faces, full.normals)
     used = np.unique(agreed)
     place = np.zeros(len(full.vertices), np.int64)
     place[used] = np.arange(len(used))
@@ -134,14 +132,6 @@ def _fine(full: FaceMesh, image: GeometryImage, step: int, whole: BoolArray) -> 
     covered = np.zeros(len(full.faces), bool)
     covered[inside] = whole[first_row[inside], first_column[inside]]
     return full.faces[~covered]
-
-
-def _wound_like(full: FaceMesh, faces: IntArray) -> IntArray:
-    """Return the triangles, each wound to agree with the normals at its corners."""
-    corners = full.vertices[faces]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    against = np.einsum("ij,ij->i", outward, full.normals[faces].sum(1)) < 0
-    return np.where(against[:, None], faces[:, ::-1], faces)
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,8 @@ class Page:
 
 def page_html(page: Page) -> str:
     """Return the page as one HTML document that loads nothing."""
-    style, script = _static("report.css"), _script()
+    style, scripts = _static("report.css"), "\n".join(_static(f"{name}.js") for name in _SCRIPTS)
+    script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
     policy = (
         "default-src 'none'; img-src data:; "
         f"style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'"
@@ -88,11 +89,6 @@ def _environment() -> Environment:
     environment.filters["data_json"] = lambda value: Markup(data_json(value))
     environment.filters["raw"] = lambda text: Markup(text)
     return environment
-
-
-def _script() -> str:
-    body = "\n".join(_static(f"{name}.js") for name in _SCRIPTS)
-    return f'\n(() => {{\n"use strict";\n{body}}})();\n'
 
 
 @cache

@@ -114,11 +114,9 @@ def _row(entry: Mapping[str, Any], out: Path) -> ScanRow:
     if status == DONE and folder is not None and not (folder / RESULT_FILE).is_file():
         # The catalogue may be carried about without the folders; the row says so.
         reason, folder = reason or "its files are not here", None
-    return ScanRow(str(entry["name"]), status, reason or _without_reason(status), folder, values)
-
-
-def _without_reason(status: str) -> str:
-    return "no reason was recorded" if status == FAILED else ""
+    if status == FAILED:
+        reason = reason or "no reason was recorded"
+    return ScanRow(str(entry["name"]), status, reason, folder, values)
 
 
 def _plain(value: Any) -> Any:

@@ -119,12 +119,18 @@ def viewer_entry(
     """
     face, image = viewed.face, viewed.face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
+    skin = face.reflectance
     entry = {
         **mesh_entry(mesh, topologies),
         "hasAlbedo": viewed.has_albedo,
         "albedo": texture_entry(face.albedo_linear, image.mask, style),
         "albedoExposure": preview_factor(face.albedo_linear, face.mask),
-        "reflectance": _reflectance(face),
+        "reflectance": {
+            "brdf": skin.brdf,
+            "roughness": skin.roughness,
+            "strength": skin.specular_strength,
+            "exponent": skin.exponent,
+        },
         "lights": [_light(light) for light in record.lights],
         "harmonics": _harmonics(record),
         "castsShadows": face.casts_shadows,
@@ -136,21 +142,11 @@ def viewer_entry(
     }
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
-    if image.specular_scale is not None and face.reflectance.specular_strength > 0:
+    if image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(image.specular_scale.astype(np.float64), image.mask, style)
     if residual_mm is not None:
         entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": _residual_bytes(residual_mm)}
     return entry
-
-
-def _reflectance(face: ProcessedFace) -> dict[str, Any]:
-    skin = face.reflectance
-    return {
-        "brdf": skin.brdf,
-        "roughness": skin.roughness,
-        "strength": skin.specular_strength,
-        "exponent": skin.exponent,
-    }
 
 
 def _light(light: Any) -> dict[str, Any]:

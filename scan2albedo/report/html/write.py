@@ -82,10 +82,6 @@ def write_report(
     on_progress : callable, optional
         Called with a line for each scan that is put into the page.
 
-    Returns
-    -------
-    WrittenReport
-
     Raises
     ------
     Scan2AlbedoError
