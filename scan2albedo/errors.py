@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import ModuleType
 
 
 class Scan2AlbedoError(Exception):
@@ -88,6 +89,24 @@ def needs_extra(extra: str) -> Iterator[None]:
         raise MissingDependencyError(
             f"{error}; install what this needs with: pip install 'scan2albedo[{extra}]'"
         ) from error
+
+
+def import_open3d() -> ModuleType:
+    """Return open3d, whose import takes seconds.
+
+    Raises
+    ------
+    MissingDependencyError
+        When it or a system library that it needs is missing.
+    """
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise MissingDependencyError(
+            f"Open3D cannot be loaded ({error}); run tools/bootstrap_system.sh, or install open3d-cpu and "
+            "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
+        ) from error
+    return open3d
 
 
 def one_line(error: BaseException | str) -> str:

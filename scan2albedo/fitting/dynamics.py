@@ -22,11 +22,6 @@ class State:
     q: FloatArray
     velocity: FloatArray
 
-    @classmethod
-    def at_rest(cls, count: int) -> State:
-        """Return zero displacement and velocity of `count` control points."""
-        return cls(np.zeros((count, 3)), np.zeros((count, 3)))
-
 
 class ImplicitSystem:
     """One stage of the dynamics: linearly implicit (backward) Euler, factored once for all its steps.
@@ -75,11 +70,6 @@ class ImplicitSystem:
             lambda x: self._still @ x + springs(x), right, self._precondition, iterations, tolerance
         )
         return State(state.q + moved, moved / self.time_step)
-
-    def energy(self, state: State) -> float:
-        """Return (v^T M v + q^T K q) / 2, which no step without force can raise."""
-        kinetic = float(np.sum(self._mass * state.velocity**2))
-        return 0.5 * (kinetic + float(np.sum(state.q * (self._stiffness @ state.q))))
 
 
 def conjugate_gradients(

@@ -57,6 +57,8 @@ def fit(
     Before that, pose and size s are refined over the stiff regions (`refine_similarity`), the mouth is opened
     and its corners are drawn back as the scan's are, and the face gets its proportions (`proportioned`).
 
+    Raises FitError when there is next to no scan where the model is.
+
     Parameters
     ----------
     scan : RawScan
@@ -69,8 +71,6 @@ def fit(
     options : FitOptions, optional
     on_progress : callable, optional
         Called with each trace row.
-
-    Raises FitError when there is next to no scan where the model is.
 
     Notes
     -----

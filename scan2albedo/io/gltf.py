@@ -71,7 +71,12 @@ def _read_parts(path: Path) -> ParsedMesh:
     file = _GltfFile.read(path)
     skinned = bool(file.tree.get("skins"))
     scene = _load_scene(path, file.with_marked_skins() if skinned else None)
-    textured = _textured_material_names(file.tree)
+    # trimesh drops base colour textures that it cannot read without a word.
+    textured = {
+        declared.get("name", "material")
+        for declared in file.tree.get("materials", [])
+        if "baseColorTexture" in declared.get("pbrMetallicRoughness", {})
+    }
     materials: dict[int, Material] = {}
     parts = []
     for node in scene.graph.nodes_geometry:
@@ -111,14 +116,6 @@ def _load_scene(path: Path, data: bytes | None) -> trimesh.Scene:
     if warned.messages:
         raise ScanError(f"{path.name}: {warned.messages[0]}; export it again without compression")
     return scene
-
-
-def _textured_material_names(tree: dict[str, Any]) -> set[str]:
-    """Return the names of the materials that declare a base colour texture, which trimesh drops silently."""
-    declared = tree.get("materials", [])
-    return {
-        m.get("name", "material") for m in declared if "baseColorTexture" in m.get("pbrMetallicRoughness", {})
-    }
 
 
 class _Warnings(logging.Handler):

@@ -33,6 +33,10 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
 
     Its `notes` name the unit, every repair, missing textures and the number of loose components.
 
+    Raises ScanError when the file is missing, of an unsupported kind, damaged, without faces, of a size that
+    is no head in any unit, or so far from the origin that rounding destroys its shape; the message names the
+    file, what is wrong and what to do. Raises ValueError for an unknown unit.
+
     Parameters
     ----------
     path : str or Path
@@ -41,10 +45,6 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
         What one unit of the file is; "auto" decides from the size of a head.
     name : str, optional
         Name of the scan in messages and output folders; the file's stem when omitted.
-
-    Raises ScanError when the file is missing, of an unsupported kind, damaged, without faces, of a size that
-    is no head in any unit, or so far from the origin that rounding destroys its shape; the message names the
-    file, what is wrong and what to do. Raises ValueError for an unknown unit.
     """
     from scan2albedo.io.units import millimetres_per_unit
 

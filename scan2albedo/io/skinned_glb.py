@@ -82,14 +82,9 @@ def write_skinned_glb(
         {"name": "skeleton", "children": roots},
     ]
     file.write(path, [*first, *nodes], [0, 1], skins=[skin], materials=[_MATERIAL])
-    return SkinWritten(_dense(known[order], kept, shares.shape), cut)
-
-
-def _dense(joints: IntArray, weights: NDArray[np.float32], shape: tuple[int, ...]) -> FloatArray:
-    """Return weights (V, K) of joints named in rows; rounding taken off the sums."""
-    result = np.zeros(shape)
-    np.add.at(result, (np.arange(shape[0])[:, None], joints), weights)
-    return result / result.sum(1, keepdims=True)
+    written = np.zeros(shares.shape)
+    np.add.at(written, (np.arange(len(shares))[:, None], known[order]), kept)
+    return SkinWritten(written / written.sum(1, keepdims=True), cut)
 
 
 def _check(

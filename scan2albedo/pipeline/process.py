@@ -71,6 +71,10 @@ def process(
 ) -> ProcessResult:
     """Return the result of one raw scan, taken through every stage it needs.
 
+    Raises Scan2AlbedoError with one clear message when the scan cannot be read, holds no face, cannot be
+    fitted, or the results cannot be written; earlier warnings of the stages are in its notes (`__notes__`).
+    Raises ValueError for options that `ProcessOptions` refuses.
+
     Parameters
     ----------
     source : path or RawScan
@@ -83,10 +87,6 @@ def process(
         Called with every `TraceRow`.
     **options
         The fields of `ProcessOptions`, such as ``size=1024``, ``budget=20`` or ``skip=["albedo"]``.
-
-    Raises Scan2AlbedoError with one clear message when the scan cannot be read, holds no face, cannot be
-    fitted, or the results cannot be written; earlier warnings of the stages are in its notes (`__notes__`).
-    Raises ValueError for options that `ProcessOptions` refuses.
     """
     chosen = ProcessOptions(**options)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.

@@ -171,19 +171,13 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
             write_png(staging / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
         if fitted is not None:
             write_glb(staging / "fitted.glb", fitted.vertices, fitted.faces, fitted.uv, albedo_srgb)
-            _write_template(fitted, staging / "template.obj")
+            if fitted.template_vertices is not None and fitted.model.template_faces is not None:
+                write_obj(staging / "template.obj", fitted.template_vertices, fitted.model.template_faces)
         if poses is not None:
             write_record(staging / "registration.json", poses)
         files = (*sorted(path.name for path in staging.iterdir()), "result.json")
         write_record(staging / "result.json", record.model_copy(update={"files": files}))
     return folder
-
-
-def _write_template(fitted: FittedFace, path: Path) -> None:
-    """Write the face in its template's own vertices and triangles; models without a template have none."""
-    if fitted.template_vertices is None or fitted.model.template_faces is None:
-        return
-    write_obj(path, fitted.template_vertices, fitted.model.template_faces)
 
 
 def _registration_record(registration: Registration, fitted: FittedFace | None) -> RegistrationRecord:

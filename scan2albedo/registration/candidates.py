@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import MissingDependencyError
+from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.coarse_search import Poses
@@ -152,18 +152,6 @@ def _scored(
     rms_mm = residuals(scan.samples, samples, pose).trimmed_rms_mm(samples.areas)
     scores = template.image.scores(scan.vertices, scan.faces, pose.inverse(), rms_mm)
     return Candidate(pose, scores)
-
-
-def import_open3d() -> ModuleType:
-    """Return open3d, whose import takes seconds; raises `MissingDependencyError` without its libraries."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise MissingDependencyError(
-            f"Open3D cannot be loaded ({error}); run tools/bootstrap_system.sh, or install open3d-cpu and "
-            "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
-        ) from error
-    return open3d
 
 
 class ScanTarget:

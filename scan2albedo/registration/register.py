@@ -64,6 +64,13 @@ def register(
     a face wins and is tightened on the rigid regions. The annealing on depth derivatives of [1]_ runs when
     forced (`RegistrationOptions.force_annealing`), and counts when the surface is nearer for it.
 
+    Warns when the face has a size that no person's has, or the scan holds a second face. Raises
+    RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
+    when `seed` is no whole number of 0 or more; MissingDependencyError when Open3D cannot be loaded.
+
+    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
+       application to face recognition", section 3.1.1.
+
     Parameters
     ----------
     scan : RawScan
@@ -76,13 +83,6 @@ def register(
     options : RegistrationOptions
     on_progress : callable, optional
         Called with every trace row.
-
-    Warns when the face has a size that no person's has, or the scan holds a second face. Raises
-    RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
-    when `seed` is no whole number of 0 or more; MissingDependencyError when Open3D cannot be loaded.
-
-    .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
-       application to face recognition", section 3.1.1.
     """
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)

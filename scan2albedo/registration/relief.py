@@ -210,7 +210,9 @@ class FaceImage:
         scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
         model, _ = self._relief(self.depth, common, _SMOOTHING_PIXELS)
         correlation = _local_correlation(scan, model, used, self._weights)
-        return FaceScores(coverage, correlation, _symmetry(scan, used, self._weights), rms_mm)
+        mirrored = scan[:, :, ::-1] * np.array([-1.0, 1.0])[:, None, None]
+        symmetry = _local_correlation(scan, mirrored, used & used[:, ::-1], self._weights)
+        return FaceScores(coverage, correlation, symmetry, rms_mm)
 
     def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
@@ -246,12 +248,6 @@ def _local_correlation(a: FloatArray, b: FloatArray, used: Mask, weights: FloatA
     norm = np.sqrt((window((a * a).sum(0)) + floor) * (window((b * b).sum(0)) + floor))
     counted = weights * used
     return float((counted * window((a * b).sum(0)) / norm).sum() / max(counted.sum(), 1e-300))
-
-
-def _symmetry(relief: FloatArray, used: Mask, weights: FloatArray) -> float:
-    """Return the local correlation of slopes (2, S, S) with their mirror image, where both sides are seen."""
-    mirrored = relief[:, :, ::-1] * np.array([-1.0, 1.0])[:, None, None]
-    return _local_correlation(relief, mirrored, used & used[:, ::-1], weights)
 
 
 def normal_relief(

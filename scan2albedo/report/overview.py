@@ -79,7 +79,8 @@ def result_panels(
         return charts
     around = View.around(fitted.vertices)
     view = View(around.center_mm, around.half_width_mm * 1.15)
-    panels = [_input_panel(scan, fitted, view), _surface_panel(fitted, view), _residual_panel(fitted, view)]
+    surface = Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view))
+    panels = [_input_panel(scan, fitted, view), surface, _residual_panel(fitted, view)]
     panels += charts
     if image.texture_linear is not None and albedo_srgb is not None:
         texture_srgb = preview_srgb(image.texture_linear, image.mask)
@@ -148,10 +149,6 @@ def _scan_srgb(scan: RawScan) -> tuple[tuple[FloatArray, Picture] | None, FloatA
     if scan.vertex_color_linear is not None:
         return None, linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
     return None, None
-
-
-def _surface_panel(fitted: FittedFace, view: View) -> Panel:
-    return Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view))
 
 
 def _residual_panel(fitted: FittedFace, view: View) -> Panel:

@@ -54,20 +54,6 @@ def toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
     return np.array([math.sin(azimuth) * across, math.sin(elevation), math.cos(azimuth) * across])
 
 
-def focal_length_px(size: int, distance_mm: float, reach_mm: float) -> float:
-    """Return the focal length of pictures of `size` pixels that span twice `reach_mm` at `distance_mm`."""
-    return size * distance_mm / (2 * reach_mm)
-
-
-def portrait_camera(
-    azimuth_deg: float, elevation_deg: float, *, size: int, distance_mm: float, reach_mm: float
-) -> FloatArray:
-    """Return the (3, 4) camera that looks at the head from a direction."""
-    focal = focal_length_px(size, distance_mm, reach_mm)
-    position = TARGET_MM + distance_mm * toward(azimuth_deg, elevation_deg)
-    return look_at(position, TARGET_MM, focal_px=focal, shape=(size, size))
-
-
 def exposure_for(brightest: FloatArray, saturated_part: float) -> float:
     """Return the factor that makes this part of the pixels brighter than white; 1 for black pictures."""
     white = float(np.quantile(brightest, 1 - saturated_part)) if len(brightest) else 0.0
@@ -124,6 +110,17 @@ class PortraitOptions:
         for name in names:
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length."""
+        return self.picture_size * self.distance_mm / (2 * self.reach_mm)
+
+    def camera(self, azimuth_deg: float, elevation_deg: float) -> FloatArray:
+        """Return the (3, 4) camera that looks at the head from a direction."""
+        position = TARGET_MM + self.distance_mm * toward(azimuth_deg, elevation_deg)
+        shape = (self.picture_size, self.picture_size)
+        return look_at(position, TARGET_MM, focal_px=self.focal_px, shape=shape)
 
     def stored(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.generic]:
         """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""

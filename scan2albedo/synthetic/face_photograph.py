@@ -11,7 +11,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.camera import PortraitOptions, exposure_for, portrait_camera
+from scan2albedo.synthetic.camera import PortraitOptions, exposure_for
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
 from scan2albedo.synthetic.sitter import sit_down
@@ -70,6 +70,8 @@ def face_photograph(
 ) -> FacePhotograph:
     """Return a picture of the person of `flash_capture(seed)` under an environment map.
 
+    Raises ValueError when the map has another shape or is not finite.
+
     Parameters
     ----------
     seed : int
@@ -81,19 +83,11 @@ def face_photograph(
     options : FacePhotographOptions
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
-
-    Raises ValueError when the map has another shape or is not finite.
     """
     lights = DistantLights.from_environment(environment_linear, options.lights)
     sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
     person = GlossyPerson.of(sitter, hair=options.hair)
-    camera = portrait_camera(
-        options.azimuth_deg,
-        options.elevation_deg,
-        size=options.picture_size,
-        distance_mm=options.distance_mm,
-        reach_mm=options.reach_mm,
-    )
+    camera = options.camera(options.azimuth_deg, options.elevation_deg)
     center = camera_centers(camera[None])[0]
     seen = person.seen(camera, center, options.picture_size)
     radiance = person.under(seen, lights)

@@ -9,14 +9,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.synthetic.camera import (
-    TARGET_MM,
-    PortraitOptions,
-    exposure_for,
-    focal_length_px,
-    portrait_camera,
-    toward,
-)
+from scan2albedo.synthetic.camera import TARGET_MM, PortraitOptions, exposure_for, toward
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson, SeenSurface
 from scan2albedo.synthetic.sitter import sit_down
@@ -168,12 +161,8 @@ def _head_poses(options: FlashCaptureOptions) -> tuple[FloatArray, FloatArray, F
     sides = np.linspace(-_SIDE_DEG, _SIDE_DEG, options.views) if options.views > 1 else [0.0]
     places = [(float(azimuth), 0.0) for azimuth in sides]
     places += _HIGH_FLASHES_DEG[: max(options.flashes - options.views, 0)]
-    size, distance = options.picture_size, options.distance_mm
-    cameras = [
-        portrait_camera(*place, size=size, distance_mm=distance, reach_mm=options.reach_mm)
-        for place in places
-    ]
-    focal, middle = focal_length_px(size, distance, options.reach_mm), (size - 1) / 2
+    cameras = [options.camera(*place) for place in places]
+    focal, middle = options.focal_px, (options.picture_size - 1) / 2
     intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
     poses = np.linalg.solve(intrinsics, np.stack(cameras))
     return poses[:, :, :3], poses[:, :, 3], intrinsics

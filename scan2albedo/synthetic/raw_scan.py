@@ -71,11 +71,6 @@ class SyntheticTruth:
     exposure: float
     """`material`, `exposure`: how the skin reflects, and the factor from radiance to the picture."""
 
-    @property
-    def landmarks_in_scan(self) -> FloatArray:
-        """(68, 3) true landmarks in the scan's frame, mm."""
-        return transform_points(invert_rigid(self.model_from_scan), self.landmarks)
-
 
 def raw_scan(
     seed: int = 0,
@@ -143,7 +138,20 @@ def scan_of(
         colors=colors,
     )
     scan = assembled(measured, pods, texture, scan_from_model, settings, rng, name)
-    return scan, _truth(sitter, scan_from_model, flashes, material, exposure, settings.size)
+    image = face_geometry_image(sitter.model, sitter.face, settings.size)
+    albedo = np.zeros((*image.shape, 3), np.float32)
+    albedo[image.mask] = sitter.face_albedo(texel_coordinates(settings.size)[image.mask.ravel()])
+    truth = SyntheticTruth(
+        invert_rigid(scan_from_model),
+        image,
+        albedo,
+        sitter.face.landmarks,
+        sitter.control_points,
+        flashes,
+        material,
+        exposure,
+    )
+    return scan, truth
 
 
 def _flashes(seed: int) -> tuple[PointLight, ...]:
@@ -188,26 +196,3 @@ def assembled(
 def beside(plane: FloatArray, pod: IntArray, pods: int) -> FloatArray:
     """Return texture coordinates (..., 2) of picture-plane points (..., 2) when all pictures lie in a row."""
     return np.stack([((plane[..., 0] + 1) / 2 + pod) / pods, (plane[..., 1] + 1) / 2], -1)
-
-
-def _truth(
-    sitter: Sitter,
-    scan_from_model: FloatArray,
-    lights: tuple[PointLight, ...],
-    material: Material,
-    exposure: float,
-    size: int,
-) -> SyntheticTruth:
-    image = face_geometry_image(sitter.model, sitter.face, size)
-    albedo = np.zeros((*image.shape, 3), np.float32)
-    albedo[image.mask] = sitter.face_albedo(texel_coordinates(size)[image.mask.ravel()])
-    return SyntheticTruth(
-        invert_rigid(scan_from_model),
-        image,
-        albedo,
-        sitter.face.landmarks,
-        sitter.control_points,
-        lights,
-        material,
-        exposure,
-    )

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.errors import MissingDependencyError
+from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import normalized
 
 
@@ -33,7 +33,7 @@ class RayScene:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
-        o3d = _open3d()
+        o3d = import_open3d()
         xyz = np.asarray(vertices, np.float64)
         self._center = (xyz.min(0) + xyz.max(0)) / 2
         self._tensor = o3d.core.Tensor
@@ -73,16 +73,6 @@ class RayScene:
         distance = np.linalg.norm(points - eye, axis=1)
         toward = (points - eye) / distance[:, None]
         return self.occluded(np.broadcast_to(eye, points.shape), toward, distance - behind_mm)
-
-
-def _open3d():  # type: ignore[no-untyped-def]
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise MissingDependencyError(
-            f"Open3D cannot be loaded ({error}); run `scan2albedo doctor` for the command that mends it"
-        ) from error
-    return open3d
 
 
 _GRAZING_RAD = np.deg2rad(89.99)

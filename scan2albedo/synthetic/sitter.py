@@ -54,14 +54,12 @@ class Sitter:
         """Return (N, 3) linear albedo at surface points given by face (N,) and barycentric (N, 3)."""
         uv = np.einsum("nk,nkc->nc", barycentric, self.corner_uv[face])
         part, albedo = self.part[face], np.zeros((len(face), 3))
-        painters = {FACE: self.face_albedo, HEAD: self._head_albedo, HAIR: self._hair_albedo}
-        for name, paint in (painters | {CLOTHES: self._cloth_albedo}).items():
-            chosen = part == name
-            albedo[chosen] = paint(uv[chosen])
+        of_face, head, hair, clothes = (part == name for name in (FACE, HEAD, HAIR, CLOTHES))
+        albedo[of_face] = self.face_albedo(uv[of_face])
+        albedo[head] = skin(uv[head], np.random.default_rng([self.seed, 3]), tone=self.tone)
+        albedo[hair] = self._hair_albedo(uv[hair])
+        albedo[clothes] = self._cloth_albedo(uv[clothes])
         return albedo
-
-    def _head_albedo(self, uv: FloatArray) -> FloatArray:
-        return skin(uv, np.random.default_rng([self.seed, 3]), tone=self.tone)
 
     def _hair_albedo(self, uv: FloatArray) -> FloatArray:
         rng = np.random.default_rng([self.seed, 4])
@@ -111,7 +109,9 @@ def sit_down(
     clothes = shoulder_sheet(face.vertices, rng)
     parts = [(face.vertices, face.faces), (head_vertices, head_faces), hair, clothes]
     vertices, faces = join(parts)
-    corner_uv = [face.corner_uv, head_uv[head_faces], _hair_uv(hair), _flat_uv(clothes)]
+    # Clothes from the front, one unit for 200 mm.
+    flat = (clothes[0][:, :2] - clothes[0][:, :2].min(0)) / 200
+    corner_uv = [face.corner_uv, head_uv[head_faces], _hair_uv(hair), flat[clothes[1]]]
     drawn = float(rng.uniform(0, 0.8))
     skin_tone = drawn if tone is None else tone
 
@@ -147,12 +147,6 @@ def _hair_uv(hair: tuple[FloatArray, IntArray]) -> FloatArray:
     wide = np.ptp(corners[..., 0], axis=1) > 0.5
     corners[wide, :, 0] += corners[wide, :, 0] < 0.5
     return corners
-
-
-def _flat_uv(mesh: tuple[FloatArray, IntArray]) -> FloatArray:
-    """Return (F, 3, 2) of a mesh seen from the front, one unit for 200 mm."""
-    vertices, faces = mesh
-    return ((vertices[:, :2] - vertices[:, :2].min(0)) / 200)[faces]
 
 
 def _welded_normals(parts: list[tuple[FloatArray, IntArray]]) -> FloatArray:

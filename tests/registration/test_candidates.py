@@ -5,10 +5,10 @@ import builtins
 import numpy as np
 import pytest
 
-from scan2albedo.errors import MissingDependencyError
+from scan2albedo.errors import MissingDependencyError, import_open3d
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.candidates import ScanTarget, import_open3d
+from scan2albedo.registration.candidates import ScanTarget
 
 
 def test_it_refines_and_repeats_its_bits(model):

@@ -59,7 +59,6 @@ class TableRow:
     reason: str
     link: str
     """To its section, else to its folder, else ""."""
-    has_section: bool
     cells: tuple[Cell, ...]
 
 
@@ -154,9 +153,7 @@ def _table_row(row: ScanRow, columns: Sequence[Column], anchor: str | None, page
         link = f"#{anchor}"
     else:
         link = "" if row.folder is None or not row.folder.is_dir() else relative_link(row.folder, page)
-    return TableRow(
-        row.name, row.status, row.reason, link, anchor is not None, tuple(_cell(row, c) for c in columns)
-    )
+    return TableRow(row.name, row.status, row.reason, link, tuple(_cell(row, c) for c in columns))
 
 
 def _cell(row: ScanRow, column: Column) -> Cell:

@@ -145,7 +145,9 @@ def viewer_entry(
     if image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(image.specular_scale.astype(np.float64), image.mask, style)
     if residual_mm is not None:
-        entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": _residual_bytes(residual_mm)}
+        parts = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
+        stored = np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(parts)).astype(np.uint8)
+        entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": encoded(stored.tobytes())}
     return entry
 
 
@@ -181,8 +183,3 @@ def _frame(face: ProcessedFace) -> dict[str, Any]:
         "depth": depth,
         "distance": max(DISTANCE_MM, 4 * radius),
     }
-
-
-def _residual_bytes(residual_mm: FloatArray) -> str:
-    parts = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
-    return encoded(np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(parts)).astype(np.uint8).tobytes())

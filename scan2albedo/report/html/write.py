@@ -69,7 +69,7 @@ def write_report(
     options: ReportOptions = ReportOptions(),
     on_progress: Callable[[str], None] | None = None,
 ) -> WrittenReport:
-    """Write a self-contained HTML report of processed scans, atomically, and return what it holds.
+    """Return what a self-contained HTML report of processed scans holds, which is written atomically.
 
     Parameters
     ----------
