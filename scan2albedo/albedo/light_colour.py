@@ -38,26 +38,19 @@ _BLACK = 1e-6
 
 @dataclass(frozen=True)
 class LightColours:
-    """What `solve_colours` found.
-
-    Parameters
-    ----------
-    intensities : (K, 3) float64
-        Of each column in each channel. In every channel their mean light over the cells is that of the white
-        intensities.
-    colors : (K, 3) float64
-        The same as multiples of the white intensities, 1 for columns without any; exactly 1 where colour was
-        left out.
-    limits : (2, 3) float64
-        Least and greatest part of the white light that a channel gets; exactly 1 where colour was left out.
-    step : PlanStep
-        The row "albedo.light_colour" of the plan.
-    """
+    """What `solve_colours` found."""
 
     intensities: FloatArray
+    """(K, 3) of each column in each channel. In every channel their mean light over the cells is that of the
+    white intensities."""
     colors: FloatArray
+    """(K, 3): the same as multiples of the white intensities, 1 for columns without any; exactly 1 where
+    colour was left out."""
     limits: FloatArray
+    """(2, 3): least and greatest part of the white light that a channel gets; exactly 1 where colour was left
+    out."""
     step: PlanStep
+    """The row "albedo.light_colour" of the plan."""
 
     def light(self, columns: FloatArray, white: FloatArray) -> FloatArray:
         """Return (N, 3) the light of each channel on points with `columns` (N, K) and `white` (N,) light.

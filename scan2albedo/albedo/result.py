@@ -97,14 +97,14 @@ class AlbedoEstimate:
 
 @dataclass(frozen=True)
 class LitSurface:
-    """`shading` of the N masked texels, and per light (L, N) uint8 `visible` and in `cast` shadow.
+    """`shading` of the N masked texels, and the part of each light (L, N) `visible` and in `cast` shadow.
 
-    Texels turned away from a light are neither visible nor in cast shadow.
+    Both are uint8, or float32 where a lamp has a size. Texels turned away from a light have neither.
     """
 
     shading: Shading
-    visible: NDArray[np.uint8]
-    cast: NDArray[np.uint8]
+    visible: NDArray
+    cast: NDArray
 
 
 def shade_image(
@@ -124,10 +124,13 @@ def shade_image(
     position, normal = image.position[mask], image.normal[mask]
     hidden = ShadowMap(caster, position, normal, offset_mm)
     attached = ShadowMap(None, position, normal, offset_mm)
-    visible, facing = np.ones((2, len(lights), len(position)), np.uint8)
-    for k, light in enumerate(lights):
-        visible[k] = hidden.visible(light.direction, light.distance_mm)
-        facing[k] = attached.visible(light.direction, light.distance_mm)
+    none = np.ones((0, len(position)), np.uint8)
+    visible, facing = (
+        np.stack([shadows.reached(lamp.direction, lamp.distance_mm, lamp.radius_deg) for lamp in lights])
+        if lights
+        else none
+        for shadows in (hidden, attached)
+    )
     shading = shade_points(
         position,
         normal,

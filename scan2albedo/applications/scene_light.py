@@ -23,13 +23,15 @@ class SceneLight:
     """K lamps and ambient light, each with a strength a channel.
 
     Unit `directions` (K, 3) point from the model's origin toward the lamps, `distances_mm` (K,) from there,
-    inf for distant lamps. `intensity` (K, 3) is in the unit of `PointLight.intensity`: the colour of a matte
-    white surface at the origin that faces the lamp. `ambient` (3,) is the colour that light without direction
-    gives a white surface, and `soft` an environment of low frequency.
+    inf for distant lamps, and `radii_deg` (K,) are their angular radii. `intensity` (K, 3) is in the unit of
+    `PointLight.intensity`: the colour of a matte white surface at the origin that faces the lamp. `ambient`
+    (3,) is the colour that light without direction gives a white surface, and `soft` an environment of low
+    frequency.
     """
 
     directions: FloatArray
     distances_mm: FloatArray
+    radii_deg: FloatArray
     intensity: FloatArray
     ambient: FloatArray
     soft: EnvironmentLight | None = None
@@ -52,15 +54,18 @@ class SceneLight:
         """
         directions = [light.direction for light in lights]
         distances = [light.distance_mm for light in lights]
+        radii = [light.radius_deg for light in lights]
         intensity = [light.intensity * np.array(light.color_linear) for light in lights]
         if environment_linear is not None:
             distant = DistantLights.from_environment(environment_linear, environment_lights)
             directions += list(np.asarray(distant.directions))
             distances += [math.inf] * environment_lights
+            radii += [0.0] * environment_lights
             intensity += list(np.asarray(distant.irradiance_linear) / np.pi)
         return cls(
             np.reshape(directions, (-1, 3)).astype(np.float64),
             np.array(distances, np.float64),
+            np.array(radii, np.float64),
             np.reshape(intensity, (-1, 3)).astype(np.float64),
             np.full(3, float(ambient)),
             soft,
@@ -101,12 +106,12 @@ def shade(
     if light.soft is not None:
         diffuse += environment_light_on(light.soft, shadows)
     specular = np.zeros_like(diffuse)
-    for direction, distance, intensity in zip(
-        light.directions, light.distances_mm, light.intensity, strict=True
+    for direction, distance, radius, intensity in zip(
+        light.directions, light.distances_mm, light.radii_deg, light.intensity, strict=True
     ):
         if not intensity.any():
             continue
-        visible = shadows.visible(direction, float(distance))
+        visible = shadows.reached(direction, float(distance), float(radius))
         factors = lamp_factors(position, normal, visible, direction, 1 / distance, toward_viewer, reflectance)
         diffuse += factors.diffuse[:, None] * intensity
         if reflectance.specular_strength > 0:

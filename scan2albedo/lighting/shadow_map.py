@@ -15,6 +15,9 @@ from scan2albedo.geometry.rays import RayCaster
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
 
+_DISC = 16
+"""Points that stand for a lamp of some size."""
+
 
 @dataclass(frozen=True)
 class ShadowMap:
@@ -54,10 +57,40 @@ class ShadowMap:
         result[lit] = ~hidden
         return result
 
+    def reached(
+        self, direction: ArrayLike, distance_mm: float = math.inf, radius_deg: float = 0.0
+    ) -> NDArray:
+        """Return (N,) the part of a lamp that reaches each point: uint8 of a point, else float32 in [0, 1].
+
+        A lamp of an angular radius is a disc of `_DISC` points, each weighed by its cosine to the surface.
+        """
+        if radius_deg == 0:
+            return self.visible(direction, distance_mm)
+        seen, facing = np.zeros((2, len(self.position)))
+        for toward in disc_directions(direction, radius_deg, _DISC):
+            to_lamp = toward - self.position / distance_mm
+            cosine = np.maximum(np.einsum("nc,nc->n", self.normal, to_lamp), 0.0)
+            facing += cosine
+            seen += cosine * self.visible(toward, distance_mm)
+        return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0).astype(np.float32)
+
     def table(self, directions: ArrayLike) -> VisibilityTable:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""
         toward = np.asarray(directions, np.float64)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
+
+
+def disc_directions(direction: ArrayLike, radius_deg: float, count: int) -> FloatArray:
+    """Return (count, 3) unit vectors spread evenly over a disc of this angular radius around `direction`.
+
+    >>> disc_directions(np.array([0.0, 0.0, 1.0]), 10.0, 8).shape
+    (8, 3)
+    """
+    frame = view_frame(direction)
+    step = np.arange(count)
+    height = 1 - (step + 0.5) / count * (1 - math.cos(math.radians(radius_deg)))
+    turn, across = step * math.pi * (3 - math.sqrt(5)), np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), height], 1) @ frame
 
 
 def shadow_origins(

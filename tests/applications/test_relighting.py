@@ -74,6 +74,19 @@ def test_colours_of_lamps_and_of_soft_light_add_up(person):
     assert relight(face, [lamp], environment=soft).picture(shape=(32, 32)).linear.max() > 0
 
 
+def test_a_large_lamp_softens_its_shadows_and_keeps_its_light(person):
+    face, point = person(0), light_at(50, 20)
+    large, without = replace(point, radius_deg=15), RelightOptions(shadows=False)
+    mask = face.mask
+    hard, soft = (relight(face, [lamp], ambient=0).diffuse[mask] for lamp in (point, large))
+    full = relight(face, [large], ambient=0, options=without).diffuse[mask]
+    np.testing.assert_array_equal(full, relight(face, [point], ambient=0, options=without).diffuse[mask])
+    assert soft.mean() == pytest.approx(hard.mean(), rel=0.05)
+    between = (soft > 0.02 * full) & (soft < 0.98 * full)
+    assert not ((hard > 0.02 * full) & (hard < 0.98 * full)).any()
+    assert between.mean() > 0.03
+
+
 def test_its_own_lights_give_the_picture_back(person, scene):
     made, face = scene(0), person(0)
     mask = made.image.mask

@@ -96,3 +96,23 @@ def test_shadows_do_not_depend_on_the_unit_of_length(scale):
     there = ShadowMap(RayCaster(scale * vertices, faces), scale * points, normals).visible(direction)
     assert np.mean(here != there) < 0.005
     assert 100 < np.sum(there == 0) < 2000
+
+
+def test_a_lamp_of_some_size_has_a_penumbra_as_wide_as_it_is_seen():
+    """Below the edge of a half plane: the part of the disc that lies beyond the edge."""
+    wall = np.array([[0.0, -900, HEIGHT], [900, -900, HEIGHT], [900, 900, HEIGHT], [0, 900, HEIGHT]])
+    caster = RayCaster(wall, np.array([[0, 1, 2], [0, 2, 3]]))
+    x = np.linspace(-30, 30, 61)
+    points = np.stack([x, 0 * x, 0 * x], 1)
+    shadows = ShadowMap(caster, points, np.broadcast_to([0, 0, 1.0], points.shape), 1e-3)
+    radius_deg = 10.0
+    lit = shadows.reached([0, 0, 1.0], math.inf, radius_deg)
+    chord = np.clip(x / (HEIGHT * math.tan(math.radians(radius_deg))), -1, 1)
+    expected = (np.arccos(chord) - chord * np.sqrt(1 - chord**2)) / math.pi
+    assert lit.dtype == np.float32
+    assert np.abs(lit - expected).max() < 0.1
+    assert np.abs(lit - expected).mean() < 0.03
+    assert np.array_equal(shadows.reached([0, 0, 1.0]), shadows.visible([0, 0, 1.0]))
+    assert (
+        ShadowMap(None, points, np.tile([0, 0, 1.0], (61, 1))).reached([0, 0, 1.0], 900.0, 5.0) == 1
+    ).all()
