@@ -16,8 +16,9 @@ _LEAST_PAIRS = 40
 """Pairs of texels without which a window tells nothing."""
 _WHITE_TEXTURE = 0.016
 """Standard deviation, as a part of the albedo, of texture that is as white as noise: pores of one texel."""
-_SHARED = 16.0
-"""Most that channels share of their noise, as a multiple of the variance of what they do not share."""
+_RATIO, _ABOVE = (2.0, 16.0), 2.0
+"""Bounds of the leading channel's noise as a multiple of what two channels do not share, and how far above
+its median over the image that multiple goes: where more is white it is stubble, not noise."""
 _OWN = 0.6
 """Most that one channel has of the variance of the difference of two."""
 _UNDERRATED = 1.2
@@ -51,10 +52,11 @@ def channel_noise(
 
     Noise is white in space, texture is not (`white_variance`). White texture, such as pores, is told by the
     channels: it moves all of them together, noise hardly ever does. So the noise of the leading channel is
-    the white part of its variance, less what texture may have of it, at most 16 times the least white part
-    of a difference of two channels; and at least what it does not share with the others, which is half of
-    d_01 + d_02 - d_12. What 8 bits do to differences is taken off. Where all channels are equal, noise that
-    does not depend on the light is all that can be told (`additive_deviation`).
+    the white part of its variance, less what texture may have of it, at most a multiple, the same for the
+    whole image, of the least white part d_ij of a difference of two channels; and at least what it does not
+    share with the others, which is half of d_01 + d_02 - d_12. What 8 bits do to differences is taken off.
+    Where all channels are equal, noise that does not depend on the light is all that can be told
+    (`additive_deviation`).
 
     Parameters
     ----------
@@ -79,13 +81,21 @@ def channel_noise(
         differences[i, j] = differences[j, i] = np.maximum(white - eight_bits, 0.0)
     one, two = (c for c in range(3) if c != lead)
     least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
-    shared = white_variance(relative[..., lead], usable) - _WHITE_TEXTURE**2
+    white = white_variance(relative[..., lead], usable)
+    shared = np.minimum(white - _WHITE_TEXTURE**2, _ratio(white, least, usable) * least)
     own = (differences[lead, one] + differences[lead, two] - differences[one, two]) / 2
-    leading = np.maximum(_UNDERRATED * np.minimum(shared, _SHARED * least), np.minimum(own, _OWN * least))
+    leading = np.maximum(_UNDERRATED * shared, np.minimum(own, _OWN * least))
     for c in (one, two):
         # White texture may colour a channel beside the others: it leaves one difference without any.
         beside[..., c] = np.minimum(differences[lead, c], 4 * least)
     return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead])
+
+
+def _ratio(white: FloatArray, least: FloatArray, usable: BoolArray) -> float:
+    """Return the largest multiple of `least` (H, W) that the leading channel's noise has."""
+    told = usable & (least > 0)
+    usual = float(np.median(white[told] / least[told])) if told.any() else 0.0
+    return float(np.clip(_ABOVE * usual, *_RATIO))
 
 
 def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:

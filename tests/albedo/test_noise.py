@@ -112,6 +112,14 @@ def test_white_texture_moves_all_channels_and_is_no_noise(rng):
     assert np.median(noise.beside[..., 2]) < 0.05 * 0.03**2
 
 
+def test_stubble_is_no_noise_where_the_rest_of_the_picture_has_little(rng):
+    """Dark dots of one texel on the lower third, under sensor noise."""
+    dots = (rng.random((SIZE, SIZE)) < 0.2) & (np.arange(SIZE) > 130)[:, None]
+    hair = np.where(dots[..., None], np.array([0.7, 0.75, 0.8]), 1.0)
+    noise = _channels(hair * (1 + 0.01 * rng.standard_normal((SIZE, SIZE, 3))))
+    assert np.median(noise.leading[150:]) < 0.3 * hair[150:, :, 0].var()
+
+
 def test_grey_noise_is_told_by_the_light_alone(lit, rng):
     albedo, light = lit
     value = albedo * light + 0.06 * rng.standard_normal(light.shape)

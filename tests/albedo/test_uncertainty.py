@@ -112,6 +112,19 @@ def test_albedo_deviation_tells_how_far_the_albedo_is_off(contrasts, scenes):
         assert 0.1 < off / estimate.uncertainty.albedo < 5
 
 
+def test_the_expected_error_holds_for_most_texels(noisy, contrasts, scenes):
+    """Four in five err by less than twice what is said, and not because too much is said."""
+    plain, skin = (scenes.texture(kind, 96)[..., 0] for kind in ("plain", "skin"))
+    truths = [plain] * len(noisy) + [0.55 + contrast * (skin - 0.55) for contrast in (0.25, 0.5, 1.0)]
+    for estimate, true in zip(noisy + contrasts, truths, strict=True):
+        measured = estimate.confidence > 0
+        ratio = estimate.albedo_linear[..., 0][measured] / true[measured]
+        off, said = np.abs(ratio / np.mean(ratio) - 1), estimate.expected_error[measured]
+        assert np.mean(off < 2 * said) > 0.8
+        assert np.sqrt(np.mean(said**2)) < 3 * np.sqrt(np.mean(off**2))
+    assert np.all(noisy[0].expected_error[~noisy[0].image.mask] == 0)
+
+
 def test_the_albedo_is_least_sure_where_the_light_is_weakest_known(contrasts):
     """A turn of the light, a strength that is off: both change the light most, for its size, in the gloom."""
     estimate = contrasts[-1]
