@@ -2,15 +2,17 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions
-from scan2albedo.applications import ProcessedFace, load_result, relight
+from scan2albedo.applications import ProcessedFace, load_result, relight, swap_texture, write_face
 from scan2albedo.errors import ApplicationError
-from scan2albedo.io.images import write_exr
+from scan2albedo.io.images import read_image_linear, write_exr
+from scan2albedo.pipeline.result import write_result
 
 LIGHT = s2a.PointLight(0.5, 0.3, intensity=2.0)
 
@@ -32,6 +34,23 @@ def test_files_and_memory_give_the_same_face(result, stored):
     assert memory.shadow_offset_mm == disk.shadow_offset_mm
     ours, theirs = (relight(face, [LIGHT]).texture_linear for face in (memory, disk))
     np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-8)
+
+
+def test_coloured_light_goes_through_files_and_applications(result, tmp_path):
+    lamps = (s2a.PointLight(0.5, 0.3, 800.0, 2.0, (1.4, 1.0, 0.6), 6.0),)
+    soft = s2a.EnvironmentLight(np.eye(9, 3) + 0.2, fill=0.25, bounce=0.1)
+    estimate = replace(result.albedo, lights=lamps, environment=soft)
+    folder = write_result(replace(result, albedo=estimate), tmp_path)
+    assert read_image_linear(folder / "shading.exr").shape == (*estimate.image.shape, 3)
+    memory, disk = load_result(replace(result, albedo=estimate)), load_result(folder)
+    made = write_face(swap_texture(disk, disk), tmp_path / "new", application="swap", inputs=[disk, disk])
+    for face in (memory, disk, load_result(made)):
+        assert face.environment.fill == 0.25
+        np.testing.assert_array_equal(face.environment.coefficients, soft.coefficients)
+        for ours, given in zip(face.lights, lamps, strict=True):
+            assert (ours.color_linear, ours.radius_deg) == (given.color_linear, given.radius_deg)
+    lit = relight(disk, disk.lights, environment=disk.environment).texture_linear
+    np.testing.assert_allclose(lit, estimate.relit(lamps, soft), rtol=1e-4, atol=1e-6)
 
 
 def test_relighting_is_what_the_estimate_does(result):
