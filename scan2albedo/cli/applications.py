@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 Result = Annotated[Path, typer.Argument(help="Folder of a processed scan, OUT/<scan name>.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the new face.")]
+ModelOption = Annotated[
+    str, typer.Option(help="What the scans were processed with: a model's file, a mesh, or 'default'.")
+]
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -75,10 +78,7 @@ def transfer_expression(
             "refined where the faces are on the model's mesh."
         ),
     ] = "auto",
-    model: Annotated[
-        str,
-        typer.Option(help="With which the faces were processed: default, or a model's or template's file."),
-    ] = "default",
+    model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Give B's face the expression of A's."""
@@ -104,9 +104,7 @@ def transfer_expression(
 def personal_model(
     result: Annotated[Path, typer.Argument(help="Folder of the person's processed scan at rest.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The model: a .json file, and .npz beside it.")],
-    model: Annotated[
-        str, typer.Option(help="What the scan was processed with: a model's file, a mesh, or 'default'.")
-    ] = "default",
+    model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Make a model of one person, for process --model on other scans of the same person.

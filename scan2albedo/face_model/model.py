@@ -25,10 +25,11 @@ from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 class AnnotatedFaceModel(AnnotatedSurface):
     """A face template whose surface is the Loop limit surface of a control mesh; see `AnnotatedSurface`."""
 
-    @classmethod
-    def default(cls) -> AnnotatedFaceModel:
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def default() -> AnnotatedFaceModel:
         """Return the model that ships with the package (cached)."""
-        return _default_model()
+        return AnnotatedFaceModel.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -115,11 +116,6 @@ class AnnotatedFaceModel(AnnotatedSurface):
     @classmethod
     def _with_fields_of(cls, surface: AnnotatedSurface) -> Self:
         return cls(**{field.name: getattr(surface, field.name) for field in fields(surface)})
-
-
-@lru_cache(maxsize=1)
-def _default_model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
 
 
 def vertex_uv(count: int, faces: IntArray, corner_uv: FloatArray) -> FloatArray | None:

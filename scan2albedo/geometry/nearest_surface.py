@@ -75,10 +75,7 @@ class NearestSurface:
         The search walks from `start` (N,), the `vertex` of an earlier answer for nearby points, if given.
         """
         targets = checked_points(points)
-        if start is None:
-            vertex = self.nearest_vertices(targets)
-        else:
-            vertex = np.array(start, np.int64)
+        vertex = self.nearest_vertices(targets) if start is None else np.array(start, np.int64)
         count = len(targets)
         closest, face = np.empty((count, 3)), np.empty(count, np.int64)
         weights, distance = np.empty((count, 3)), np.empty(count)

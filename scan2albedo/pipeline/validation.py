@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -137,33 +138,27 @@ def validate_hemisphere(
     `size` is the side of the geometry images in texels (the pictures have 8 bits), `seed` that of the
     textures; `on_row` is called with each row as it is done.
     """
-
-    def scene(light: PointLight, texture: TextureName, material: Material) -> SyntheticScene:
-        return hemisphere(lights=[light], texture=texture, material=material, size=size, seed=seed)
-
-    return ValidationTable("hemisphere", _rows(scene, on_row), PAPER_HEMISPHERE_MSE_PERCENT)
+    rows = _rows(partial(hemisphere, size=size, seed=seed), on_row)
+    return ValidationTable("hemisphere", rows, PAPER_HEMISPHERE_MSE_PERCENT)
 
 
 def validate_face(
     *, size: int = 256, seed: int = 1, on_row: Callable[[ValidationRow], None] | None = None
 ) -> ValidationTable:
     """Estimate the albedo of a face of wood and skin, cast shadows included; see `validate_hemisphere`."""
-
-    def scene(light: PointLight, texture: TextureName, material: Material) -> SyntheticScene:
-        return face(seed, lights=[light], texture=texture, material=material, size=size)
-
-    return ValidationTable("face", _rows(scene, on_row), PAPER_FACE_MSE_PERCENT)
+    rows = _rows(partial(face, seed, size=size), on_row)
+    return ValidationTable("face", rows, PAPER_FACE_MSE_PERCENT)
 
 
 def _rows(
-    scene: Callable[[PointLight, TextureName, Material], SyntheticScene],
-    on_row: Callable[[ValidationRow], None] | None,
+    scene: Callable[..., SyntheticScene], on_row: Callable[[ValidationRow], None] | None
 ) -> tuple[ValidationRow, ...]:
     rows = []
     for brdf, material in REFLECTANCES.items():
         for texture in TEXTURES:
             for angle in LIGHT_ANGLES_DEG:
-                rows.append(validation_row(scene(light_at(angle), texture, material), angle, brdf))
+                made = scene(lights=[light_at(angle)], texture=texture, material=material)
+                rows.append(validation_row(made, angle, brdf))
                 if on_row is not None:
                     on_row(rows[-1])
     return tuple(rows)

@@ -149,11 +149,14 @@ def _is_numeric(name: str, rows: Sequence[ScanRow]) -> bool:
 
 
 def _table_row(row: ScanRow, columns: Sequence[Column], anchor: str | None, page: Path) -> TableRow:
+    cells = tuple(_cell(row, column) for column in columns)
+    return TableRow(row.name, row.status, row.reason, _link(row, anchor, page), cells)
+
+
+def _link(row: ScanRow, anchor: str | None, page: Path) -> str:
     if anchor is not None:
-        link = f"#{anchor}"
-    else:
-        link = "" if row.folder is None or not row.folder.is_dir() else relative_link(row.folder, page)
-    return TableRow(row.name, row.status, row.reason, link, tuple(_cell(row, c) for c in columns))
+        return f"#{anchor}"
+    return "" if row.folder is None or not row.folder.is_dir() else relative_link(row.folder, page)
 
 
 def _cell(row: ScanRow, column: Column) -> Cell:
@@ -175,11 +178,11 @@ def _extremes(rows: Sequence[ScanRow], anchors: Mapping[int, str], page: Path) -
         known = [k for k, row in enumerate(rows) if row.status == DONE and row.number(column) is not None]
         known.sort(key=lambda k: order * (rows[k].number(column) or 0.0))
         if len(known) > 1:
-            chosen = [_table_row(rows[k], (), anchors.get(k), page) for k in known[:_MOST_EXTREME]]
-            values = [_with_unit(rows[k], column) for k in known[:_MOST_EXTREME]]
-            lists.append(
-                Extremes(title, tuple((r.name, v, r.link) for r, v in zip(chosen, values, strict=True)))
-            )
+            shown = [
+                (rows[k].name, _with_unit(rows[k], column), _link(rows[k], anchors.get(k), page))
+                for k in known[:_MOST_EXTREME]
+            ]
+            lists.append(Extremes(title, tuple(shown)))
     return tuple(lists)
 
 
