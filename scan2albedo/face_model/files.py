@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -66,19 +66,14 @@ def save_model(model: AnnotatedSurface, path: str | Path) -> None:
         template_vertices=len(arrays.get("template_face", ())),
         template_faces=len(arrays.get("template_faces", ())),
         notes=list(model.notes),
-        regions={name: _entry_of(region) for name, region in model.regions.items()},
+        regions={name: RegionEntry(**_but_name(region)) for name, region in model.regions.items()},
     )
     write_npz(target.with_suffix(".npz"), arrays, what="face model", compression=6)
     write_record(target, entry)
 
 
-def _entry_of(region: Region) -> RegionEntry:
-    return RegionEntry(
-        index=region.index,
-        stiffness=region.stiffness,
-        specular_scale=region.specular_scale,
-        inpaint=region.inpaint,
-    )
+def _but_name(region: Region) -> dict[str, Any]:
+    return {field: value for field, value in vars(region).items() if field != "name"}
 
 
 def _arrays_of(model: AnnotatedSurface) -> Arrays:
