@@ -24,11 +24,11 @@ dim cells ask for extremes."""
 _DIM = 0.1
 """Light, as a part of its median, below which deviations from white count as if there were this much."""
 _TRIALS, _SETTLED = 12, 1e-4
-_LEAST_GAIN, _LEAST_EFFECT = 0.08, 0.02
+_LEAST = (0.08, 0.02), (0.04, 0.08)
 """Colour has to lower the residual by this part, and to change the ratio of two channels over the face by
-this standard deviation. Pigment that follows the shading by chance does up to 0.04 on 30 faces in white
-light, and up to 0.10 (95 of 100 below 0.08) where the environment is free beside the lamps; coloured lamps,
-rooms and skies do 0.09 to 0.35, light that skin bounced onto skin 0.01 to 0.3."""
+this standard deviation; more change needs less gain. Pigment that follows the shading by chance does up to
+0.04 and 0.025 on 30 faces in white light, and up to 0.10 and 0.05 (95 of 100 below 0.08) where the
+environment is free beside the lamps; coloured lamps, rooms and skies do 0.06 to 0.35 and 0.09 to 0.28."""
 _LIMITS = 0.05, 0.95
 """Quantiles over the cells of the ratio to white light, beyond which it is not believed elsewhere."""
 _LEAST_RESIDUAL = 1e-5
@@ -129,11 +129,13 @@ def solve_colours(
     ratio = np.maximum(cells.columns @ found, _BLACK) / cells.light[:, None]
     limits = np.quantile(ratio, _LIMITS, axis=0)
     effect = _effect(np.clip(ratio, *limits))
+    limits_text = " or ".join(f"{100 * least:g} and {100 * change:g} %" for least, change in _LEAST)
     evidence = (
-        f"colour lowers the residual of the channels by {100 * gain:.1f} % (limit {100 * _LEAST_GAIN:g} %) "
-        f"and changes their ratio over the face by {100 * effect:.1f} % (limit {100 * _LEAST_EFFECT:g} %)"
+        f"colour lowers the residual of the channels by {100 * gain:.1f} % and changes their ratio over the "
+        f"face by {100 * effect:.1f} % (limits {limits_text})"
     )
-    needed = before > _LEAST_RESIDUAL and gain >= _LEAST_GAIN and effect >= _LEAST_EFFECT
+    enough = any(gain >= least and effect >= change for least, change in _LEAST)
+    needed = before > _LEAST_RESIDUAL and enough
     if not (needed or choice):
         return _white(white, PlanStep(STAGE, False, "the light has one colour", evidence))
     reason = "the light has several colours" if needed else "asked for"
