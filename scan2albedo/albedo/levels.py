@@ -25,8 +25,10 @@ _CHOICE_SIDE = 15
 """Side [texels] of the square over which channels are compared."""
 
 
-_LEAST_SKIN, _NOT_SKIN = 0.05, 0.02
-"""Mean skin below which there is none to speak of, and the weight that other texels keep beside skin."""
+_LEAST_SKIN = 0.05
+"""Mean skin below which there is none to speak of."""
+_NOT_SKIN = 0.25
+"""Weight of what is not skin: without any, nothing is known of the light below a beard."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ def build_level(
 
 
 def _skin(image: GeometryImage, usable: BoolArray) -> NDArray[np.floating]:
-    """Return (H, W) the part that each texel takes in the search: hair, eyes and cloth hardly any.
+    """Return (H, W) the part that each texel takes in the search: hair, eyes and cloth a quarter.
 
     Of a surface without skin every texel takes part alike.
     """
