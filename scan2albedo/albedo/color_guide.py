@@ -30,7 +30,7 @@ _LIT = 0.02
 which do not follow the light."""
 _BLACK = 1e-3
 """Parts of the median below which logarithms are not taken."""
-_TELLING = 0.05
+_TELLING = 0.3
 """Part of log V's local change that hue has to explain to be used."""
 
 
@@ -47,7 +47,9 @@ class ColorGuide:
         return cls(np.ones(size), 0.0)
 
 
-def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
+def color_guide(
+    level: Level, specular: FloatArray | None = None, tint: FloatArray | None = None
+) -> ColorGuide:
     """Return how V of the cells' albedo follows from their hues.
 
     Within a few cells the light is nearly the same, so there log V changes with the albedo alone. Its
@@ -55,7 +57,7 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     colours the surface) is fitted robustly, octave by octave of the texture: noise hides the finest ones
     first. Noise that V and the ratios share predicts nothing and is taken off, so each slope is the best
     predictor from ratios as noisy as they are. A white highlight `specular` (N,), in the unit of the level's
-    value, is taken off first.
+    value, is taken off first, and the colours are divided by `tint` (N, 3), which coloured light gave them.
 
     References
     ----------
@@ -68,6 +70,8 @@ def color_guide(level: Level, specular: FloatArray | None = None) -> ColorGuide:
     if specular is not None:
         color = np.maximum(color - specular[:, None], _LEFT_OF_HIGHLIGHT * color)
         value = np.maximum(value - specular, _LEFT_OF_HIGHLIGHT * value)
+    if tint is not None:
+        color = color / tint
     bright = np.flatnonzero(np.median(color, 0) >= _LIT * np.median(value))
     if len(bright) < 2:
         return ColorGuide.none(len(value))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 from numbers import Integral
 
 import numpy as np
@@ -14,15 +13,16 @@ from numpy.typing import NDArray
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import toward_viewer, usable_texels, value_channel, with_every_normal
-from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.model_selection import limits_step
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.outlines import seen_outlines
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.rectification import rectified
-from scan2albedo.albedo.result import AlbedoEstimate, shade_image
+from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
+from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
@@ -154,13 +154,17 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
     mask, deviation = image.mask, found.albedo_deviation
-    lights, reflectance = physical_light(found.solution, found.unit)
-    lit = shade_image(image, lights, reflectance, scene.view, found.caster, options.shadow_offset_mm)
-    light, specular, shadow, cast = (
-        _on_grid(mask, field)
-        for field in (lit.shading.light, lit.shading.specular, lit.visible.min(0), lit.cast.max(0))
+    lit = light_on_texels(scene, found)
+    light, specular, shadow, cast, shading = (
+        _on_grid(mask, field) for field in (lit.light, lit.specular, lit.visible, lit.cast, lit.light_linear)
     )
-    shading = _on_grid(mask, lit.shading.light_linear)
+    outlines = _left_out("albedo.outlines", options, late=False)
+    if options.objective == "albedo-deviation":
+        outlines = PlanStep("albedo.outlines", False, "no part of the paper's method")
+    if outlines is None:
+        softened, outlines = seen_outlines(light, value_channel(image.texture_linear), usable)
+        shading *= (softened / np.where(light > 0, light, 1.0))[..., None]
+        light = softened
     # What makes a good albedo better is left out once the seconds have ended.
     late, begin = meter.out_of_time, meter.elapsed_s
     division = divide_light(
@@ -173,31 +177,33 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     if rectification is None:
         forced = options.choice("albedo.rectification") is True
         albedo, rectification = rectified(albedo, light, cast, usable, forced=forced)
+    limits = limits_step(found.solution, value[usable])
     color = recolor(division.albedo, value, albedo)
     inpainting = _left_out("albedo.inpainting", options, late)
     if inpainting is None:
         color, inpainting = inpainted(color, image, usable, options, seed)
     return AlbedoEstimate(
         albedo_linear=color,
-        lights=lights,
-        parameters=_parameters(reflectance, lights),
+        lights=lit.lights,
+        parameters=_parameters(lit.reflectance, lit.lights),
         shading=shading.astype(np.float32),
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, limits_step(found.solution, value[usable]), rectification, inpainting)),
+        plan=Plan((*found.steps, limits, outlines, rectification, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
         residual=found.solution.cost,
         image=image,
         view_direction=scene.view,
-        reflectance=reflectance,
+        reflectance=lit.reflectance,
         casts_shadows=found.caster is not None,
         shadow_offset_mm=options.shadow_offset_mm,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
         expected_error=np.hypot(division.deviation, 0 if deviation is None else deviation).astype(np.float32),
+        environment=lit.environment,
     )
 
 
@@ -207,13 +213,6 @@ def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | No
     if choice is False:
         return PlanStep(stage, False, "left out by the caller")
     return PlanStep(stage, False, "the budget ended before it") if late and choice is None else None
-
-
-def physical_light(solution: Solution, unit: float) -> tuple[tuple[PointLight, ...], Reflectance]:
-    """Return lights and reflectance with the highlight in the texture's unit, `unit` of the search's."""
-    found = solution.hypothesis
-    strength = found.reflectance.specular_strength * unit
-    return found.lights(), replace(found.reflectance, specular_strength=strength)
 
 
 def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray[np.float32]:

@@ -14,6 +14,8 @@ from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
 
 _DEFAULT_EXPONENT = 16.0
+HARMONICS = 8
+"""Harmonics of the environment beside the constant one: orders 1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,30 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
+class SoftState:
+    """Soft light relative to ambient light of 1; the paper's constant one by default.
+
+    `fill` is what of the ambient light reaches hidden places (1: all of it, none is occluded), `bounce` the
+    mean albedo by which the surface lights itself, `harmonics` (8,) the environment's coefficients of
+    Y_k / Y_0.
+    """
+
+    fill: float
+    bounce: float
+    harmonics: FloatArray
+
+
+@dataclass(frozen=True)
 class LightModel:
     """Which parameters are free, and how a vector x holds them.
 
-    x = [p_x, p_y, log intensity] of each light, then, where free, radius/distance, roughness, (specular
-    strength, log exponent). p is the direction in exponential coordinates around the direction `view`: |p| is
-    the angle from it. That has no pole among the directions that light a face. `radius_mm`, the largest
-    distance of the surface from the origin, is the unit of the lights' common distance. `near`, `rough`,
-    `specular` free the distance, the roughness, the highlight.
+    x = [p_x, p_y, log intensity] of each lamp, then, where free, radius/distance, roughness, (specular
+    strength, log exponent), fill, bounce, eight harmonics. p is the direction in exponential coordinates
+    around the direction `view`: |p| is the angle from it. That has no pole among the directions that light a
+    face. `radius_mm`, the largest distance of the surface from the origin, is the unit of the lamps' common
+    distance. `near`, `rough`, `specular` free the distance, the roughness, the highlight; `occlusion`,
+    `bounce`, `environment` what `SoftTerms` says of soft light. Without lamps the first three mean nothing
+    and take no parameter.
     """
 
     lights: int
@@ -51,22 +69,31 @@ class LightModel:
     near: bool = False
     rough: bool = False
     specular: bool = False
+    occlusion: bool = False
+    bounce: bool = False
+    environment: bool = False
 
     @cached_property
     def _tail(self) -> list[tuple[str, float, float, float, float]]:
         """Return (name, start, lower, upper, first step) of the parameters after the lights."""
         rows = []
-        if self.near:
+        if self.near and self.lights:
             rows.append(("nearness", 0.1, 0.0, 0.6, 0.1))
-        if self.rough:
+        if self.rough and self.lights:
             rows.append(
                 ("minnaert", 1.0, 0.3, 2.0, 0.2)
                 if self.brdf == "minnaert"
                 else ("variance", 0.04, 0.0, 1.0, 0.04)
             )
-        if self.specular:
+        if self.specular and self.lights:
             rows.append(("specular", 0.05, 0.0, 2.0, 0.08))
             rows.append(("log_exponent", math.log(_DEFAULT_EXPONENT), math.log(4.0), math.log(200.0), 0.6))
+        if self.occlusion:
+            rows.append(("fill", 0.5, 0.0, 1.0, 0.2))
+        if self.bounce:
+            rows.append(("bounce", 0.3, 0.0, 0.9, 0.1))
+        if self.environment:
+            rows += [(f"harmonic{k}", 0.0, -1.8, 1.8, 0.1) for k in range(1, HARMONICS + 1)]
         return rows
 
     @cached_property
@@ -93,7 +120,9 @@ class LightModel:
     def from_lights(self, directions: FloatArray, intensities: FloatArray) -> FloatArray:
         """Return x of lights in `directions` (L, 3), everything else at its start."""
         head = [[*self.coordinates(d), math.log(e)] for d, e in zip(directions, intensities, strict=True)]
-        return np.array([*(value for light in head for value in light), *(row[1] for row in self._tail)])
+        return np.array(
+            [*(value for light in head for value in light), *(row[1] for row in self._tail)], float
+        )
 
     def coordinates(self, direction: FloatArray) -> tuple[float, float]:
         """Return p of a unit direction (3,)."""
@@ -137,20 +166,35 @@ class LightModel:
         )
         return Hypothesis(rows, reflectance)
 
+    def soft(self, x: FloatArray) -> SoftState:
+        """Return the state of soft light that x stands for."""
+        tail = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
+        harmonics = np.array([tail.get(f"harmonic{k}", 0.0) for k in range(1, HARMONICS + 1)])
+        return SoftState(float(tail.get("fill", 1.0)), float(tail.get("bounce", 0.0)), harmonics)
+
     def position_of(self, part: str) -> int:
-        """Return where in x "near", "rough" or "specular" (strength) is; ValueError when it is not free."""
+        """Return where in x a part is, its first parameter; ValueError when it is not free."""
         names = {
             "near": ("nearness",),
             "rough": ("variance", "minnaert"),
             "specular": ("specular",),
+            "occlusion": ("fill",),
+            "bounce": ("bounce",),
+            "environment": ("harmonic1",),
         }[part]
         for k, row in enumerate(self._tail):
             if row[0] in names:
                 return 3 * self.lights + k
         raise ValueError(f"{part!r} is not free in {self}")
 
+    def has(self, part: str) -> bool:
+        """Return whether a part is free: of lamps only where there is one."""
+        return bool(getattr(self, part)) and (
+            self.lights > 0 or part in ("occlusion", "bounce", "environment")
+        )
+
     def with_part(self, part: str, free: bool = True) -> LightModel:
-        """Return the model with "near", "rough" or "specular" free, or fixed at its plain value."""
+        """Return the model with a part free, or fixed at its plain value."""
         return replace(self, **{part: free})  # type: ignore[arg-type]
 
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:

@@ -14,13 +14,17 @@ from scan2albedo.albedo.levels import cell_image
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.model_selection import (
+    ENVIRONMENT_FLOOR,
+    ENVIRONMENT_GAIN,
     LIGHT_GAIN,
     allowed_parts,
     decide_parts,
+    environment_gain,
     light_evidence,
     undecided,
 )
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend, one_step
+from scan2albedo.albedo.tint import Tint
 from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
@@ -45,26 +49,98 @@ class LightSearch:
     alternatives: Alternatives = field(default_factory=Alternatives)
 
     def run(self, lights: int | None) -> LightFound:
-        """Search for the light; `lights` None lets the evidence decide how many there are."""
+        """Search for the light; `lights` None lets the evidence decide how many lamps there are."""
         meter, options = self.scene.meter, self.scene.options
-        current = self._first_light()
-        decision = PlanStep("albedo.lights", True, "one light", "no second one tried")
-        for _ in range(1, options.maximal_lights if lights is None else lights):
-            if meter.exhausted:
-                break
-            trial, decision, accepted = self._one_more(current, forced=lights is not None)
-            current = trial
-            if not accepted:
-                break
-            self._record(current)
-        if lights is not None:
-            found = current.model.lights
-            short = "" if found == lights else f", {found} found before the budget ended"
-            decision = replace(decision, reason=f"{lights} asked for{short}")
-        steps = [self.scene.shadows[1], decision]
+        current, steps = self._environment(*self._lamps(lights), lights)
+        steps = [self.scene.shadows[1], *steps]
         if meter.exhausted:
             return self._found(current, [*steps, *undecided(current.model, options)])
         return self._with_parts(current, steps)
+
+    def _lamps(self, lights: int | None) -> tuple[Solution, PlanStep]:
+        """Return lamps under ambient light, as many as asked for or as pay, and the plan's row."""
+        meter, most = self.scene.meter, self.scene.options.maximal_lights if lights is None else lights
+        current = self._first_light()
+        decision = PlanStep("albedo.lights", True, "one light", "no second one tried")
+        none = None
+        if not meter.exhausted and lights is None:
+            alone = self._without_lamps(current.model)
+            first = light_evidence(self._middle, current, alone)
+            # Two lamps may pay where one between them does not.
+            none = None if first.accepted else alone
+        for _ in range(1, most):
+            if meter.exhausted:
+                break
+            current, decision, accepted = self._one_more(current, forced=lights is not None)
+            if not accepted:
+                break
+            self._record(current)
+        if none is not None and (current.model.lights == 1 or _price(none) <= _price(current)):
+            return none, PlanStep("albedo.lights", False, "no lamp: it does not pay", first.evidence)
+        if lights is not None:
+            found_lights = current.model.lights
+            short = "" if found_lights == lights else f", {found_lights} found before the budget ended"
+            decision = replace(decision, reason=f"{lights} asked for{short}")
+        return current, decision
+
+    def _without_lamps(self, model: LightModel) -> Solution:
+        """Return the optimum of soft light alone on the middle image."""
+        alone = replace(model, lights=0)
+        return self._descend(self._middle, alone, alone.from_lights(np.zeros((0, 3)), np.zeros(0)))
+
+    def _environment(
+        self, lamps: Solution, decision: PlanStep, lights: int | None
+    ) -> tuple[Solution, list[PlanStep]]:
+        """Return the light with an environment, where it pays, and the plan's rows of lamps and environment.
+
+        It is tried beside the lamps found, and lamps are tried beside it: lamps found without it stand for
+        parts of it, and it may stand for a lamp.
+        """
+        middle, stage = self._middle, "albedo.environment"
+        choice = self.scene.options.choice(stage)
+        if choice is False or self.scene.meter.exhausted:
+            return lamps, [decision]
+        model = lamps.model.with_part("environment")
+        both = self._descend(middle, model, lamps.model.extend(lamps.x, model))
+        gain = environment_gain(both, lamps)
+        evidence = (
+            f"it removes {100 * gain:.1f} % of the cost beside {lamps.model.lights} lamp(s) "
+            f"({100 * ENVIRONMENT_GAIN:g} % asked)"
+        )
+        if choice is None and gain < ENVIRONMENT_GAIN:
+            return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
+        tried = [both] if choice else [lamps, both]
+        if lights is None:
+            tried += self._with_fewer_lamps(both) + self._with_more_lamps(self._without_lamps(model))
+        best = min(tried, key=_price)
+        self._record(best)
+        count = best.model.lights
+        if count != lamps.model.lights:
+            decision = PlanStep(
+                "albedo.lights", count > 0, f"{count} lamp(s) beside soft light", decision.evidence
+            )
+        if best.model.environment:
+            return best, [decision]
+        return best, [decision, PlanStep(stage, False, "lamps explain as much", evidence)]
+
+    def _with_more_lamps(self, solution: Solution) -> list[Solution]:
+        """Return the solution, and optima with a lamp more each, as long as they pay."""
+        found = [solution]
+        while solution.model.lights < self.scene.options.maximal_lights and not self.scene.meter.exhausted:
+            solution, _, accepted = self._one_more(solution, forced=False)
+            if not accepted:
+                break
+            found.append(solution)
+        return found
+
+    def _with_fewer_lamps(self, solution: Solution) -> list[Solution]:
+        """Return optima with the weakest lamp left out, one after the other."""
+        found = []
+        while solution.model.lights and not self.scene.meter.exhausted:
+            model, x = _without_weakest(solution)
+            solution = self._descend(self._middle, model, x)
+            found.append(solution)
+        return found
 
     def _found(self, solution: Solution, steps: list[PlanStep]) -> LightFound:
         unit = self.scene.level(self.scene.options.sizes[0]).unit
@@ -74,10 +150,10 @@ class LightSearch:
         """Return the light with the parts of the model that the scene needs, refined on the largest image."""
         options, largest = self.scene.options, self._largest
         current = self._descend(self._unguided, current.model, current.x)
-        decided = decide_parts(self._unguided, current, options)
+        decided = decide_parts(self._unguided, current, options, self._tint)
         self._record(decided.solution)
         highlight = largest.at(current.model, current.x).highlight() if decided.highlight else None
-        guided = largest.guided(highlight)
+        guided = largest.guided(highlight, self._tint.at(largest))
         best = descend(guided, decided.solution.model, decided.solution.x, _LAST_EVALUATIONS)
         best = best if math.isfinite(best.cost) else decided.solution
         explained = guided.guide.explained
@@ -88,17 +164,36 @@ class LightSearch:
             f"colour explains {100 * explained:.0f} % of the local change of brightness",
         )
         sure, cells = light_uncertainty(guided, best, self.alternatives.of(best))
+        tint = Tint.of(self._unguided, best, options.choice("albedo.light_colour"))
         # Last, so that the trace ends with all evaluations spent.
         self._record(best)
         return replace(
-            self._found(best, [*steps, *decided.steps, guide]),
+            self._found(best, [*steps, *decided.steps, guide, tint.step]),
+            colors=tint.colors,
             uncertainty=sure,
             albedo_deviation=cell_image(guided.level, cells, self.scene.image.mask),
         )
 
     @cached_property
     def _coarse(self) -> ResidualProblem:
-        return self._problem(0).guided(None)
+        return self._tinted(0)
+
+    @cached_property
+    def _tint(self) -> Tint:
+        """What the light does to colours, by a first estimate on the smallest image without their guide."""
+        problem = self._problem(0)
+        model = self.scene.model(0)
+        for part in ("occlusion", "bounce", "environment"):
+            model = model.with_part(part)
+        soft = self._descend(problem, model, model.from_lights(np.zeros((0, 3)), np.zeros(0)))
+        starts = _starts_with_one_more(soft, self.scene.directions)
+        lamp = self._polished(problem, replace(model, lights=1), starts, 2)[0]
+        paid = cost_removed(lamp.cost, soft.cost) >= LIGHT_GAIN
+        return Tint.of(problem, lamp if paid else soft)
+
+    def _tinted(self, k: int) -> ResidualProblem:
+        problem = self._problem(k)
+        return problem.guided(None, self._tint.at(problem))
 
     @cached_property
     def _unguided(self) -> ResidualProblem:
@@ -106,7 +201,7 @@ class LightSearch:
 
     @cached_property
     def _middle(self) -> ResidualProblem:
-        return self._unguided.guided(None)
+        return self._unguided.guided(None, self._tint.at(self._unguided))
 
     @cached_property
     def _largest(self) -> ResidualProblem:
@@ -114,7 +209,7 @@ class LightSearch:
 
     def _problem(self, k: int) -> ResidualProblem:
         level = self.scene.level(self.scene.options.sizes[k])
-        return ResidualProblem(level, self.scene.lattice(level), self.scene.meter)
+        return ResidualProblem(level, self.scene.lattice(level), self.scene.meter, self.scene.soft(level))
 
     def _record(self, solution: Solution) -> None:
         """Add a trace row with the cost on the largest image: costs at different sizes do not compare."""
@@ -195,7 +290,7 @@ class LightSearch:
             )
             return fewer, row, False
         trial = min(polished, key=lambda s: s.cost)
-        reduced = self._descend(middle, fewer.model, _without_weakest(trial))
+        reduced = self._descend(middle, *_without_weakest(trial))
         if reduced.cost < fewer.cost:
             # The way over one more light led out of a local minimum.
             fewer = reduced
@@ -212,12 +307,10 @@ def _starts_with_one_more(fewer: Solution, directions: FloatArray) -> Iterable[F
     """Yield starts with one more light: a weak one from every direction, and each light split in two."""
     model = replace(fewer.model, lights=fewer.model.lights + 1)
     rows = fewer.hypothesis.rows
-    tail = fewer.x[3 * fewer.model.lights :]
+    tail = fewer.model.extend(fewer.x, model)[3 * fewer.model.lights :]
 
     def start(toward: FloatArray, intensities: FloatArray) -> FloatArray:
-        x = model.from_lights(toward, intensities)
-        x[3 * model.lights :] = tail
-        return x
+        return np.concatenate([model.from_lights(toward, intensities)[: 3 * model.lights], tail])
 
     for direction in directions:
         yield start(np.vstack([rows[:, :3], direction]), np.append(rows[:, 4], _ADDED_STRENGTH))
@@ -232,8 +325,17 @@ def _starts_with_one_more(fewer: Solution, directions: FloatArray) -> Iterable[F
             )
 
 
-def _without_weakest(solution: Solution) -> FloatArray:
-    """Return x of one light less."""
-    lights = solution.model.lights
+def _without_weakest(solution: Solution) -> tuple[LightModel, FloatArray]:
+    """Return the model and x of one light less."""
     weakest = int(np.argmin(solution.hypothesis.rows[:, 4]))
-    return np.delete(solution.x, slice(3 * weakest, 3 * weakest + 3)) if lights > 1 else solution.x
+    model = replace(solution.model, lights=solution.model.lights - 1)
+    tail = solution.model.extend(solution.x, model)[3 * solution.model.lights :]
+    lamps = np.delete(solution.x[: 3 * solution.model.lights], slice(3 * weakest, 3 * weakest + 3))
+    return model, np.concatenate([lamps, tail])
+
+
+def _price(solution: Solution) -> float:
+    """Return the cost, dearer by what each lamp and an environment have to bring."""
+    model = solution.model
+    part = 1 - ENVIRONMENT_GAIN if model.environment else 1.0
+    return (solution.cost + ENVIRONMENT_FLOOR) / (part * (1 - LIGHT_GAIN) ** model.lights)

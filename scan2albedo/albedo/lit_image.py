@@ -11,6 +11,7 @@ from scan2albedo.albedo.levels import Level, brightest_around, build_level
 from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.shadows import ShadowLattice, shadow_caster
+from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -18,7 +19,9 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import cone_directions
+from scan2albedo.lighting.environment_light import open_transfer, shadowed_transfer
+from scan2albedo.lighting.interreflection import Bounce, Patches, SurfaceLookup
+from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
 
 CONE_RAD = 1.92
 """Half angle around the view direction in which lights are sought: a little behind the face."""
@@ -30,7 +33,8 @@ _LEAST_RESIDUAL = 1e-3
 class LightFound:
     """The best solution, the unit of its highlight's strength, the plan's rows, and what casts shadows.
 
-    Where they were estimated: how sure the light is, and (H, W) the relative deviation of the albedo.
+    Where they were estimated: how sure the light is, (H, W) the relative deviation of the albedo, and (K, 3)
+    the colours of the light's parts, in the order of `SoftTerms.columns`.
     """
 
     solution: Solution
@@ -39,6 +43,7 @@ class LightFound:
     caster: RayCaster | None
     uncertainty: LightUncertainty | None = None
     albedo_deviation: FloatArray | None = None
+    colors: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,41 @@ class LitImage:
     def lattice(self, level: Level) -> ShadowLattice:
         """Return the cast shadows of a level."""
         return ShadowLattice(level, self.shadows[0], self.options.shadow_offset_mm)
+
+    def soft(self, level: Level) -> SoftTerms:
+        """Return what soft light needs to know of a level; known ones are kept."""
+        if level.factor not in self._soft:
+            self._soft[level.factor] = self._soft_of(level)
+        return self._soft[level.factor]
+
+    def _soft_of(self, level: Level) -> SoftTerms:
+        surface = self.shadows[0], level.anchor, level.normal
+        shadows = ShadowMap(*surface, self.options.shadow_offset_mm)
+        return SoftTerms(shadowed_transfer(shadows), self._bounce(level.anchor, level.normal))
+
+    def soft_texels(self, level: Level) -> SoftTerms:
+        """Return the same of the masked texels, what the surface hides from them taken from `level`."""
+        image = self.image
+        position, normal = image.position[image.mask], image.normal[image.mask].astype(np.float64)
+        if self.shadows[0] is None:
+            return SoftTerms.unshadowed(normal)
+        hidden = open_transfer(level.normal) - self.soft(level).transfer
+        weights = SurfaceLookup.of(level.anchor, level.normal).weights(position, normal)
+        return SoftTerms(open_transfer(normal) - weights @ hidden, self._bounce(position, normal))
+
+    def _bounce(self, position: FloatArray, normal: FloatArray) -> Bounce | None:
+        return None if self._patches is None else self._patches.seen_from(position, normal)
+
+    @cached_property
+    def _soft(self) -> dict[int, SoftTerms]:
+        return {}
+
+    @cached_property
+    def _patches(self) -> Patches | None:
+        caster, level = self.shadows[0], self._smallest
+        if caster is None:
+            return None
+        return Patches.of(caster, level.anchor, level.normal, self.options.shadow_offset_mm)
 
     @cached_property
     def directions(self) -> FloatArray:

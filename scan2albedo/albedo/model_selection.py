@@ -10,19 +10,30 @@ import numpy as np
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend
+from scan2albedo.albedo.tint import Tint
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 
-LIGHT_GAIN = 0.025
-"""Part of the cost that one more light has to remove."""
+LIGHT_GAIN, ENVIRONMENT_GAIN = 0.025, 0.05
+"""Parts of the cost that one more light, and an environment, have to remove."""
+ENVIRONMENT_FLOOR = 0.01
+"""Cost that is added to either side before the second: of nearly nothing a part says little."""
 _LIGHT_EFFECT = 0.02
 """Root mean square change of the albedo that it has to make."""
+_CERTAIN_GAIN, _CERTAIN_EFFECT = 0.15, 0.01
+"""With so much of the cost removed a smaller change serves."""
 _LIGHT_SHARE = 0.1
 """Intensity that every light has to have, as a part of the strongest one's."""
+_LEAST_INTENSITY = 0.15
+"""Intensity that it has to have, as a part of the ambient light's."""
 _LIGHT_ANGLE_RAD = 0.26
 """Angle between two lights below which they may be one broad light: an image fits both."""
-_LIGHT_DIRECTION_RAD = 0.12
-"""Standard deviation that the direction of one more light may have: only a lamp's is so definite."""
+_LIGHT_DIRECTION_RAD, _LIGHT_INTENSITY = 0.12, 0.7
+"""Standard deviations that its direction and the logarithm of its intensity may have: only a lamp's are so
+definite."""
+_LIT_COSINE, _LIT_SHARE = 0.2, 0.25
+"""Cosine of the light above which a cell counts as lit by a lamp, and the part of the cells that has to be: a
+lamp behind or below the head, which reaches a rim alone, stands for light from the surroundings."""
 
 _SPECULAR_EFFECT = 0.004
 """Root mean square share of the image that a highlight has to have."""
@@ -64,6 +75,9 @@ PARTS = {
     "rough": Part("albedo.roughness", "surface roughness", 0.008, 3.0, 0.04),
     "near": Part("albedo.near_light", "a finite distance of the light", 0.014, 8.0, 0.04),
     "specular": Part("albedo.specular", "a highlight"),
+    "occlusion": Part("albedo.occlusion", "occlusion of ambient light", 0.003, 3.0, 0.02),
+    "bounce": Part("albedo.bounce", "light bounced off the surface", 0.003, 3.0, 0.01),
+    "environment": Part("albedo.environment", "a large environment", 0.01, math.inf, ENVIRONMENT_GAIN),
 }
 """By the name of their field of `LightModel`, in the order in which they are freed."""
 
@@ -99,37 +113,62 @@ def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) ->
     gain = cost_removed(more.cost, fewer.cost)
     intensities = more.hypothesis.rows[:, 4]
     share = float(intensities.min() / intensities.max())
-    effect = albedo_change(problem, more, fewer)
-    closest, spread = _smallest_angle(more), _direction_deviation(problem, more)
+    effect, lit = albedo_change(problem, more, fewer), _lit_share(problem, more)
+    closest, (spread, unsure) = _smallest_angle(more), _lamp_deviations(problem, more)
     worth_it = (
         gain >= LIGHT_GAIN
         and share >= _LIGHT_SHARE
-        and effect >= _LIGHT_EFFECT
+        and intensities.min() >= _LEAST_INTENSITY
+        and effect >= (_CERTAIN_EFFECT if gain >= _CERTAIN_GAIN else _LIGHT_EFFECT)
+        and lit >= _LIT_SHARE
         and spread <= _LIGHT_DIRECTION_RAD
+        and unsure <= _LIGHT_INTENSITY
     )
     one_or_two = worth_it and closest < _LIGHT_ANGLE_RAD
     evidence = (
         f"light {more.model.lights} removes {100 * gain:.1f} % of the cost ({100 * LIGHT_GAIN:g} % "
         f"asked), changes the albedo by {100 * effect:.2f} % ({100 * _LIGHT_EFFECT:g} % asked), "
         f"{100 * share:.0f} % as strong as the strongest ({100 * _LIGHT_SHARE:g} % asked), "
-        f"{math.degrees(closest):.0f} deg from the next, its direction known to "
-        f"{math.degrees(spread):.1f} deg ({math.degrees(_LIGHT_DIRECTION_RAD):.1f} asked)"
+        f"{intensities.min():.2g} times the ambient light ({_LEAST_INTENSITY:g} asked), lights "
+        f"{100 * lit:.0f} % of the surface ({100 * _LIT_SHARE:g} % asked), its strength known to "
+        f"{100 * unsure:.0f} % ({100 * _LIGHT_INTENSITY:g} % asked), {math.degrees(closest):.0f} deg from the "
+        f"next, its direction known to {math.degrees(spread):.1f} deg "
+        f"({math.degrees(_LIGHT_DIRECTION_RAD):.1f} asked)"
     )
     return LightEvidence(gain, worth_it and not one_or_two, one_or_two, evidence)
 
 
 def _smallest_angle(solution: Solution) -> float:
-    """Return the smallest angle [rad] between two lights."""
+    """Return the smallest angle [rad] between two lights; pi where there is one."""
     rows = solution.hypothesis.rows[:, :3]
+    if len(rows) < 2:
+        return math.pi
     cosine = (rows @ rows.T)[np.triu_indices(len(rows), 1)]
     return float(np.arccos(np.clip(cosine.max(), -1, 1)))
 
 
-def _direction_deviation(problem: ResidualProblem, solution: Solution) -> float:
-    """Return the standard deviation [rad] of the weakest light's direction."""
+def _gain(more: Solution, fewer: Solution) -> float:
+    """Return the part of the cost that a part of the model removes."""
+    return cost_removed(more.cost, fewer.cost)
+
+
+def environment_gain(more: Solution, fewer: Solution) -> float:
+    """Return the part of the cost that an environment removes; see `ENVIRONMENT_FLOOR`."""
+    return cost_removed(more.cost + ENVIRONMENT_FLOOR, fewer.cost + ENVIRONMENT_FLOOR)
+
+
+def _lit_share(problem: ResidualProblem, solution: Solution) -> float:
+    """Return the part of the cells that the lamp lights which lights the fewest."""
+    rows = solution.hypothesis.rows[:, 4:]
+    lamps = problem.at(solution.model, solution.x).lamps / rows
+    return float(np.average(lamps > _LIT_COSINE, axis=1, weights=problem.level.weight).min())
+
+
+def _lamp_deviations(problem: ResidualProblem, solution: Solution) -> tuple[float, float]:
+    """Return the standard deviations of the weakest lamp's direction [rad] and log intensity."""
     k = 3 * int(np.argmin(solution.hypothesis.rows[:, 4]))
-    variance = np.diag(covariance(problem, solution))[k : k + 2]
-    return math.sqrt(max(float(variance.mean()), 0.0))
+    variance = np.maximum(np.diag(covariance(problem, solution)), 0.0)
+    return math.sqrt(float(variance[k : k + 2].mean())), math.sqrt(float(variance[k + 2]))
 
 
 def covariance(problem: ResidualProblem, solution: Solution) -> FloatArray:
@@ -153,16 +192,18 @@ def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
     ]
 
 
-def decide_parts(problem: ResidualProblem, full: Solution, options: EstimateOptions) -> PartsDecided:
+def decide_parts(
+    problem: ResidualProblem, full: Solution, options: EstimateOptions, tint: Tint
+) -> PartsDecided:
     """Divide out the texture that colour predicts, then leave out the parts that the scene does not need.
 
     `full` is an optimum, every allowed part free, of `problem`, which has no guide yet.
     """
     rows = list[PlanStep]()
-    current, chosen, highlight = _decide_highlight(problem, full, options, rows)
-    for name in ("near", "rough"):
+    current, chosen, highlight = _decide_highlight(problem, full, options, tint.at(problem), rows)
+    for name in ("environment", "near", "rough", "bounce", "occlusion"):
         part = PARTS[name]
-        if not getattr(current.model, name) or chosen.meter.exhausted:
+        if not current.model.has(name) or chosen.meter.exhausted:
             continue
         if options.choice(part.stage):
             rows.append(PlanStep(part.stage, True, "asked for"))
@@ -171,7 +212,11 @@ def decide_parts(problem: ResidualProblem, full: Solution, options: EstimateOpti
         if not np.isfinite(without.cost):
             break
         effect, deviations = albedo_change(chosen, current, without), _deviations(chosen, current, name)
-        gain = cost_removed(current.cost, without.cost)
+        gain = (
+            environment_gain(current, without)
+            if name == "environment"
+            else cost_removed(current.cost, without.cost)
+        )
         enters = effect >= part.effect and (deviations >= part.deviations or gain >= part.gain)
         evidence = (
             f"changes the albedo by {100 * effect:.2f} % ({100 * part.effect:g} % asked), "
@@ -182,7 +227,10 @@ def decide_parts(problem: ResidualProblem, full: Solution, options: EstimateOpti
         if not enters:
             current = without
     decided = {row.stage for row in rows}
-    rows += [row for row in undecided(current.model, options) if row.stage not in decided]
+    why = (
+        "the budget ended before it was judged" if chosen.meter.exhausted else "nothing that it could change"
+    )
+    rows += [row for row in undecided(current.model, options, why) if row.stage not in decided]
     return PartsDecided(current, highlight, rows)
 
 
@@ -203,26 +251,30 @@ def undecided(
             rows.append(PlanStep(part.stage, False, "left out by the caller"))
         elif not (name == "rough" and model.brdf == "lambert"):
             reason = "asked for" if choice else why
-            rows.append(PlanStep(part.stage, getattr(model, name), reason, "not judged"))
+            rows.append(PlanStep(part.stage, model.has(name), reason, "not judged"))
     return rows
 
 
 def _decide_highlight(
-    problem: ResidualProblem, full: Solution, options: EstimateOptions, rows: list[PlanStep]
+    problem: ResidualProblem,
+    full: Solution,
+    options: EstimateOptions,
+    tint: FloatArray | None,
+    rows: list[PlanStep],
 ) -> tuple[Solution, ResidualProblem, bool]:
     """Return the optimum with or without highlight, the guided problem it belongs to, and which it is.
 
     A highlight whitens what it covers, and so does a lighter pigment: each of the two models gets the guide
     that follows from it.
     """
-    plain_problem, part = problem.guided(None), PARTS["specular"]
+    plain_problem, part = problem.guided(None, tint), PARTS["specular"]
     if problem.meter.exhausted:
         return full, problem, False
-    if not full.model.specular:
+    if not full.model.has("specular"):
         plain = descend(plain_problem, full.model, full.x, options.descent_iterations)
         return plain, plain_problem, False
     deviations = _deviations(problem, full, "specular")
-    glossy_problem = problem.guided(problem.at(full.model, full.x).highlight())
+    glossy_problem = problem.guided(problem.at(full.model, full.x).highlight(), tint)
     glossy = descend(glossy_problem, full.model, full.x, options.descent_iterations)
     if options.choice(part.stage):
         rows.append(PlanStep(part.stage, True, "asked for"))
@@ -303,7 +355,7 @@ def _at_end(solution: Solution) -> list[str]:
                 found.append(
                     f"light {k + 1} has the {end} intensity, {math.exp(bound):.3g} times the ambient light"
                 )
-    if model.near:
+    if model.has("near"):
         i = model.position_of("near")
         if x[i] >= upper[i] * (1 - _NEAR):
             found.append(f"the lights have the least distance, {model.radius_mm / upper[i]:.3g} mm")

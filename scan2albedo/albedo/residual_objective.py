@@ -13,6 +13,7 @@ from scan2albedo.albedo.levels import Level, local_mean
 from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.normal_equations import block_albedos, cluster_scores, normal_equations
 from scan2albedo.albedo.shadows import ShadowLattice
+from scan2albedo.albedo.soft_terms import SoftTerms, ridge
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.lighting.kernels import shade_with_derivatives
@@ -52,8 +53,11 @@ class ResidualProblem:
     brightness, so every cell counts about as much. `meter` counts the evaluations.
     """
 
-    def __init__(self, level: Level, shadows: ShadowLattice, meter: Meter) -> None:
+    def __init__(
+        self, level: Level, shadows: ShadowLattice, meter: Meter, soft: SoftTerms | None = None
+    ) -> None:
         self.level, self.shadows, self.meter = level, shadows, meter
+        self.soft = SoftTerms.unshadowed(level.normal) if soft is None else soft
         self.blocks, self.block_count = level.blocks(_BLOCK_AREA, _SHIFTS)
         around = local_mean(level, level.value, _AROUND * float(level.cell.max() + 1))
         self._trust = level.weight / np.hypot(around, _DARK)
@@ -66,10 +70,14 @@ class ResidualProblem:
         self.weight = self._trust * guide.albedo
         self.total = len(_SHIFTS) * float(self.weight @ self.value)
 
-    def guided(self, specular: FloatArray | None) -> ResidualProblem:
-        """Return the problem without the texture that colour predicts, after removal of a highlight (N,)."""
+    def guided(self, specular: FloatArray | None, tint: FloatArray | None = None) -> ResidualProblem:
+        """Return the problem without the texture that colour predicts.
+
+        Before, a highlight (N,) is subtracted from the colours, and they are divided by `tint` (N, 3), what
+        the light does to them.
+        """
         other = copy.copy(self)
-        other._use(color_guide(self.level, specular))
+        other._use(color_guide(self.level, specular, tint))
         return other
 
     def at(self, model: LightModel, x: FloatArray, *, outlines: bool = True) -> Residual:
@@ -82,7 +90,7 @@ class Residual:
 
     The block albedos are the reweighted estimate that the weights `robust` (S, N) lead to, or equal ones.
     Without `outlines` the shadows' outlines stay where they are when the light moves. `light`, `specular`
-    (N,) are I and I_s of the cells, in the unit of the problem's value.
+    (N,) are I and I_s of the cells, in the unit of the problem's value, `lamps` (L, N) each lamp's part of I.
     """
 
     def __init__(
@@ -99,7 +107,7 @@ class Residual:
         found, level, cells = model.decode(self.x), problem.level, len(problem.value)
         visible, visible_slope = problem.shadows.visibility(model, self.x)
         self.light, self.specular = np.empty(cells), np.empty(cells)
-        self._slopes = np.empty((model.size, cells)), np.empty((model.size, cells))
+        self._slopes = np.zeros((model.size, cells)), np.zeros((model.size, cells))
         shade_with_derivatives(
             level.position,
             level.normal,
@@ -114,13 +122,18 @@ class Residual:
             found.reflectance.specular_strength,
             found.reflectance.exponent,
             problem.scale,
-            model.near,
-            model.rough,
-            model.specular,
+            model.near and model.lights > 0,
+            model.rough and model.lights > 0,
+            model.specular and model.lights > 0,
             self.light,
             self.specular,
             *self._slopes,
         )
+        # The derivative by the logarithm of an intensity is the lamp's own light.
+        self.lamps = self._slopes[0][2 : 3 * model.lights : 3].copy()
+        self._prior, self._prior_weight = ridge(model, self.x)
+        if model.occlusion or model.bounce or model.environment:
+            problem.soft.add(model, self.x, self.light, self._slopes[0])
         self._albedo, self._mass = np.empty(problem.block_count), np.empty(problem.block_count)
         self._before = np.repeat(problem.weight[None], len(problem.blocks), 0) if robust is None else robust
         self.cost = self._settle(_FIRST_SWEEPS if robust is None else _SWEEPS)
@@ -129,7 +142,8 @@ class Residual:
         """Estimate the block albedos from the weights before; return the cost."""
         p, self._robust = self.problem, self._before.copy()
         known = p.value, p.weight, self.light, self.specular, p.blocks, _SOFTNESS
-        return float(block_albedos(*known, self._robust, self._albedo, self._mass, sweeps)) / p.total
+        left = block_albedos(*known, self._robust, self._albedo, self._mass, sweeps)
+        return float(left) / p.total + self._prior
 
     def _arguments(self) -> tuple[NDArray[np.generic], ...]:
         p = self.problem
@@ -152,8 +166,8 @@ class Residual:
         normal_equations(*self._arguments(), matrix, gradient)
         longest = _LONGEST * self.model.steps()
         return NormalEquations(
-            matrix / self.problem.total,
-            gradient / self.problem.total,
+            matrix / self.problem.total + np.diag(self._prior_weight),
+            gradient / self.problem.total + self._prior_weight * self.x,
             np.maximum(lower - self.x, -longest),
             np.minimum(upper - self.x, longest),
         )
@@ -161,6 +175,10 @@ class Residual:
     def moved(self, step: FloatArray) -> Residual:
         """Return the residual at x + `step`."""
         return Residual(self.problem, self.model, self.x + step, self._before)
+
+    def columns(self) -> FloatArray:
+        """Return (K, N) the parts of I; see `SoftTerms.columns`."""
+        return self.problem.soft.columns(self.model.soft(self.x), self.lamps)
 
     def highlight(self) -> FloatArray:
         """Return (N,) I_s in the unit of the level's value."""

@@ -109,7 +109,7 @@ class ShadowLattice:
         The derivative by nearness is left out: so small a move of an outline is mostly the mesh's edges.
         """
         lights, cells = model.lights, len(self._position)
-        if self._rays is None:
+        if self._rays is None or not lights:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         nearness = float(x[model.position_of("near")]) if model.near else 0.0
         blended = np.stack([self._blended(model, (*x[3 * k : 3 * k + 2], nearness)) for k in range(lights)])

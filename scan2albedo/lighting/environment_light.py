@@ -47,16 +47,26 @@ def environment_of_shading(coefficients: FloatArray) -> EnvironmentLight:
 
 
 def shadowed_transfer(shadows: ShadowMap, directions: int = _DIRECTIONS) -> FloatArray:
-    """Return (N, 9) the same for points that the surface partly hides: what is hidden is summed over rays."""
-    transfer = open_transfer(shadows.normal)
+    """Return (N, 9) the same for points that the surface partly hides; the first is ambient occlusion.
+
+    Sums over rays err; only what is hidden is therefore taken from them, and the rest from `open_transfer`.
+
+    References
+    ----------
+    .. [1] P.-P. Sloan, J. Kautz, J. Snyder, "Precomputed radiance transfer for real-time rendering in
+       dynamic, low-frequency lighting environments", SIGGRAPH 2002.
+    """
+    free = open_transfer(shadows.normal)
     if shadows.caster is None:
-        return transfer
+        return free
     toward = distant_directions(directions)
     values = harmonics(toward, _ORDER)
-    for direction, row in zip(toward, values / values[:, :1], strict=True):
-        cosine = np.maximum(shadows.normal @ direction, 0.0)
-        transfer -= (4 / directions * cosine * (1 - shadows.visible(direction)))[:, None] * row
-    return transfer
+    weighted = values / values[:, :1] * (4 / directions)
+    cosine = np.maximum(shadows.normal @ toward.T, 0.0)
+    whole, part = cosine @ weighted, (cosine * shadows.table(toward).visibility.T) @ weighted
+    # The first harmonic is constant, so its coefficient gives the visible share.
+    share = part[:, :1] / np.maximum(whole[:, :1], 1e-12)
+    return np.asarray(part + share * (free - whole))
 
 
 def environment_light_on(environment: EnvironmentLight, shadows: ShadowMap) -> FloatArray:

@@ -51,12 +51,13 @@ class Shading:
     """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture.
 
     `light_linear` (N, 3) is the light in the lamps' colours, whose mean over the channels is `light`;
-    highlights stay white.
+    highlights stay white. `lamps` (L, N) is each lamp's part of the light.
     """
 
     light: FloatArray
     specular: FloatArray
     light_linear: FloatArray
+    lamps: FloatArray
 
 
 def light_rows(lights: Sequence[PointLight]) -> FloatArray:
@@ -128,14 +129,15 @@ def shade_rows(
     `colors` (L, 3) are the lamps', all white when None.
     """
     light, gloss = np.ones(len(position)), np.zeros(len(position))
-    tint = np.zeros((len(position), 3))
+    tint, lamps = np.zeros((len(position), 3)), np.empty((len(rows), len(position)))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
         factors = lamp_factors(position, normal, seen, row[:3], row[3], view[None], reflectance)
-        light += row[4] * factors.diffuse
+        lamps[k] = row[4] * factors.diffuse
+        light += lamps[k]
         gloss += row[4] * factors.highlight
         if colors is not None:
-            tint += (row[4] * factors.diffuse)[:, None] * (colors[k] - 1)
-    return Shading(light, reflectance.specular_strength * scale * gloss, light[:, None] + tint)
+            tint += lamps[k][:, None] * (colors[k] - 1)
+    return Shading(light, reflectance.specular_strength * scale * gloss, light[:, None] + tint, lamps)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,94 @@
+"""Sharp outlines in the estimated light: each stays as far as the texture has it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import binary_dilation, gaussian_filter
+
+from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.plan import PlanStep
+
+_SHARP = 0.06
+"""Step of log light from a texel of a 512 x 512 chart to the next that makes a sharp outline."""
+_SIDE = 512
+_AROUND = 1 / 128
+"""Standard deviation of the neighbourhood over which steps are compared, as a part of the chart's side."""
+_SEEN = 0.75
+"""Part of an outline's steps that the texture has to show for the outline to stay as it is."""
+_BAND = 1 / 100
+"""Half width of the band over which an outline that is not seen is spread, as a part of the chart's side."""
+_DARK = 1e-4
+"""Value below which logarithms are not taken."""
+
+
+def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tuple[FloatArray, PlanStep]:
+    """Return the light (H, W) with outlines that V of the texture (H, W) does not show made soft; the row.
+
+    Along a sharp outline the light's steps s and the texture's t are compared by least squares over a small
+    neighbourhood: t ~ b s, where b is 1 for an outline that is there, and 0 for one that is not. Steps are
+    scaled to b s, and the rest is spread over a band beside the outline (a Poisson equation, the light beyond
+    the band as it was): a soft shadow instead of a hard one, and no line in the albedo.
+    """
+    stage = "albedo.outlines"
+    log_light, log_value = (np.log(np.maximum(field, _DARK)) for field in (light, value))
+    sharp = _SHARP * _SIDE / max(light.shape)
+    steps = forward_differences(log_light)
+    both = [_pairs(usable, axis) for axis in (1, 0)]
+    edges = [pair & (np.abs(step) > sharp) for pair, step in zip(both, steps, strict=True)]
+    if not any(edge.any() for edge in edges):
+        return light, PlanStep(stage, False, "the light has no sharp outline", "0 texels")
+    seen = _seen_share(steps, forward_differences(log_value), edges, light.shape)
+    wrong, wanted, part = np.zeros(light.shape, bool), [], 0
+    for axis, step, edge in zip((1, 0), steps, edges, strict=True):
+        share = _of_pairs(seen, axis)
+        unseen = edge & (share < _SEEN)
+        wanted.append(np.where(unseen, share * step, step))
+        first, second = _ends(axis)
+        wrong[first] |= unseen
+        wrong[second] |= unseen
+        part += int(unseen.sum())
+    length = sum(int(edge.sum()) for edge in edges)
+    evidence = f"the texture lacks {100 * part / length:.0f} % of {length} texels of sharp outlines"
+    if not wrong.any():
+        return light, PlanStep(stage, False, "the texture has every outline of the light", evidence)
+    band = binary_dilation(wrong, iterations=max(1, round(_BAND * max(light.shape)))) & usable
+    spread = integrate_gradients(log_light, band, usable & ~band, wanted[0], wanted[1])
+    reason = "outlines that the texture does not show are spread"
+    return np.where(band, np.exp(spread), light), PlanStep(stage, True, reason, evidence)
+
+
+def _seen_share(
+    light: tuple[FloatArray, FloatArray],
+    texture: tuple[FloatArray, FloatArray],
+    edges: list[BoolArray],
+    shape: tuple[int, ...],
+) -> FloatArray:
+    """Return (H, W) the slope, from 0 to 1, of the texture's steps over the light's around each texel."""
+    common, square = np.zeros(shape), np.zeros(shape)
+    for axis, s, t, edge in zip((1, 0), light, texture, edges, strict=True):
+        first, _ = _ends(axis)
+        # A step of the texture far larger than the light's is another thing: a hair, a rim.
+        limited = np.clip(t, -2 * np.abs(s), 2 * np.abs(s))
+        common[first] += np.where(edge, s * limited, 0)
+        square[first] += np.where(edge, s * s, 0)
+    sigma = _AROUND * max(shape)
+    common, square = (gaussian_filter(field, sigma, mode="constant") for field in (common, square))
+    return np.asarray(np.clip(common / np.maximum(square, 1e-12), 0, 1))
+
+
+def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the slices of the first and the second texels of the pairs along an axis."""
+    if axis == 1:
+        return (slice(None), slice(None, -1)), (slice(None), slice(1, None))
+    return (slice(None, -1), slice(None)), (slice(1, None), slice(None))
+
+
+def _pairs(chosen: BoolArray, axis: int) -> BoolArray:
+    first, second = _ends(axis)
+    return np.asarray(chosen[first] & chosen[second])
+
+
+def _of_pairs(field: FloatArray, axis: int) -> FloatArray:
+    first, second = _ends(axis)
+    return np.asarray(0.5 * (field[first] + field[second]))

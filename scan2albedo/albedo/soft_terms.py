@@ -1,0 +1,84 @@
+"""Soft light in the search: ambient occlusion, an environment in harmonics, one bounce; with derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, SoftState
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.lighting.environment_light import open_transfer
+from scan2albedo.lighting.interreflection import Bounce
+
+DARKEST = 0.03
+"""Light below this part of the ambient counts as this: harmonics may turn negative, light may not."""
+_RIDGE = 3e-3
+"""Part of the cost by which harmonics of sum of squares 1 have to pay: without it they take the albedo's own
+slow changes for light, and lamps for environments."""
+
+
+@dataclass(frozen=True)
+class SoftTerms:
+    """What soft light needs to know of N points: their `transfer` (N, 9), and their `bounce`.
+
+        I = E + rho B(I - E0),   E = E0 + sum_k c_k T_k + lamps,   E0 = T_0 + f (1 - T_0),
+
+    with the shadowed transfer T_k of the harmonics Y_k / Y_0 (T_0 is ambient occlusion), the fill f, and the
+    bounce B of light on albedo 1. Bounced ambient light is part of the fill.
+    """
+
+    transfer: FloatArray
+    bounce: Bounce | None
+
+    @classmethod
+    def unshadowed(cls, normal: FloatArray) -> SoftTerms:
+        """Return those of points from which nothing is hidden."""
+        return cls(open_transfer(normal), None)
+
+    def ambient(self, fill: float) -> FloatArray:
+        """Return (N,) E0."""
+        return np.asarray(fill + (1 - fill) * self.transfer[:, 0])
+
+    def columns(self, state: SoftState, lamps: FloatArray) -> FloatArray:
+        """Return (L + 10, N) the parts of I that may differ in colour.
+
+        They are the `lamps` (L, N), ambient light, eight harmonics, bounced light.
+        """
+        harmonics = (self.transfer[:, 1:] * state.harmonics).T
+        direct = lamps.sum(0) + harmonics.sum(0)
+        bounced = np.zeros_like(direct)
+        if self.bounce is not None and state.bounce:
+            bounced = state.bounce * self.bounce(direct)
+        return np.vstack([lamps, self.ambient(state.fill), harmonics, bounced])
+
+    def add(self, model: LightModel, x: FloatArray, light: FloatArray, slopes: FloatArray) -> None:
+        """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (P, N) follow."""
+        state, direct = model.soft(x), light - 1
+        if model.environment:
+            first = model.position_of("environment")
+            slopes[first : first + HARMONICS] = self.transfer[:, 1:].T
+            direct = direct + self.transfer[:, 1:] @ state.harmonics
+        received = np.zeros_like(light)
+        if model.bounce:
+            at = model.position_of("bounce")
+            slopes[at] = 0
+            if self.bounce is not None:
+                received = self.bounce(direct)
+                slopes += state.bounce * self.bounce(slopes)
+                slopes[at] = received
+        if model.occlusion:
+            slopes[model.position_of("occlusion")] = 1 - self.transfer[:, 0]
+        light[:] = self.ambient(state.fill) + direct + state.bounce * received
+        dark = light < DARKEST
+        light[dark] = DARKEST
+        slopes[:, dark] = 0
+
+
+def ridge(model: LightModel, x: FloatArray) -> tuple[float, FloatArray]:
+    """Return the cost of the harmonics in x (P,), and (P,) the diagonal of its second derivatives."""
+    weight = np.zeros(model.size)
+    if model.environment:
+        first = model.position_of("environment")
+        weight[first : first + HARMONICS] = 2 * _RIDGE
+    return 0.5 * float(weight @ x**2), weight

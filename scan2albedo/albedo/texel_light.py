@@ -1,0 +1,93 @@
+"""The light that a search found, on every texel: lamps with exact shadows, soft light, and colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scan2albedo.albedo.light_parameters import HARMONICS
+from scan2albedo.albedo.lit_image import LightFound, LitImage
+from scan2albedo.albedo.result import LitSurface, shade_image
+from scan2albedo.albedo.soft_terms import DARKEST
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.point_light import PointLight
+from scan2albedo.lighting.shading import Reflectance
+
+
+@dataclass(frozen=True)
+class TexelLight:
+    """The light on the N masked texels, and what it comes from."""
+
+    light: FloatArray
+    """(N,) mean over the channels."""
+    light_linear: FloatArray
+    """(N, 3)."""
+    specular: FloatArray
+    """(N,) in the unit of the texture."""
+    visible: FloatArray
+    """(N,) 0 where some lamp is hidden."""
+    cast: FloatArray
+    """(N,) 1 where some lamp's cast shadow lies."""
+    lights: tuple[PointLight, ...]
+    """Strongest first, in their colours."""
+    environment: EnvironmentLight | None
+    """None for the constant white ambient light of 1."""
+    reflectance: Reflectance
+    """With the highlight in the unit of the texture."""
+
+
+def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
+    """Return the light found on the image at its full size."""
+    state = found.solution.hypothesis
+    strength = state.reflectance.specular_strength * found.unit
+    reflectance, lamps = replace(state.reflectance, specular_strength=strength), state.lights()
+    offset = scene.options.shadow_offset_mm
+    lit = shade_image(scene.image, lamps, reflectance, scene.view, found.caster, offset)
+    colors = _strongest_first(found)
+    environment, light = _with_soft_light(scene, found, lit, colors)
+    return TexelLight(
+        light.mean(-1),
+        light,
+        lit.shading.specular,
+        lit.visible.min(0, initial=1),
+        lit.cast.max(0, initial=0),
+        tuple(_coloured(lamp, color) for lamp, color in zip(lamps, colors, strict=False)),
+        environment,
+        reflectance,
+    )
+
+
+def _strongest_first(found: LightFound) -> FloatArray:
+    """Return (K, 3) the colours of the light's parts, lamps in the order of the public lights."""
+    count = found.solution.model.lights
+    colors = np.ones((count + HARMONICS + 2, 3)) if found.colors is None else found.colors.copy()
+    colors[:count] = colors[np.argsort(-found.solution.hypothesis.rows[:, 4], kind="stable")]
+    return colors
+
+
+def _with_soft_light(
+    scene: LitImage, found: LightFound, lit: LitSurface, colors: FloatArray
+) -> tuple[EnvironmentLight | None, FloatArray]:
+    """Return the environment and all light (N, 3) in its colours."""
+    model = found.solution.model
+    if (colors == 1).all() and not (model.occlusion or model.bounce or model.environment):
+        return None, lit.shading.light_linear
+    state = model.soft(found.solution.x)
+    terms = scene.soft_texels(scene.level(scene.options.sizes[2]))
+    columns = terms.columns(state, lit.shading.lamps)
+    harmonics = np.append(1.0, state.harmonics)[:, None] * colors[model.lights : -1]
+    environment = EnvironmentLight(
+        harmonics, occluded=found.caster is not None, fill=state.fill, bounce=state.bounce
+    )
+    return environment, np.maximum(columns.T @ colors, DARKEST)
+
+
+def _coloured(lamp: PointLight, color: FloatArray) -> PointLight:
+    """Return the lamp in a colour (3,), whose mean goes into the intensity."""
+    mean = float(color.mean())
+    if (color == 1).all() or mean <= 0:
+        return lamp
+    red, green, blue = (color / mean).tolist()
+    return replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))

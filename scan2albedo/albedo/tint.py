@@ -1,0 +1,45 @@
+"""The colours of a light's parts, and what they do to the colours of a surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.albedo.light_colour import solve_colours
+from scan2albedo.albedo.light_parameters import Solution
+from scan2albedo.albedo.residual_objective import ResidualProblem
+from scan2albedo.albedo.soft_terms import DARKEST
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.plan import PlanStep
+
+
+@dataclass(frozen=True)
+class Tint:
+    """`colors` (K, 3) of the parts of a solution's light, in the order of `SoftTerms.columns`."""
+
+    solution: Solution
+    colors: FloatArray
+    step: PlanStep
+
+    @classmethod
+    def of(cls, problem: ResidualProblem, solution: Solution, choice: bool | None = None) -> Tint:
+        """Solve the colours on the cells of `problem`, which has no guide."""
+        point = problem.at(solution.model, solution.x)
+        columns = point.columns().T
+        white = np.ones(columns.shape[1])
+        known = problem.level.color, point.highlight(), problem.weight, problem.blocks
+        found = solve_colours(columns, white, *known, choice=choice)
+        return cls(solution, found.colors, found.step)
+
+    @property
+    def white(self) -> bool:
+        """Whether all parts are white."""
+        return bool((self.colors == 1).all())
+
+    def at(self, problem: ResidualProblem) -> FloatArray | None:
+        """Return (N, 3) by what the light multiplies the colours of the cells; None for white light."""
+        if self.white:
+            return None
+        columns = problem.at(self.solution.model, self.solution.x).columns()
+        return np.maximum(columns.T @ self.colors, DARKEST) / np.maximum(columns.sum(0), DARKEST)[:, None]

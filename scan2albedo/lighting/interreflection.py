@@ -1,0 +1,105 @@
+"""Light that a surface sends onto itself, and values that are interpolated along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.shadow_map import shadow_offset_mm
+
+_DIRECTIONS = 128
+"""Rays from each patch."""
+_NORMAL_MM = 20.0
+"""Distance that counts as much as a turn of the normal by 1 rad when points are looked up."""
+_NEIGHBOURS, _SMALLEST_MM = 4, 0.5
+"""Points that a value is interpolated from, and the distance below which all weigh the same."""
+
+
+@dataclass(frozen=True)
+class SurfaceLookup:
+    """Interpolation of values known at points of a surface to others on it, along the surface.
+
+    `keys` (M, 6) are position in mm and scaled normal: a value does not leak to the other side of a fold.
+    """
+
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, position: FloatArray, normal: FloatArray) -> SurfaceLookup:
+        """Return the lookup of values at M points."""
+        return cls(cKDTree(_keys(position, normal)))
+
+    def weights(self, position: FloatArray, normal: FloatArray) -> sparse.csr_matrix:
+        """Return (N, M) weights, rows summing to 1, of the values at N points."""
+        count = min(_NEIGHBOURS, self.tree.n)
+        far, index = self.tree.query(_keys(position, normal), range(1, count + 1))
+        weight = 1 / (far + _SMALLEST_MM) ** 2
+        weight /= weight.sum(1, keepdims=True)
+        rows = np.repeat(np.arange(len(position)), count)
+        shape = len(position), self.tree.n
+        return sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), shape)
+
+
+def _keys(position: FloatArray, normal: FloatArray) -> FloatArray:
+    return np.column_stack([position, _NORMAL_MM * normal])
+
+
+@dataclass(frozen=True)
+class Bounce:
+    """One bounce of light from a surface onto itself, as seen from some of its points.
+
+        B(x) = integral of V_hit(x, w) D(y(x, w)) max(0, n.w) / pi dw
+
+    for light D on the surface and albedo 1: M patches exchange it by `factors` (M, M), whose rows sum to the
+    hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N).
+
+    References
+    ----------
+    .. [1] C. Goral, K. Torrance, D. Greenberg, B. Battaile, "Modeling the interaction of light between
+       diffuse surfaces", SIGGRAPH 1984.
+    """
+
+    factors: FloatArray
+    up: sparse.csr_matrix
+    down: sparse.csr_matrix
+
+    def __call__(self, light: FloatArray) -> FloatArray:
+        """Return the bounced light (..., N) of `light` (..., N)."""
+        return np.asarray((self.up @ (self.factors @ (self.down @ light.T))).T)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """M patches of a surface and the form factors between them."""
+
+    lookup: SurfaceLookup
+    factors: FloatArray
+
+    @classmethod
+    def of(cls, caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float) -> Patches:
+        """Return the patches around points (M, 3): a ray counts for the patch nearest to where it hits."""
+        origin = position + shadow_offset_mm(caster.size, offset_mm) * normal
+        nearest, factors = cKDTree(position), np.zeros((len(position), len(position)))
+        for direction in distant_directions(_DIRECTIONS):
+            cosine = normal @ direction
+            rows = np.flatnonzero(cosine > 0)
+            hits = caster.first_hit(origin[rows], direction)
+            hit = hits.face >= 0
+            rows, at = rows[hit], origin[rows[hit]] + hits.distance[hit, None] * direction
+            column = nearest.query(at)[1]
+            # Light leaves the outer side alone: a ray that meets the inner side passed a hole.
+            outer = normal[column] @ direction < 0
+            np.add.at(factors, (rows[outer], column[outer]), cosine[rows[outer]] * 4 / _DIRECTIONS)
+        return cls(SurfaceLookup.of(position, normal), factors)
+
+    def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:
+        """Return the bounce onto and from N points."""
+        up = self.lookup.weights(position, normal)
+        total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
+        return Bounce(self.factors, up, sparse.diags(1 / total) @ up.T)
