@@ -30,7 +30,7 @@ _LIT = 0.02
 which do not follow the light."""
 _BLACK = 1e-3
 """Parts of the median below which logarithms are not taken."""
-_TELLING = 0.3
+_TELLING = 0.12
 """Part of log V's local change that hue has to explain to be used."""
 
 

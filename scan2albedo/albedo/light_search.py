@@ -24,7 +24,7 @@ from scan2albedo.albedo.model_selection import (
     undecided,
 )
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend, one_step
-from scan2albedo.albedo.tint import Tint
+from scan2albedo.albedo.tint import Tint, tint_on
 from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
@@ -35,6 +35,8 @@ _SPLIT_RAD = 0.2, 0.4
 """Half the angles between the two lights that replace one."""
 _CLOSER_LOOK = 0.5
 """Part of the required gain that one more light must bring on the smallest image to be tried on others."""
+_NEARLY = 1.3
+"""How many times the best cost soft light alone may cost for lamps to be sought beside it."""
 _LAST_EVALUATIONS = 8
 """Of the descent on the largest image, which starts near its end."""
 _LEAST_EVALUATIONS = 4
@@ -54,7 +56,8 @@ class LightSearch:
         current, steps = self._environment(*self._lamps(lights), lights)
         steps = [self.scene.shadows[1], *steps]
         if meter.exhausted:
-            return self._found(current, [*steps, *undecided(current.model, options)])
+            late = PlanStep("albedo.light_colour", False, "the budget ended before it")
+            return self._found(current, _once([*steps, *undecided(current.model, options), late]))
         return self._with_parts(current, steps)
 
     def _lamps(self, lights: int | None) -> tuple[Solution, PlanStep]:
@@ -111,7 +114,11 @@ class LightSearch:
             return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
         tried = [both] if choice else [lamps, both]
         if lights is None:
-            tried += self._with_fewer_lamps(both) + self._with_more_lamps(self._without_lamps(model))
+            tried += self._with_fewer_lamps(both)
+            alone = self._without_lamps(model)
+            # Where soft light alone leaves much, the lamps found without it are better starts.
+            near = _price(alone) < _NEARLY * min(map(_price, tried))
+            tried += self._with_more_lamps(alone) if near else [alone]
         best = min(tried, key=_price)
         self._record(best)
         count = best.model.lights
@@ -153,7 +160,7 @@ class LightSearch:
         decided = decide_parts(self._unguided, current, options, self._tint)
         self._record(decided.solution)
         highlight = largest.at(current.model, current.x).highlight() if decided.highlight else None
-        guided = largest.guided(highlight, self._tint.at(largest))
+        guided = largest.guided(highlight, tint_on(largest, self._tint))
         best = descend(guided, decided.solution.model, decided.solution.x, _LAST_EVALUATIONS)
         best = best if math.isfinite(best.cost) else decided.solution
         explained = guided.guide.explained
@@ -168,7 +175,7 @@ class LightSearch:
         # Last, so that the trace ends with all evaluations spent.
         self._record(best)
         return replace(
-            self._found(best, [*steps, *decided.steps, guide, tint.step]),
+            self._found(best, _once([*steps, *decided.steps, guide, tint.step])),
             colors=tint.colors,
             uncertainty=sure,
             albedo_deviation=cell_image(guided.level, cells, self.scene.image.mask),
@@ -179,9 +186,11 @@ class LightSearch:
         return self._tinted(0)
 
     @cached_property
-    def _tint(self) -> Tint:
+    def _tint(self) -> Tint | None:
         """What the light does to colours, by a first estimate on the smallest image without their guide."""
         problem = self._problem(0)
+        if self.scene.meter.exhausted:
+            return None
         model = self.scene.model(0)
         for part in ("occlusion", "bounce", "environment"):
             model = model.with_part(part)
@@ -193,7 +202,7 @@ class LightSearch:
 
     def _tinted(self, k: int) -> ResidualProblem:
         problem = self._problem(k)
-        return problem.guided(None, self._tint.at(problem))
+        return problem.guided(None, tint_on(problem, self._tint))
 
     @cached_property
     def _unguided(self) -> ResidualProblem:
@@ -201,7 +210,7 @@ class LightSearch:
 
     @cached_property
     def _middle(self) -> ResidualProblem:
-        return self._unguided.guided(None, self._tint.at(self._unguided))
+        return self._unguided.guided(None, tint_on(self._unguided, self._tint))
 
     @cached_property
     def _largest(self) -> ResidualProblem:
@@ -232,7 +241,9 @@ class LightSearch:
         best = min([*polished, tried[0]] if meter.exhausted else polished, key=lambda s: s.cost)
         self._record(best)
         for part in allowed_parts(self.scene.brdf, self.scene.options):
-            if not meter.exhausted:
+            # An environment, which can stand for lamps, is tried when they are found.
+            alone = part in ("occlusion", "bounce") and self.scene.shadows[0] is None
+            if not (meter.exhausted or alone or part == "environment"):
                 freed = best.model.with_part(part)
                 best = self._descend(self._middle, freed, best.model.extend(best.x, freed))
         self._record(best)
@@ -332,6 +343,11 @@ def _without_weakest(solution: Solution) -> tuple[LightModel, FloatArray]:
     tail = solution.model.extend(solution.x, model)[3 * solution.model.lights :]
     lamps = np.delete(solution.x[: 3 * solution.model.lights], slice(3 * weakest, 3 * weakest + 3))
     return model, np.concatenate([lamps, tail])
+
+
+def _once(steps: list[PlanStep]) -> list[PlanStep]:
+    """Return the first row of each stage."""
+    return list({step.stage: step for step in reversed(steps)}.values())[::-1]
 
 
 def _price(solution: Solution) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend
-from scan2albedo.albedo.tint import Tint
+from scan2albedo.albedo.tint import Tint, tint_on
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 
@@ -26,6 +26,9 @@ _LIGHT_SHARE = 0.1
 """Intensity that every light has to have, as a part of the strongest one's."""
 _LEAST_INTENSITY = 0.15
 """Intensity that it has to have, as a part of the ambient light's."""
+_NEAREST = 0.35
+"""Largest part that the surface's radius may be of a lamp's distance: lamps of a head are farther than some
+0.3 m, and nearer ones fit hair and beard."""
 _LIGHT_ANGLE_RAD = 0.26
 """Angle between two lights below which they may be one broad light: an image fits both."""
 _LIGHT_DIRECTION_RAD, _LIGHT_INTENSITY = 0.12, 0.7
@@ -115,6 +118,7 @@ def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) ->
     share = float(intensities.min() / intensities.max())
     effect, lit = albedo_change(problem, more, fewer), _lit_share(problem, more)
     closest, (spread, unsure) = _smallest_angle(more), _lamp_deviations(problem, more)
+    nearness = more.model.radius_mm * float(more.hypothesis.rows[:, 3].max())
     worth_it = (
         gain >= LIGHT_GAIN
         and share >= _LIGHT_SHARE
@@ -123,6 +127,7 @@ def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) ->
         and lit >= _LIT_SHARE
         and spread <= _LIGHT_DIRECTION_RAD
         and unsure <= _LIGHT_INTENSITY
+        and nearness <= _NEAREST
     )
     one_or_two = worth_it and closest < _LIGHT_ANGLE_RAD
     evidence = (
@@ -131,9 +136,10 @@ def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) ->
         f"{100 * share:.0f} % as strong as the strongest ({100 * _LIGHT_SHARE:g} % asked), "
         f"{intensities.min():.2g} times the ambient light ({_LEAST_INTENSITY:g} asked), lights "
         f"{100 * lit:.0f} % of the surface ({100 * _LIT_SHARE:g} % asked), its strength known to "
-        f"{100 * unsure:.0f} % ({100 * _LIGHT_INTENSITY:g} % asked), {math.degrees(closest):.0f} deg from the "
-        f"next, its direction known to {math.degrees(spread):.1f} deg "
-        f"({math.degrees(_LIGHT_DIRECTION_RAD):.1f} asked)"
+        f"{100 * unsure:.0f} % ({100 * _LIGHT_INTENSITY:g} % asked), "
+        f"{math.degrees(closest):.0f} deg from the next, its direction known to "
+        f"{math.degrees(spread):.1f} deg ({math.degrees(_LIGHT_DIRECTION_RAD):.1f} asked), the surface's "
+        f"radius {100 * nearness:.0f} % of its distance (at most {100 * _NEAREST:g} %)"
     )
     return LightEvidence(gain, worth_it and not one_or_two, one_or_two, evidence)
 
@@ -193,14 +199,14 @@ def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
 
 
 def decide_parts(
-    problem: ResidualProblem, full: Solution, options: EstimateOptions, tint: Tint
+    problem: ResidualProblem, full: Solution, options: EstimateOptions, tint: Tint | None
 ) -> PartsDecided:
     """Divide out the texture that colour predicts, then leave out the parts that the scene does not need.
 
     `full` is an optimum, every allowed part free, of `problem`, which has no guide yet.
     """
     rows = list[PlanStep]()
-    current, chosen, highlight = _decide_highlight(problem, full, options, tint.at(problem), rows)
+    current, chosen, highlight = _decide_highlight(problem, full, options, tint_on(problem, tint), rows)
     for name in ("environment", "near", "rough", "bounce", "occlusion"):
         part = PARTS[name]
         if not current.model.has(name) or chosen.meter.exhausted:

@@ -86,7 +86,7 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     meter, options = scene.meter, scene.options
     middle, largest = (DeviationProblem(scene, scene.level(size)) for size in options.sizes[1:])
     model = scene.model(1)
-    for name in allowed_parts(scene.brdf, options):
+    for name in set(allowed_parts(scene.brdf, options)) & {"near", "rough", "specular"}:
         model = model.with_part(name)
     best = _annealed(middle, model, model.from_lights(scene.directions[:1], np.ones(1)), seed)
     meter.record(largest.cost(best.model, best.x, rays=True))

@@ -32,14 +32,10 @@ class Tint:
         found = solve_colours(columns, white, *known, choice=choice)
         return cls(solution, found.colors, found.step)
 
-    @property
-    def white(self) -> bool:
-        """Whether all parts are white."""
-        return bool((self.colors == 1).all())
 
-    def at(self, problem: ResidualProblem) -> FloatArray | None:
-        """Return (N, 3) by what the light multiplies the colours of the cells; None for white light."""
-        if self.white:
-            return None
-        columns = problem.at(self.solution.model, self.solution.x).columns()
-        return np.maximum(columns.T @ self.colors, DARKEST) / np.maximum(columns.sum(0), DARKEST)[:, None]
+def tint_on(problem: ResidualProblem, tint: Tint | None) -> FloatArray | None:
+    """Return (N, 3) by what the light multiplies the colours of the cells; None for white light."""
+    if tint is None or (tint.colors == 1).all():
+        return None
+    columns = problem.at(tint.solution.model, tint.solution.x).columns()
+    return np.maximum(columns.T @ tint.colors, DARKEST) / np.maximum(columns.sum(0), DARKEST)[:, None]

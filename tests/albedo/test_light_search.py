@@ -312,7 +312,8 @@ def test_the_trace_never_counts_backwards_and_ends_with_the_best(one_light_scene
     rows = estimate_albedo(one_light_scenes["skin"].image, 1).trace.rows
     counts = [row.evaluations for row in rows]
     assert counts == sorted(counts)
-    assert rows[-1].error <= 1.02 * min(row.error for row in rows)
+    # Parts of the light that do not pay are left out at the end.
+    assert rows[-1].error <= 1.06 * min(row.error for row in rows)
     assert rows[-1].error < 0.9 * rows[0].error
 
 
