@@ -127,7 +127,7 @@ for _name, _told, _made in (
         "least distance",
         {"lights": (light_at(30, distance_mm=100.0, intensity=0.5),)},
     ),
-    ("highlight of strength 1e3", "greatest intensity", {"material": Material(0.3, 1e3, 20.0)}),
+    ("highlight of strength 1e3", "times its median", {"material": Material(0.3, 1e3, 20.0)}),
 ):
 
     @CASES.extreme(STAGE, _name, "measured warning")
