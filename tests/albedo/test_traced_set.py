@@ -1,0 +1,40 @@
+"""Ceilings on the path-traced set that S2A_TRACED names: rooms and skies that nothing here rendered."""
+
+import pytest
+from benchmarks.traced_set import VARIABLE, load_image, scene_names, score, traced_folder
+
+import scan2albedo as s2a
+
+FOLDER = traced_folder()
+NAMES = [] if FOLDER is None else scene_names(FOLDER, "images")
+CEILINGS = {
+    "dome": 2.0,
+    "sky": 5.5,
+    "softboxes6": 2.2,
+    "softboxes2": 1.3,
+    "softbox_side": 2.3,
+    "window": 12.0,
+    "ring": 2.0,
+    "lamp_room": 8.5,
+    "flash": 1.2,
+    "flash_near": 1.0,
+    "flashes2": 1.0,
+    "sun": 9.0,
+}
+"""MSE of V in percent that neither of two people's albedo may exceed."""
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        FOLDER is None, reason=f"{VARIABLE} names no folder made by tools/build_traced_scans.py"
+    ),
+]
+
+
+@pytest.mark.parametrize("name", NAMES or ["the set"])
+def test_the_albedo_stays_below_its_ceiling(name):
+    scene = load_image(FOLDER, name)
+    light = name.removeprefix("soft_").rsplit("_", 1)[0]
+    estimate = s2a.estimate_albedo(scene.image, seed=0)
+    error = score(estimate.albedo_linear.astype(float), scene.albedo_linear, scene.judged)
+    assert error.value_percent < CEILINGS[light]
