@@ -75,7 +75,8 @@ class AlbedoEstimate:
         """Return (H, W, 3) the linear texture under other lights in their colours, with shadows.
 
         T = A (I_a + I_d) + I_s with the estimated reflectance; highlights are white, as those removed were.
-        I_a is 1 without an environment; give the estimate's own for the light of the scan.
+        I_a is 1 without an environment; give the estimate's own for the light of the scan. With one, the
+        surface also throws light onto itself, if its `bounce` says so.
         """
         mask = self.image.mask
         shading = shade_image(
@@ -141,6 +142,6 @@ def shade_image(
         specular_scale=None if image.specular_scale is None else image.specular_scale[mask],
     )
     if environment is not None:
-        soft = shading.light_linear - 1 + environment_light_on(environment, hidden)
+        soft = environment_light_on(environment, hidden, shading.light_linear - 1)
         shading = replace(shading, light=soft.mean(-1), light_linear=soft)
     return LitSurface(shading, visible, facing - visible)

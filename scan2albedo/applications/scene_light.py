@@ -98,14 +98,12 @@ def shade(
 
     as in `lighting.shading`, with a colour a lamp, in its highlights too, and a viewer a point: `view`, (3,)
     or (N, 3), unit. Both are linear in the lamps. `specular_scale` (N,) multiplies the highlights. A shadow
-    ray and a reflectance are computed for each lamp and point that faces it.
+    ray and a reflectance are computed for each lamp and point that faces it. Soft light brings along what the
+    surface throws onto itself of all light.
     """
     position, normal = shadows.position, shadows.normal
     toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
-    diffuse = np.tile(light.ambient, (len(normal), 1))
-    if light.soft is not None:
-        diffuse += environment_light_on(light.soft, shadows)
-    specular = np.zeros_like(diffuse)
+    diffuse, specular = np.zeros((2, len(normal), 3))
     for direction, distance, radius, intensity in zip(
         light.directions, light.distances_mm, light.radii_deg, light.intensity, strict=True
     ):
@@ -116,5 +114,8 @@ def shade(
         diffuse += factors.diffuse[:, None] * intensity
         if reflectance.specular_strength > 0:
             specular += factors.highlight[:, None] * intensity
+    if light.soft is not None:
+        diffuse = environment_light_on(light.soft, shadows, diffuse)
+    diffuse += light.ambient
     scale = np.ones(len(normal)) if specular_scale is None else specular_scale
     return Shaded(diffuse, reflectance.specular_strength * scale[:, None] * specular)

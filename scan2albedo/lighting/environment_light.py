@@ -8,6 +8,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.interreflection import Bounce
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 _ORDER = 2
@@ -69,14 +70,23 @@ def shadowed_transfer(shadows: ShadowMap, directions: int = _DIRECTIONS) -> Floa
     return np.asarray(part + share * (free - whole))
 
 
-def environment_light_on(environment: EnvironmentLight, shadows: ShadowMap) -> FloatArray:
-    """Return (N, 3) the environment's light on the points of `shadows`, 0 or more.
+def environment_light_on(
+    environment: EnvironmentLight, shadows: ShadowMap, lamps: FloatArray | None = None
+) -> FloatArray:
+    """Return (N, 3) the light on the points of `shadows`, 0 or more, of environment and `lamps` (N, 3).
 
-        I = c_0 (t_0 + fill (1 - t_0)) + sum_(k > 0) c_k t_k
+        I = c_0 (t_0 + fill (1 - t_0)) + D + bounce B(D),   D = lamps + sum_(k > 0) c_k t_k
 
-    with the transfer t of each point. The bounce is not part of it, for it comes from all lights together.
+    with the transfer t of each point, and B of `interreflection.Bounce`. What the surface throws back of the
+    constant light is part of the fill.
     """
     occluded = environment.occluded
     transfer = shadowed_transfer(shadows) if occluded else open_transfer(shadows.normal)
     transfer[:, 0] += environment.fill * (1 - transfer[:, 0])
-    return np.maximum(transfer @ environment.coefficients, 0.0)
+    light = transfer @ environment.coefficients
+    if lamps is not None:
+        light += lamps
+    if environment.bounce and shadows.caster is not None:
+        direct = light - transfer[:, :1] * environment.coefficients[0]
+        light += environment.bounce * Bounce.between(shadows)(direct.T).T
+    return np.maximum(light, 0.0)

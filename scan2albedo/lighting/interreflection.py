@@ -11,12 +11,14 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
-from scan2albedo.lighting.shadow_map import shadow_offset_mm
+from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 
 _DIRECTIONS = 128
 """Rays from each patch."""
 _NORMAL_MM = 20.0
 """Distance that counts as much as a turn of the normal by 1 rad when points are looked up."""
+_CELLS = 28
+"""Patches along the longest side of the points, of which they are chosen."""
 _NEIGHBOURS, _SMALLEST_MM = 4, 0.5
 """Points that a value is interpolated from, and the distance below which all weigh the same."""
 
@@ -68,6 +70,17 @@ class Bounce:
     factors: FloatArray
     up: sparse.csr_matrix
     down: sparse.csr_matrix
+
+    @classmethod
+    def between(cls, shadows: ShadowMap) -> Bounce:
+        """Return that between the points of `shadows`, which have a caster; patches are some of them."""
+        assert shadows.caster is not None
+        position, normal = shadows.position, shadows.normal
+        low, high = position.min(0), position.max(0)
+        edge = max(float((high - low).max()), 1e-9) / _CELLS
+        some = np.unique(((position - low) / edge).astype(np.int64), axis=0, return_index=True)[1]
+        patches = Patches.of(shadows.caster, position[some], normal[some], shadows.offset_mm)
+        return patches.seen_from(position, normal)
 
     def __call__(self, light: FloatArray) -> FloatArray:
         """Return the bounced light (..., N) of `light` (..., N)."""

@@ -1,0 +1,153 @@
+"""One bounce of light off a surface, and values looked up along it, against closed forms."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.core import EnvironmentLight
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.environment_light import environment_light_on, shadowed_transfer
+from scan2albedo.lighting.interreflection import Bounce, Patches, SurfaceLookup
+from scan2albedo.lighting.shadow_map import ShadowMap
+
+OFFSET_MM = 0.01
+
+
+def _inside_of(mesh, keep=None):
+    """Return what casts rays, and the centres and inner normals of its faces."""
+    faces = mesh.faces if keep is None else mesh.faces[keep]
+    center = mesh.vertices[faces].mean(1)
+    normal = np.cross(
+        mesh.vertices[faces[:, 1]] - mesh.vertices[faces[:, 0]],
+        mesh.vertices[faces[:, 2]] - mesh.vertices[faces[:, 0]],
+    )
+    normal /= -np.linalg.norm(normal, axis=1, keepdims=True)
+    return RayCaster(np.asarray(mesh.vertices), np.asarray(faces)), center, normal
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return _inside_of(trimesh.creation.icosphere(3, 50.0))
+
+
+@pytest.fixture(scope="module")
+def bowl():
+    mesh = trimesh.creation.icosphere(3, 50.0)
+    return _inside_of(mesh, mesh.triangles_center[:, 2] < 0)
+
+
+def test_inside_a_sphere_every_patch_sees_all_others_alike(sphere):
+    patches = Patches.of(*sphere, OFFSET_MM)
+    count = len(patches.factors)
+    assert patches.factors.sum(1) == pytest.approx(np.ones(count), abs=0.01)
+    # The same 128 directions from everywhere: only sums over many patches are smooth.
+    half = sphere[1][:, 0] > 0
+    assert patches.factors[:, half].sum(1) == pytest.approx(np.full(count, half.mean()), abs=0.08)
+    assert patches.factors[:, half].sum(1).mean() == pytest.approx(half.mean(), abs=0.01)
+
+
+def test_inside_a_sphere_bounced_light_is_the_mean_light_everywhere(sphere):
+    caster, center, normal = sphere
+    bounce = Patches.of(caster, center, normal, OFFSET_MM).seen_from(center, normal)
+    light = 1 + 0.5 * center[:, 0] / 50
+    bounced = bounce(np.stack([np.ones_like(light), light]))
+    assert bounced[0] == pytest.approx(np.ones_like(light), abs=0.03)
+    assert bounced[1].mean() == pytest.approx(light.mean(), abs=0.01)
+    assert bounced[1].std() < 0.03
+
+
+def test_a_bowl_hides_half_of_the_hemisphere_from_each_of_its_points(bowl):
+    """Its part of the sphere's area is the form factor from every point; the rim has teeth."""
+    caster, center, normal = bowl
+    hidden = Patches.of(caster, center, normal, OFFSET_MM).factors.sum(1)
+    part = len(center) / 1280
+    assert part == pytest.approx(0.5, abs=0.02)
+    assert hidden == pytest.approx(np.full(len(center), part), abs=0.08)
+    assert hidden.mean() == pytest.approx(part, abs=0.01)
+
+
+def test_rows_sum_to_what_ambient_occlusion_leaves(bowl):
+    caster, center, normal = bowl
+    factors = Patches.of(caster, center, normal, OFFSET_MM).factors
+    open_part = shadowed_transfer(ShadowMap(caster, center, normal, OFFSET_MM))[:, 0]
+    assert np.std(factors.sum(1) - (1 - open_part)) < 0.04
+    assert factors.sum(1).mean() == pytest.approx(1 - open_part.mean(), abs=0.01)
+
+
+def test_faces_of_a_cube_have_form_factors_of_a_fifth():
+    """0.1998 to the opposite one, 0.2000 to each beside it."""
+    mesh = trimesh.creation.box([100, 100, 100])
+    for _ in range(3):
+        mesh = mesh.subdivide()
+    caster, center, normal = _inside_of(mesh)
+    factors = Patches.of(caster, center, normal, 0.01).factors
+    side = 3 * (normal.min(1) < -0.5) + np.abs(normal).argmax(1)
+    between = np.array([[factors[side == a][:, side == b].sum(1).mean() for b in range(6)] for a in range(6)])
+    assert between == pytest.approx((1 - np.eye(6)) / 5, abs=0.012)
+
+
+def test_a_convex_surface_throws_no_light_onto_itself():
+    mesh = trimesh.creation.icosphere(3, 50.0)
+    caster, center, inner = _inside_of(mesh)
+    patches = Patches.of(caster, center, -inner, OFFSET_MM)
+    assert not patches.factors.any()
+    assert not patches.seen_from(center, -inner)(np.ones(len(center))).any()
+
+
+def test_light_that_passes_a_hole_to_an_inner_side_is_not_thrown_back():
+    """The plate above turns its back to the floor: its outer side is the upper one."""
+    plate = trimesh.creation.box([100, 100, 0.1])
+    plate.apply_translation([0, 0, 30])
+    up = np.array([[0.0, 0, 1]])
+    points = np.vstack([[[0.0, 0, 0]], [[0.0, 0, 30.05]]])
+    for turned, hidden in ((1, False), (-1, True)):
+        normal = np.vstack([up, turned * up])
+        factors = Patches.of(RayCaster(plate.vertices, plate.faces), points, normal, OFFSET_MM).factors
+        assert (factors[0, 1] > 0.5) == hidden
+
+
+def test_bounce_between_points_is_that_between_patches(bowl):
+    caster, center, normal = bowl
+    bounce = Bounce.between(ShadowMap(caster, center, normal, OFFSET_MM))
+    assert len(bounce.factors) <= len(center)
+    light = 1 + center[:, 0] / 100
+    whole = Patches.of(caster, center, normal, OFFSET_MM).seen_from(center, normal)
+    assert bounce(light) == pytest.approx(whole(light), abs=0.03)
+    environment = EnvironmentLight(np.zeros((9, 3)), bounce=0.4)
+    shadows = ShadowMap(caster, center, normal, OFFSET_MM)
+    lamps = light[:, None] * [1.0, 0.5, 0.0]
+    lit = environment_light_on(environment, shadows, lamps)
+    assert lit == pytest.approx(lamps + 0.4 * bounce(lamps.T).T)
+
+
+def _fold():
+    """Return two sheets 1 mm apart, back to back."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 60, 4.0), np.arange(0, 60, 4.0)))
+    sheet = np.column_stack([x, y, 0 * x])
+    up = np.tile([0.0, 0, 1], (len(sheet), 1))
+    return sheet, up, np.vstack([sheet, sheet - [0, 0, 1.0]]), np.vstack([up, -up])
+
+
+def test_a_lookup_keeps_constants():
+    _, _, position, normal = _fold()
+    rng = np.random.default_rng(0)
+    anywhere = rng.uniform(0, 60, (50, 3))
+    toward = rng.normal(size=(50, 3))
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    weights = SurfaceLookup.of(position, normal).weights(anywhere, toward)
+    assert weights @ np.full(len(position), 0.7) == pytest.approx(np.full(50, 0.7))
+    assert weights.min() >= 0
+
+
+def test_a_lookup_does_not_leak_across_a_fold():
+    sheet, up, position, normal = _fold()
+    lookup = SurfaceLookup.of(position, normal)
+    value = np.repeat([0.0, 1.0], len(sheet))
+    between = sheet + [1.7, 0.9, 0]
+    assert not (lookup.weights(between, up) @ value).any()
+    assert lookup.weights(between - [0, 0, 1.0], -up) @ value == pytest.approx(np.ones(len(sheet)))
+
+
+def test_a_lookup_of_fewer_points_than_neighbours():
+    lookup = SurfaceLookup.of(np.zeros((1, 3)), np.array([[0.0, 0, 1]]))
+    assert (lookup.weights(np.ones((3, 3)), np.ones((3, 3))) @ [2.0]).tolist() == [2, 2, 2]
