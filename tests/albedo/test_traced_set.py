@@ -8,17 +8,17 @@ import scan2albedo as s2a
 FOLDER = traced_folder()
 NAMES = [] if FOLDER is None else scene_names(FOLDER, "images")
 CEILINGS = {
-    "dome": 2.0,
-    "sky": 5.5,
+    "dome": 0.2,
+    "sky": 0.8,
     "softboxes6": 2.2,
     "softboxes2": 1.3,
     "softbox_side": 2.3,
     "window": 12.0,
-    "ring": 2.0,
-    "lamp_room": 8.5,
-    "flash": 1.2,
+    "ring": 0.55,
+    "lamp_room": 0.45,
+    "flash": 1.7,
     "flash_near": 1.0,
-    "flashes2": 1.0,
+    "flashes2": 0.4,
     "sun": 9.0,
 }
 """MSE of V in percent that neither of two people's albedo may exceed."""
