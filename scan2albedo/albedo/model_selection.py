@@ -324,7 +324,7 @@ def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> floa
     plain = 1.0 if part == "rough" and solution.model.brdf == "minnaert" else 0.0
     variance = float(covariance(problem, solution)[k, k])
     away = abs(float(solution.x[k]) - plain)
-    return away / max(np.sqrt(max(variance, 0.0)), 1e-9)
+    return away / max(math.sqrt(max(variance, 0.0)), 1e-9)
 
 
 def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
