@@ -9,10 +9,10 @@ FOLDER = traced_folder()
 NAMES = [] if FOLDER is None else scene_names(FOLDER, "images")
 CEILINGS = {
     "dome": 0.2,
-    "sky": 0.8,
+    "sky": 0.3,
     "softboxes6": 2.2,
     "softboxes2": 1.3,
-    "softbox_side": 2.3,
+    "softbox_side": 0.6,
     "window": 12.0,
     "ring": 0.55,
     "lamp_room": 0.45,
