@@ -48,9 +48,17 @@ def estimate_albedo(
 ) -> AlbedoEstimate:
     """Estimate the lights of a textured geometry image and return the texture without them.
 
-    The light is found on V of HSV of the linear texture, M_T = M_A (I_d + I_a) + I_s with I_a = 1, as the
-    one whose removal leaves block-wise constant albedo with the least residual; then
-    M_A = (M_T - I_s) / (I_d + I_a), with hue and saturation kept.
+    The light is found on V of HSV of the linear texture as the one whose removal leaves block-wise constant
+    albedo with the least residual:
+
+        M_T = M_A I + I_s,    I = A + D + rho B(D),    A = t_0 + f (1 - t_0),
+        D = sum_l V_l E_l r(n, l, v) + sum_k c_k t_k,
+
+    with ambient light A of strength 1, its occlusion t_0 and fill f; lamps l with visibility V, strength E
+    and reflectance r; an environment in harmonics k of orders 1 and 2, whose light t_k passes the surface's
+    own shadows; one bounce B at the mean albedo rho; and Phong's highlights I_s. Parts enter by evidence;
+    with lamps alone the model is that of [1]_. Then M_A = (M_T - I_s) / I in each channel, where each part
+    of I has its own colour.
 
     Parameters
     ----------
@@ -58,7 +66,7 @@ def estimate_albedo(
         With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not count, but get
         an albedo; the nearest normal then serves.
     lights : "auto" or int
-        Number of lights; "auto" adds lights while the evidence pays for them, one at least.
+        Number of lamps; "auto" adds lamps while the evidence pays for them, and may find none.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
         Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights nor
         highlights: `lights`, the parts and the repairs in `options` do not touch them, and their albedo has a
@@ -93,8 +101,16 @@ def estimate_albedo(
 
     Notes
     -----
-    The plan says that `albedo.limits` ran where a parameter of the light is at an end of its range, such as
-    the least intensity where there is no light, or where the albedo holds light that is not modelled.
+    The plan names each part of the model, whether it is used, and its evidence. `albedo.limits` ran where a
+    parameter of the light is at an end of its range, such as a lamp that touches the skin, or where the
+    albedo holds light that is not modelled.
+
+    Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface cannot
+    be told from pigment: the mean light is white. Texels that are not skin weigh a quarter in the search.
+    White noise is filtered, and outlines of the light that the texture does not show are spread.
+
+    The paper's objective knows lamps under constant white ambient light alone: one lamp at least, no
+    occlusion, environment, bounce, colours or spread outlines.
 
     References
     ----------

@@ -33,9 +33,11 @@ class EstimateOptions:
 
     objective: str = "residual"
     """"residual": what lit block albedos leave of the image, by least squares; "albedo-deviation": the search
-    of Toderici et al., section 3.2, which anneals the deviation of the albedo from its block means."""
+    of Toderici et al., section 3.2, which anneals the deviation of the albedo from its block means, and knows
+    neither soft, bounced nor coloured light."""
     sizes: tuple[int, int, int] = (32, 64, 128)
-    """Longer sides, in cells, of the images that compare starts, choose the model, refine it."""
+    """Longer sides, in cells, of the images that compare starts, choose the model, refine it. Cells of the
+    first exchange the bounced light; those of the third say what the surface hides of soft light."""
     start_directions: int = 60
     """Light directions of which least squares tries a step."""
     starts: int = 3
@@ -43,7 +45,7 @@ class EstimateOptions:
     descent_iterations: int = 12
     """Evaluations of one descent."""
     maximal_lights: int = 3
-    """Most lights that `lights="auto"` tries."""
+    """Most lamps that `lights="auto"` tries; it may find none."""
     shadow_offset_mm: float = 0.2
     """Shadow rays start this far along the normal."""
     saturation_linear: float = 0.995
@@ -51,7 +53,7 @@ class EstimateOptions:
     minimal_texels: int = 64
     """Fewer usable texels than this are an error."""
     shrink: bool = True
-    """Draw the albedo of badly lit texels toward their neighbourhood instead of amplifying noise."""
+    """Filter white noise of the albedo; False keeps the plain quotient."""
     skip: tuple[str, ...] = ()
     """Names of `OPTIONAL_STEPS` to leave out."""
     force: tuple[str, ...] = ()

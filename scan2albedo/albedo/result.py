@@ -27,12 +27,12 @@ class AlbedoEstimate:
     albedo_linear: NDArray[np.float32]
     """(H, W, 3): up to one global scale, which no image determines: ambient light is 1."""
     lights: tuple[PointLight, ...]
-    """Strongest first; empty for spherical harmonics."""
+    """Lamps, strongest first; empty where soft light explains the image, and for spherical harmonics."""
     parameters: dict[str, object]
     """ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
     light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3)."""
     shading: NDArray[np.float32]
-    """(H, W, 3): I_a + I_d of each channel, which divided the texture."""
+    """(H, W, 3): I of each channel (lamps, soft and bounced light), which divided the texture."""
     specular: NDArray[np.float32]
     """(H, W): I_s, which was subtracted from the texture: highlights are white."""
     shadow: NDArray[np.float32]

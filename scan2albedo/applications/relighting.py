@@ -101,7 +101,7 @@ def relight(
         Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x. It shines as
         a weighted sum of distant lights, each the integral over its cell of the sphere.
     environment : EnvironmentLight, optional
-        Soft light in spherical harmonics, without highlights and without its bounce.
+        Soft light in spherical harmonics, without highlights. Its `bounce` holds for all light.
     ambient : float, optional
         Light without direction. When omitted 1, as `AlbedoEstimate.relit` has it, or 0 with an environment of
         either kind, which is all the light there is.

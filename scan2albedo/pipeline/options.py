@@ -57,7 +57,7 @@ class ProcessOptions:
     )
     """Height and width of the geometry image; that of `quality` when omitted."""
     lights: int | str = _option("auto", str, "'auto', or how many.")
-    """1 to 4; "auto" decides by evidence."""
+    """Lamps, 1 to 4; "auto" decides by evidence, and may find none."""
     brdf: str = _option("oren-nayar", str, "oren-nayar, lambert, minnaert or spherical-harmonics.")
     unit: str = _option("auto", str, "auto, mm, cm or m.")
     quality: Quality | str = _option(
