@@ -87,9 +87,10 @@ class LitImage:
         position, normal = image.position[image.mask], image.normal[image.mask].astype(np.float64)
         if self.shadows[0] is None:
             return SoftTerms.unshadowed(normal)
-        hidden = open_transfer(level.normal) - self.soft(level).transfer
+        known = self.soft(level)
         weights = SurfaceLookup.of(level.anchor, level.normal).weights(position, normal)
-        return SoftTerms(open_transfer(normal) - weights @ hidden, self._bounce(position, normal))
+        transfer = open_transfer(normal) - weights @ (open_transfer(level.normal) - known.transfer)
+        return SoftTerms(transfer, None if known.bounce is None else known.bounce.seen_through(weights))
 
     def _bounce(self, position: FloatArray, normal: FloatArray) -> Bounce | None:
         return None if self._patches is None else self._patches.seen_from(position, normal)

@@ -86,6 +86,10 @@ class Bounce:
         """Return the bounced light (..., N) of `light` (..., N)."""
         return np.asarray((self.up @ (self.factors @ (self.down @ light.T))).T)
 
+    def seen_through(self, weights: sparse.csr_matrix) -> Bounce:
+        """Return the bounce onto and from P points whose values are `weights` (P, N) of these points'."""
+        return Bounce(self.factors, weights @ self.up, self.down @ _averages(weights))
+
 
 @dataclass(frozen=True)
 class Patches:
@@ -114,5 +118,10 @@ class Patches:
     def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:
         """Return the bounce onto and from N points."""
         up = self.lookup.weights(position, normal)
-        total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
-        return Bounce(self.factors, up, sparse.diags(1 / total) @ up.T)
+        return Bounce(self.factors, up, _averages(up))
+
+
+def _averages(weights: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Return (M, N) what averages values at N points around each of M, from the interpolation (N, M)."""
+    total = np.maximum(np.asarray(weights.sum(0)).ravel(), 1e-9)
+    return sparse.diags(1 / total) @ weights.T
