@@ -110,12 +110,12 @@ class LightSearch:
             f"it removes {100 * gain:.1f} % of the cost beside {lamps.model.lights} lamp(s) "
             f"({100 * ENVIRONMENT_GAIN:g} % asked)"
         )
-        if choice is None and gain < ENVIRONMENT_GAIN:
+        alone = self._without_lamps(model) if lights is None else both
+        if choice is None and gain < ENVIRONMENT_GAIN and _price(alone) >= _price(lamps):
             return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
         tried = [both] if choice else [lamps, both]
         if lights is None:
             tried += self._with_fewer_lamps(both)
-            alone = self._without_lamps(model)
             # Where soft light alone leaves much, the lamps found without it are better starts.
             near = _price(alone) < _NEARLY * min(map(_price, tried))
             tried += self._with_more_lamps(alone) if near else [alone]

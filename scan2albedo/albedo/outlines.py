@@ -9,13 +9,13 @@ from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.plan import PlanStep
 
-_SHARP = 0.06
-"""Step of log light from a texel of a 512 x 512 chart to the next that makes a sharp outline."""
+_SHARP, _CLEAR = 0.06, 0.03
+"""Steps of log light from a texel of a 512 x 512 chart to the next that make a sharp outline, and a blurred one."""
 _SIDE = 512
 _AROUND = 1 / 128
 """Standard deviation of the neighbourhood over which steps are compared, as a part of the chart's side."""
-_SEEN = 0.75
-"""Part of an outline's steps that the texture has to show for the outline to stay as it is."""
+_SEEN, _HINTED = 0.75, 0.4
+"""Parts of a sharp and of a blurred outline's steps that the texture has to show for it to stay as it is."""
 _BAND = 1 / 100
 """Half width of the band over which an outline that is not seen is spread, as a part of the chart's side."""
 _DARK = 1e-4
@@ -32,17 +32,17 @@ def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tu
     """
     stage = "albedo.outlines"
     log_light, log_value = (np.log(np.maximum(field, _DARK)) for field in (light, value))
-    sharp = _SHARP * _SIDE / max(light.shape)
+    sharp, clear = (step * _SIDE / max(light.shape) for step in (_SHARP, _CLEAR))
     steps = forward_differences(log_light)
     both = [_pairs(usable, axis) for axis in (1, 0)]
-    edges = [pair & (np.abs(step) > sharp) for pair, step in zip(both, steps, strict=True)]
+    edges = [pair & (np.abs(step) > clear) for pair, step in zip(both, steps, strict=True)]
     if not any(edge.any() for edge in edges):
         return light, PlanStep(stage, False, "the light has no sharp outline", "0 texels")
     seen = _seen_share(steps, forward_differences(log_value), edges, light.shape)
     wrong, wanted, part = np.zeros(light.shape, bool), [], 0
     for axis, step, edge in zip((1, 0), steps, edges, strict=True):
         share = _of_pairs(seen, axis)
-        unseen = edge & (share < _SEEN)
+        unseen = edge & (share < np.where(np.abs(step) > sharp, _SEEN, _HINTED))
         wanted.append(np.where(unseen, share * step, step))
         first, second = _ends(axis)
         wrong[first] |= unseen
