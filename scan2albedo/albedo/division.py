@@ -19,6 +19,11 @@ _AROUND = 17
 """Side, in texels, of the mean that relative values refer to."""
 _DARK = 1e-6
 """Least such mean, as a part of the largest."""
+_DIM, _DARKER = 0.5, 0.35
+"""Light, as parts of its median, below which grain is compared with that of the light, and wholly trusted."""
+_GRAIN, _ROUGHER, _SMOOTH = 9 / 512, 2.0, 0.04
+"""Side of the means that grain differs from, as a part of the chart's; how much rougher than in the light
+texture may be; relative deviation up to which it always may."""
 _BLACK = 0.05
 """Relative value up to which errors refer to that of the texel."""
 
@@ -43,6 +48,7 @@ def divide_light(
     mask: BoolArray,
     usable: BoolArray,
     *,
+    skin: NDArray | None = None,
     shrink: bool = True,
 ) -> Division:
     """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
@@ -60,6 +66,9 @@ def divide_light(
         I_s: highlights are white.
     mask, usable : (H, W) bool
         Texels of the surface, and those that were measured; the others keep the plain quotient.
+    skin : (H, W) float, optional
+        How surely a texel is skin: what is rougher in the dark than in the light is noise there, but may be a
+        beard elsewhere. None is skin everywhere.
     shrink : bool
         False keeps it everywhere; confidence and deviation are the same.
     """
@@ -79,11 +88,47 @@ def divide_light(
         if noise.beside[..., c].any():
             beside = _filtered(beside, weight, noise.beside[..., c]).field
         filtered[..., c] = (leading.field + beside) * around[..., c]
+    grain = _kept_grain(filtered[..., noise.lead], light[..., noise.lead], usable, skin)
+    own = np.where(usable, leading.own * grain, 0.0)
+    if (grain < 1).any():
+        window = _grain_window(mask.shape)
+        smooth = np.stack([window_mean(c, known, window) for c in np.moveaxis(filtered, -1, 0)], -1)
+        filtered = smooth + grain[..., None] * (filtered - smooth)
     kept = np.where((usable & shrink)[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
-    own = np.where(usable, leading.own, 0.0)
     deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, _BLACK)
     return Division(albedo, own, np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0))
+
+
+def _kept_grain(value: FloatArray, light: FloatArray, usable: BoolArray, skin: NDArray | None) -> FloatArray:
+    """Return (H, W) the part that a texel in the dark keeps of its difference from the mean around it.
+
+    Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
+    noise that the quotient amplifies, correlated from texel to texel where a photograph was resampled, or a
+    line along a shadow: Wiener's filter draws it toward the mean. `value` (H, W) is the albedo's.
+    """
+    whole = np.ones(value.shape)
+    if not usable.any():
+        return whole
+    known, typical = usable.astype(np.float64), float(np.median(light[usable]))
+    dim = np.clip((_DIM - light / typical) / (_DIM - _DARKER), 0.0, 1.0) * usable
+    lit = usable & (light > _DIM * typical)
+    if not (dim.any() and lit.any()):
+        return whole
+    around = np.maximum(window_mean(value, known, _AROUND), 1e-12)
+    relative = value / around
+    rough = window_mean(
+        (relative - window_mean(relative, known, _grain_window(value.shape))) ** 2, known, WINDOW
+    )
+    usual = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2)
+    kept = np.clip(usual / np.maximum(rough, 1e-12), 0.0, 1.0)
+    sure = dim if skin is None else dim * skin
+    return np.asarray(1 - sure * (1 - kept))
+
+
+def _grain_window(shape: tuple[int, ...]) -> int:
+    """Return the odd side, in texels, of the means that grain differs from."""
+    return max(3, 2 * round(_GRAIN * max(shape) / 2 - 0.5) + 1)
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,13 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     # What makes a good albedo better is left out once the seconds have ended.
     late, begin = meter.out_of_time, meter.elapsed_s
     division = divide_light(
-        image.texture_linear, shading, specular, mask, usable, shrink=options.shrink and not late
+        image.texture_linear,
+        shading,
+        specular,
+        mask,
+        usable,
+        skin=image.skin,
+        shrink=options.shrink and not late,
     )
     # Lines along shadows err most, and go in at most twice the seconds that the division took.
     late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))

@@ -10,7 +10,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.plan import PlanStep
 
 _SHARP, _CLEAR = 0.06, 0.03
-"""Steps of log light from a texel of a 512 x 512 chart to the next that make a sharp outline, and a blurred one."""
+"""Steps of log light from a texel of a 512 x 512 chart to the next that make a sharp, a blurred outline."""
 _SIDE = 512
 _AROUND = 1 / 128
 """Standard deviation of the neighbourhood over which steps are compared, as a part of the chart's side."""
