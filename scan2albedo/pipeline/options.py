@@ -21,6 +21,11 @@ FORCEABLE = (
     "albedo.specular",
     "albedo.near_light",
     "albedo.roughness",
+    "albedo.occlusion",
+    "albedo.bounce",
+    "albedo.environment",
+    "albedo.light_colour",
+    "albedo.outlines",
     "albedo.rectification",
     "albedo.inpainting",
 )

@@ -13,7 +13,7 @@ from scan2albedo.pipeline.quality import PRESETS
 
 STANDARD = "standard"
 GLASSES: dict[str, dict[str, Any]] = {
-    "draft": {"outlines": 2, "steps": 5, "outline_stride": 2},
+    "draft": {"outline_stride": 2},
     "best": {"outline_correlation_px": 40.0},
 }
 WEIGHTS: dict[str, dict[str, Any]] = {
