@@ -75,9 +75,7 @@ def _settings(quick: bool) -> list[Setting]:
     return [
         default,
         *preset_settings("glasses"),
-        *varied("outlines", options, (1, 2, 3, 5, 20)),
         *varied("outline_stride", options, (2, 4, 8, 16)),
-        *varied("steps", options, (2, 5, 10)),
         *varied("outline_correlation_px", options, (5.0, 10.0, 40.0), "{:g} px".format),
         *varied("bend", options, (False,)),
         *within(options, (2, 4, 8, 12, 16, 24, 32, 48)),
