@@ -48,7 +48,11 @@ class ColorGuide:
 
 
 def color_guide(
-    level: Level, specular: FloatArray | None = None, tint: FloatArray | None = None
+    level: Level,
+    specular: FloatArray | None = None,
+    tint: FloatArray | None = None,
+    *,
+    told: bool = False,
 ) -> ColorGuide:
     """Return how V of the cells' albedo follows from their hues.
 
@@ -92,7 +96,7 @@ def color_guide(
     change = np.sum([octave.value for octave in octaves], 0)
     before, after = (float(value @ np.abs(d)) for d in (change, change - predicted))
     explained = 1 - after / before if before > 0 else 0.0
-    if explained < _TELLING:
+    if explained < (0.0 if told else _TELLING):
         return ColorGuide.none(len(value))
     wide = slow - local_mean(level, slow, _LOWEST * side)
     predicted += (wide[:, 1:-1] - wide[:, :1]) @ slope

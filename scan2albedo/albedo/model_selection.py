@@ -280,7 +280,12 @@ def _decide_highlight(
         plain = descend(plain_problem, full.model, full.x, options.descent_iterations)
         return plain, plain_problem, False
     deviations = _deviations(problem, full, "specular")
-    glossy_problem = problem.guided(problem.at(full.model, full.x).highlight(), tint)
+    highlight = problem.at(full.model, full.x).highlight()
+    glossy_problem = problem.guided(highlight, tint)
+    if (plain_problem.guide.explained > 0) != (glossy_problem.guide.explained > 0):
+        # One with and one without a guide do not compare.
+        plain_problem = problem.guided(None, tint, told=True)
+        glossy_problem = problem.guided(highlight, tint, told=True)
     glossy = descend(glossy_problem, full.model, full.x, options.descent_iterations)
     if options.choice(part.stage):
         rows.append(PlanStep(part.stage, True, "asked for"))

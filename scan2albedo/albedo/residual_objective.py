@@ -70,14 +70,16 @@ class ResidualProblem:
         self.weight = self._trust * guide.albedo
         self.total = len(_SHIFTS) * float(self.weight @ self.value)
 
-    def guided(self, specular: FloatArray | None, tint: FloatArray | None = None) -> ResidualProblem:
+    def guided(
+        self, specular: FloatArray | None, tint: FloatArray | None = None, *, told: bool = False
+    ) -> ResidualProblem:
         """Return the problem without the texture that colour predicts.
 
         Before, a highlight (N,) is subtracted from the colours, and they are divided by `tint` (N, 3), what
-        the light does to them.
+        the light does to them. Where it is `told` that colour predicts texture, little of it serves.
         """
         other = copy.copy(self)
-        other._use(color_guide(self.level, specular, tint))
+        other._use(color_guide(self.level, specular, tint, told=told))
         return other
 
     def at(self, model: LightModel, x: FloatArray, *, outlines: bool = True) -> Residual:
