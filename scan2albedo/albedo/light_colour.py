@@ -30,7 +30,7 @@ this standard deviation; more change needs less gain. Pigment that follows the s
 0.04 and 0.025 on 30 faces in white light, and up to 0.10 and 0.05 (95 of 100 below 0.08) where the
 environment is free beside the lamps; coloured lamps, rooms and skies do 0.06 to 0.35 and 0.09 to 0.28."""
 _LIMITS = 0.05, 0.95
-"""Quantiles over the cells of the ratio to white light, beyond which it is not believed elsewhere."""
+"""Quantiles over the cells of the ratio to white light, to which what it changes is clipped."""
 _LEAST_RESIDUAL = 1e-5
 """A mean residual below it is the rounding of a texture that is grey."""
 _BLACK = 1e-6
@@ -46,20 +46,8 @@ class LightColours:
     colors: FloatArray
     """(K, 3): the same as multiples of the white intensities, 1 for columns without any; exactly 1 where
     colour was left out."""
-    limits: FloatArray
-    """(2, 3): least and greatest part of the white light that a channel gets; exactly 1 where colour was left
-    out."""
     step: PlanStep
     """The row "albedo.light_colour" of the plan."""
-
-    def light(self, columns: FloatArray, white: FloatArray) -> FloatArray:
-        """Return (N, 3) the light of each channel on points with `columns` (N, K) and `white` (N,) light.
-
-        It is white where colour was left out, and never further from white than on the cells that were
-        solved for: dim places would else get any colour.
-        """
-        ratio = columns @ self.intensities / np.where(white > 0, white, 1.0)[:, None]
-        return np.asarray(white[:, None] * np.clip(ratio, *self.limits))
 
 
 def solve_colours(
@@ -140,12 +128,12 @@ def solve_colours(
         return _white(white, PlanStep(STAGE, False, "the light has one colour", evidence))
     reason = "the light has several colours" if needed else "asked for"
     colors = np.where(white[:, None] != 0, found / np.where(white != 0, white, 1.0)[:, None], 1.0)
-    return LightColours(found, colors, limits, PlanStep(STAGE, True, reason, evidence))
+    return LightColours(found, colors, PlanStep(STAGE, True, reason, evidence))
 
 
 def _white(intensities: FloatArray, step: PlanStep) -> LightColours:
     shape = len(intensities), 3
-    return LightColours(np.repeat(intensities[:, None], 3, 1), np.ones(shape), np.ones((2, 3)), step)
+    return LightColours(np.repeat(intensities[:, None], 3, 1), np.ones(shape), step)
 
 
 def _effect(ratio: FloatArray) -> float:

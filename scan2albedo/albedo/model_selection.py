@@ -78,8 +78,8 @@ PARTS = {
     "rough": Part("albedo.roughness", "surface roughness", 0.008, 3.0, 0.04),
     "near": Part("albedo.near_light", "a finite distance of the light", 0.014, 8.0, 0.04),
     "specular": Part("albedo.specular", "a highlight"),
-    "occlusion": Part("albedo.occlusion", "occlusion of ambient light", 0.003, 3.0, 0.02),
-    "bounce": Part("albedo.bounce", "light bounced off the surface", 0.003, 3.0, 0.01),
+    "occlusion": Part("albedo.occlusion", "occlusion of ambient light", 0.008, 3.0, 0.02),
+    "bounce": Part("albedo.bounce", "light bounced off the surface", 0.006, 3.0, 0.01),
     "environment": Part("albedo.environment", "a large environment", 0.01, math.inf, ENVIRONMENT_GAIN),
 }
 """By the name of their field of `LightModel`, in the order in which they are freed."""
@@ -326,7 +326,7 @@ def _without(problem: ResidualProblem, full: Solution, part: str, options: Estim
 def _deviations(problem: ResidualProblem, solution: Solution, part: str) -> float:
     """Return how many standard deviations the part's parameter is away from its plain value."""
     k = solution.model.position_of(part)
-    plain = 1.0 if part == "rough" and solution.model.brdf == "minnaert" else 0.0
+    plain = 1.0 if part == "occlusion" or (part == "rough" and solution.model.brdf == "minnaert") else 0.0
     variance = float(covariance(problem, solution)[k, k])
     away = abs(float(solution.x[k]) - plain)
     return away / max(math.sqrt(max(variance, 0.0)), 1e-9)

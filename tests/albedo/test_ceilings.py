@@ -1,5 +1,8 @@
 """Albedo error on the synthetic scenes, worst of lights at 0, 30, 60 degrees (the paper: 1.07, 2.01 %)."""
 
+import math
+
+import numpy as np
 import pytest
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
@@ -55,3 +58,41 @@ def test_three_lights_are_found(make):
     error, estimate = _error(scene)
     assert len(estimate.lights) == 3
     assert error.mse_percent <= 0.05
+
+
+PARTS = ("specular", "near_light", "roughness", "occlusion", "bounce", "environment", "light_colour")
+PRESENT = {"rough": "roughness", "glossy": "specular", "near": "near_light"}
+KINDS = ("plain", "rough", "glossy", "near", "two")
+
+
+def _random_scene(seed):
+    """Return a scene of a kind, with lamps at random, and the part of the light's model that it needs."""
+    rng, kind = np.random.default_rng(seed), KINDS[seed % 5]
+    azimuth, elevation = rng.uniform(-55, 55), rng.uniform(-15, 35)
+    lights = [light_at(azimuth, elevation, distance_mm=500.0 if kind == "near" else np.inf)]
+    if kind == "two":
+        beside = azimuth - math.copysign(70, azimuth)
+        lights.append(light_at(beside, rng.uniform(-10, 30), intensity=2.0))
+    made = (hemisphere, face)[seed % 2](
+        lights=lights,
+        texture=("skin", "wood")[seed // 2 % 2],
+        size=96,
+        seed=seed,
+        material=Material(0.5 if kind == "rough" else 0.0, 0.15 if kind == "glossy" else 0.0, 20.0),
+    )
+    return made, PRESENT.get(kind)
+
+
+@pytest.mark.slow
+def test_lamps_are_counted_and_absent_parts_left_out_on_forty_scenes():
+    counted, absent, left_out = 0, 0, 0
+    for seed in range(40):
+        scene, present = _random_scene(seed)
+        error, estimate = _error(scene)
+        assert error.mse_percent <= 0.05, seed
+        counted += len(estimate.lights) == len(scene.lights)
+        without = [part for part in PARTS if part != present]
+        absent += len(without)
+        left_out += sum(not estimate.plan.ran(f"albedo.{part}") for part in without)
+    assert counted >= 38
+    assert left_out >= 0.95 * absent

@@ -82,7 +82,7 @@ def test_a_warm_lamp_in_a_blue_room_is_told_from_skin(seed, pigment, left):
     assert found.step.stage == "albedo.light_colour"
     white = np.repeat((scene.columns @ scene.white(rgb))[:, None], 3, 1)
     before = chroma_error(scene, rgb, white)
-    after = chroma_error(scene, rgb, found.light(scene.columns, white[:, 0]))
+    after = chroma_error(scene, rgb, scene.columns @ found.intensities)
     assert after < left * before
 
 
@@ -98,7 +98,7 @@ def test_coloured_light_on_grey_skin_leaves_it_grey():
     rgb = scene.texture(lights(ambient=BLUE, left=WARM, right=BLUE), 0.002)
     found = scene.solve(rgb)
     assert found.step.ran
-    albedo = rgb / found.light(scene.columns, scene.columns @ scene.white(rgb))
+    albedo = rgb / (scene.columns @ found.intensities)
     ratio = albedo / albedo.mean(1, keepdims=True)
     assert (ratio.std(0) < 0.02).all()
     assert ((rgb / rgb.mean(1, keepdims=True)).std(0).max()) > 0.08
@@ -112,8 +112,6 @@ def test_grey_texture_in_white_light_is_left_exactly_white(noise):
     assert not found.step.ran
     assert (found.colors == 1).all()
     assert np.array_equal(found.intensities, np.repeat(scene.white(rgb)[:, None], 3, 1))
-    light = scene.columns @ scene.white(rgb)
-    assert np.array_equal(found.light(scene.columns, light), np.repeat(light[:, None], 3, 1))
 
 
 def test_white_light_on_pigmented_skin_stays_white():
@@ -151,15 +149,6 @@ def test_the_unit_of_the_texture_does_not_matter():
     assert other.intensities == pytest.approx(one.intensities, rel=1e-9)
 
 
-def test_dim_places_get_no_colour_beyond_those_seen():
-    scene = ball(0)
-    found = scene.solve(scene.texture(lights(ambient=BLUE, left=WARM)))
-    unseen = np.array([[0.01, -0.2, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
-    light = found.light(unseen, np.array([0.02, 0.2]))
-    assert np.isfinite(light).all()
-    assert (light >= 0).all()
-    assert (light <= np.array([[0.02], [0.2]]) * found.limits[1]).all()
-
 
 def test_the_caller_decides():
     scene = ball(0)
@@ -186,4 +175,4 @@ def test_a_channel_without_light_stays_finite():
     for choice in (None, True):
         found = scene.solve(rgb, choice=choice)
         assert np.isfinite(found.intensities).all()
-        assert np.isfinite(found.light(scene.columns, scene.columns @ scene.white(rgb))).all()
+        assert np.isfinite((scene.columns @ found.intensities)).all()
