@@ -186,19 +186,27 @@ class LightSearch:
         return self._tinted(0)
 
     @cached_property
+    def _first_tries(self) -> list[Solution]:
+        """Optima of one light on the smallest image, best first, before colours of light are known."""
+        model, problem = self.scene.model(1), self._problem(0).guided(None)
+        starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self.scene.directions)
+        return self._polished(problem, model, starts, self.scene.options.starts, self._record)
+
+    @cached_property
     def _tint(self) -> Tint | None:
         """What the light does to colours, by a first estimate on the smallest image without their guide."""
-        problem = self._problem(0)
         if self.scene.meter.exhausted:
             return None
-        model = self.scene.model(0)
+        problem, lamp = self._problem(0), self._first_tries[0]
+        model = lamp.model
         for part in ("occlusion", "environment"):
             model = model.with_part(part)
-        soft = self._descend(problem, model, model.from_lights(np.zeros((0, 3)), np.zeros(0)))
-        starts = _starts_with_one_more(soft, self.scene.directions)
-        lamp = self._polished(problem, replace(model, lights=1), starts, 2)[0]
-        paid = cost_removed(lamp.cost, soft.cost) >= LIGHT_GAIN
-        return Tint.of(problem, lamp if paid else soft)
+        lit = self._descend(problem, model, lamp.model.extend(lamp.x, model))
+        alone = replace(model, lights=0)
+        soft = self._descend(problem, alone, alone.from_lights(np.zeros((0, 3)), np.zeros(0)))
+        if self.scene.meter.exhausted:
+            return None
+        return Tint.of(problem, lit if cost_removed(lit.cost, soft.cost) >= LIGHT_GAIN else soft)
 
     def _tinted(self, k: int) -> ResidualProblem:
         problem = self._problem(k)
@@ -232,10 +240,10 @@ class LightSearch:
     def _first_light(self) -> Solution:
         """Return one light with every allowed part free."""
         meter, model = self.scene.meter, self.scene.model(1)
-        starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self.scene.directions)
         if meter.exhausted:
-            return self._least(next(starts), model)
-        tried = self._polished(self._coarse, model, starts, self.scene.options.starts, self._record)
+            start = model.from_lights(self.scene.directions[:1], np.array([_FIRST_STRENGTH]))
+            return self._least(start, model)
+        tried = self._first_tries
         polished = [self._descend(self._middle, s.model, s.x) for s in apart(tried, 2)]
         self.alternatives.note(polished)
         best = min([*polished, tried[0]] if meter.exhausted else polished, key=lambda s: s.cost)

@@ -149,7 +149,6 @@ def test_the_unit_of_the_texture_does_not_matter():
     assert other.intensities == pytest.approx(one.intensities, rel=1e-9)
 
 
-
 def test_the_caller_decides():
     scene = ball(0)
     colored, white = scene.texture(lights(ambient=BLUE, left=WARM)), scene.texture(lights())
@@ -175,4 +174,4 @@ def test_a_channel_without_light_stays_finite():
     for choice in (None, True):
         found = scene.solve(rgb, choice=choice)
         assert np.isfinite(found.intensities).all()
-        assert np.isfinite((scene.columns @ found.intensities)).all()
+        assert np.isfinite(scene.columns @ found.intensities).all()
