@@ -111,11 +111,12 @@ class LightSearch:
             f"({100 * ENVIRONMENT_GAIN:g} % asked)"
         )
         alone = self._without_lamps(model) if lights is None else both
-        if choice is None and gain < ENVIRONMENT_GAIN and _price(alone) >= _price(lamps):
-            return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
         tried = [both] if choice else [lamps, both]
         if lights is None:
             tried += self._with_fewer_lamps(both)
+        if choice is None and gain < ENVIRONMENT_GAIN and min(map(_price, [alone, *tried])) >= _price(lamps):
+            return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
+        if lights is None:
             # Where soft light alone leaves much, the lamps found without it are better starts.
             near = _price(alone) < _NEARLY * min(map(_price, tried))
             tried += self._with_more_lamps(alone) if near else [alone]
