@@ -64,8 +64,8 @@ class SoftTerms:
             at = model.position_of("bounce")
             slopes[at] = 0
             if self.bounce is not None:
-                received = self.bounce(direct)
-                slopes += state.bounce * self.bounce(slopes)
+                bounced = self.bounce(np.vstack([direct, slopes]))
+                received, slopes[:] = bounced[0], slopes + state.bounce * bounced[1:]
                 slopes[at] = received
         if model.occlusion:
             slopes[model.position_of("occlusion")] = 1 - self.transfer[:, 0]

@@ -28,7 +28,7 @@ def each_block(work: Callable[[slice], None], parts: Sequence[slice]) -> None:
                 return
             work(block)
 
-    helpers = min(os.cpu_count() or 1, len(parts)) - 1
+    helpers = min(os.cpu_count() or 1, len(parts)) - 1 if len(parts) > 1 else 0
     if helpers < 1:
         take()
         return
