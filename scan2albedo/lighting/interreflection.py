@@ -60,7 +60,8 @@ class Bounce:
         B(x) = integral of V_hit(x, w) D(y(x, w)) max(0, n.w) / pi dw
 
     for light D on the surface and albedo 1: M patches exchange it by `factors` (M, M), whose rows sum to the
-    hidden part of the hemisphere (float32: the product takes half of an evaluation's time), and N points take part through `up` (N, M) and `down` (M, N).
+    hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N). The factors
+    are float32: their product takes most of the search's time on soft light.
 
     References
     ----------
