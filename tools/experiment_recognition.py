@@ -1,8 +1,8 @@
 """Figure 10 of Toderici et al. on a synthetic population: who is recognised by texture, and who by albedo.
 
     python tools/experiment_recognition.py [-o recognition_out] [--persons 60] [--probes 3] [--size 256]
-        [--individuality 0.5] [--lamp-colors 0] [--brdf NAME ...] [--budget SECONDS] [--jobs N] [--seed 0]
-        [--other-templates] [--json]
+        [--individuality 0.7] [--light flashes] [--lamp-colors 0] [--brdf NAME ...] [--budget SECONDS]
+        [--jobs N] [--seed 0] [--other-templates] [--json]
 
 Scans and processes 60 persons, four times each (an hour on two cores), writes the report, and prints pairs of
 reflectances beside each other. A run that was stopped goes on where it was, and one with more persons begins
@@ -77,7 +77,12 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--size", type=int, default=256, help="side of the geometry images, 128 or more")
     made.add_argument("--individuality", type=float, help="part of the skin's paint of one's own, 0 to 1")
     made.add_argument(
-        "--lamp-colors", type=float, default=0.0, help="deviation of log red and blue of each lamp; 0: white"
+        "--light", choices=("flashes", "room"), default="flashes", help="room: soft light and a weak lamp"
+    )
+    made.add_argument(
+        "--lamp-colors",
+        type=float,
+        help="deviation of log red and blue of each lamp; 0: white; 0.3 in a room, else 0 when omitted",
     )
     made.add_argument("--brdf", action="append", help="a reflectance, repeatable; all when omitted")
     made.add_argument("--budget", type=float, help="seconds; then report who is complete")
@@ -95,7 +100,10 @@ def options_of(arguments: argparse.Namespace) -> RecognitionExperimentOptions:
     options = RecognitionExperimentOptions(
         persons=arguments.persons, probes=arguments.probes, size=arguments.size, seed=arguments.seed
     )
-    crowd = replace(options.population, lamp_colors=arguments.lamp_colors)
+    colors = arguments.lamp_colors
+    if colors is None:
+        colors = 0.3 if arguments.light == "room" else 0.0
+    crowd = replace(options.population, light=arguments.light, lamp_colors=colors)
     if arguments.individuality is not None:
         crowd = replace(crowd, individuality=arguments.individuality)
     return replace(options, population=crowd, brdfs=tuple(arguments.brdf or options.brdfs))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import get_args
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -16,10 +16,13 @@ from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of
 from scan2albedo.synthetic.renderer import Material
+from scan2albedo.synthetic.room_light import random_colors, random_room
 from scan2albedo.synthetic.sitter import sit_down
 
 _LIGHT_DISTANCE_MM, _HIGHLIGHT = (700.0, 1500.0), (0.05, 0.15)
 """Ranges of the lights' distance and of the highlight's strength."""
+_ROOM_LAMP = (0.3, 1.0)
+"""Range of the intensity of a room's lamp; the room's own light is 1 on average."""
 _LEAST_ANGLE_DEG = 30.0
 """Between two flashes, which would else be one; no more than the cone they are drawn from allows."""
 
@@ -36,15 +39,17 @@ class PopulationOptions:
     relatives have it. Small shares make people alike, and hard to tell apart."""
     tones: tuple[float, float] = (0.2, 0.45)
     """Range of the skin's tone, 0 lightest ... 1 darkest."""
+    light: Literal["flashes", "room"] = "flashes"
+    """Flashes: one or two over constant ambient light; room: soft light from all around and one weak lamp."""
     light_cone_deg: float = 60.0
     """Lights come from within this angle of the front, uniformly over the solid angle."""
     two_lights: float = 0.5
-    """Share of the scans with two flashes."""
+    """Share of the scans with two flashes; a room has one lamp."""
     light_intensity: tuple[float, float] = (1.5, 4.0)
-    """Range, relative to ambient = 1."""
+    """Range of flashes, relative to ambient = 1."""
     lamp_colors: float = 0.0
-    """Standard deviation of the logarithms of red and blue over green, of the ambient light and of each lamp;
-    0 for white ones."""
+    """Standard deviation of the logarithms of red and blue over green: of the ambient light, in a room
+    of each source, and of each lamp; 0 for white ones."""
     expression: float = 0.5
     """Largest strength of a scan's expression, 1 a plain one; every scan has one at random."""
     capture: RawScanOptions = field(default_factory=RawScanOptions)
@@ -59,6 +64,8 @@ class PopulationOptions:
             raise ValueError(
                 f"expression is {self.expression} and lamp_colors {self.lamp_colors}, expected >= 0"
             )
+        if self.light not in ("flashes", "room"):
+            raise ValueError(f"light is {self.light!r}, expected 'flashes' or 'room'")
         if not 0 < self.light_cone_deg <= 90:
             raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
         for name in ("tones", "light_intensity"):
@@ -95,6 +102,7 @@ def population_scan(
     shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*options.tones))
     paint = _painter(template, own, tone, options, [seed, 12])
     now = np.random.default_rng([seed, person, session, 13])
+    room = random_room(now, options.lamp_colors) if options.light == "room" else None
     lights = _random_lights(now, options)
     material = Material(0.3, float(now.uniform(*_HIGHLIGHT)), 14.0)
     sitter = sit_down(
@@ -106,8 +114,10 @@ def population_scan(
         face_albedo=paint,
     )
     name = f"person-{person}-session-{session}"
-    colors = _random_colors(1 + len(lights), now, options.lamp_colors) if options.lamp_colors else None
-    return scan_of(sitter, lights, material, options.capture, now, name, colors)
+    colors = random_colors(1 + len(lights), now, options.lamp_colors) if options.lamp_colors else None
+    if colors is not None and room is not None:
+        colors[0] = 1.0  # the room has colours of its own
+    return scan_of(sitter, lights, material, options.capture, now, name, colors, room)
 
 
 def _painter(
@@ -139,6 +149,8 @@ def _painter(
 
 
 def _random_lights(rng: np.random.Generator, options: PopulationOptions) -> tuple[PointLight, ...]:
+    if options.light == "room":
+        return (replace(_random_light(rng, options), intensity=float(rng.uniform(*_ROOM_LAMP))),)
     first = _random_light(rng, options)
     if rng.uniform() >= options.two_lights:
         return (first,)
@@ -159,9 +171,3 @@ def _random_light(rng: np.random.Generator, options: PopulationOptions) -> Point
         float(rng.uniform(*_LIGHT_DISTANCE_MM)),
         float(rng.uniform(*options.light_intensity)),
     )
-
-
-def _random_colors(count: int, rng: np.random.Generator, deviation: float) -> FloatArray:
-    logarithms = np.zeros((count, 3))
-    logarithms[:, [0, 2]] = rng.normal(0, deviation, (count, 2))
-    return np.exp(logarithms)

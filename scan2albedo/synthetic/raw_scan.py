@@ -18,6 +18,7 @@ from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
 from scan2albedo.synthetic.raw_like import disturbed, random_pose
 from scan2albedo.synthetic.renderer import Material
+from scan2albedo.synthetic.room_light import Room
 from scan2albedo.synthetic.scanner import Pod, RangeMesh, capture, flash_pictures, two_pods
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
 from scan2albedo.synthetic.sitter import Sitter, sit_down
@@ -114,8 +115,9 @@ def scan_of(
     rng: np.random.Generator,
     name: str,
     colors: FloatArray | None = None,
+    room: Room | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
-    """Scan a sitter as `raw_scan` does; `colors` (1 + L, 3) of ambient light and lamps, white when None."""
+    """Scan a sitter as `raw_scan` does; see `flash_pictures` for `colors` and `room`."""
     tip = nose_tip(sitter.face.vertices)
     pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=_PICTURE_REACH_MM)
     measured = capture(
@@ -136,6 +138,7 @@ def scan_of(
         noise=_PICTURE_NOISE,
         rng=rng,
         colors=colors,
+        room=room,
     )
     scan = assembled(measured, pods, texture, scan_from_model, settings, rng, name)
     image = face_geometry_image(sitter.model, sitter.face, settings.size)

@@ -76,7 +76,7 @@ class RayScene:
 
 
 _GRAZING_RAD = np.deg2rad(89.99)
-_SHADOW_OFFSET_MM = 0.15
+SHADOW_OFFSET_MM = 0.15
 """Start of shadow rays above the surface: rays are float32."""
 
 
@@ -132,7 +132,7 @@ def render(
         toward, reach, irradiance = incident_light(xyz, light)
         lit = np.einsum("ij,ij->i", n, toward) > 0
         if occluder is not None:
-            start = xyz[lit] + _SHADOW_OFFSET_MM * n[lit]
+            start = xyz[lit] + SHADOW_OFFSET_MM * n[lit]
             lit[lit] = ~occluder.occluded(start, toward[lit], reach[lit] if np.isfinite(reach[0]) else np.inf)
         visible[:, column] = lit
         arriving = irradiance * lit

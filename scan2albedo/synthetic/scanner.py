@@ -14,6 +14,7 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.renderer import Material, RayScene, Rendered, render
+from scan2albedo.synthetic.room_light import Room, room_light_on
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import FACE, Sitter
 
@@ -176,15 +177,17 @@ def flash_pictures(
     noise: float,
     rng: np.random.Generator,
     colors: FloatArray | None = None,
+    room: Room | None = None,
 ) -> tuple[NDArray[np.float32], float]:
     """Return both pods' pictures side by side (size, 2 size, 3), linear from 8 bits, and their exposure.
 
     The exposure keeps the face's brightest pixel just below white; clothes may clip, and have no highlight.
     `noise` is a standard deviation, white = 1; `colors` (1 + L, 3) are those of the ambient light and of each
-    lamp, all white when None.
+    lamp, all white when None. The light of a `room` takes the place of constant ambient light.
     """
     scene = RayScene(sitter.vertices, sitter.faces)
-    seen = [_radiance(sitter, scene, pod, lights, material, size, colors) for pod in pods]
+    soft = None if room is None else room_light_on(sitter, scene, room, rng)
+    seen = [_radiance(sitter, scene, pod, lights, material, size, colors, soft) for pod in pods]
     exposure = auto_exposure(np.concatenate([radiance[on_face] for radiance, on_face in seen]))
     both = np.concatenate([radiance for radiance, _ in seen], axis=1)
     picture = photograph(both, exposure=exposure, noise=noise, bits=8, rng=rng)
@@ -199,8 +202,12 @@ def _radiance(
     material: Material,
     size: int,
     colors: FloatArray | None,
+    soft: FloatArray | None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return what one pod sees (H, H, 3) and which pixels show the face (H, H)."""
+    """Return what one pod sees (H, H, 3) and which pixels show the face (H, H).
+
+    `soft` (V, 3) is the ambient light on the vertices, 1 when None.
+    """
     rays = pod.directions(2 * texel_coordinates(size) - 1)
     hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
     hit = hits.face >= 0
@@ -217,15 +224,22 @@ def _radiance(
         specular_scale=sitter.specular_scale_at(face),
     )
     radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
-    radiance[hit] = under(lights).radiance_linear if colors is None else _colored(under, lights, colors)
+    if colors is None and soft is None:
+        radiance[hit] = under(lights).radiance_linear
+    else:
+        tints = np.ones((1 + len(lights), 3)) if colors is None else colors
+        ambient = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
+        radiance[hit] = _colored(under, lights, [tints[0] * ambient, *tints[1:]])
     on_face[hit] = sitter.part[face] == FACE
     return radiance.reshape(size, size, 3), on_face.reshape(size, size)
 
 
 def _colored(
-    under: Callable[[tuple[PointLight, ...]], Rendered], lights: tuple[PointLight, ...], colors: FloatArray
+    under: Callable[[tuple[PointLight, ...]], Rendered],
+    lights: tuple[PointLight, ...],
+    colors: Sequence[FloatArray],
 ) -> FloatArray:
-    """Return the radiance (N, 3) under ambient light and lamps of colours (1 + L, 3): light adds up."""
+    """Return the radiance (N, 3) under ambient light and lamps, each of a colour (3,) or (N, 3)."""
     ambient = under(()).radiance_linear
     lamps = [under((light,)).radiance_linear - ambient for light in lights]
     return np.asarray(sum(color * part for color, part in zip(colors, (ambient, *lamps), strict=True)))

@@ -100,6 +100,17 @@ def test_light_of_several_colors_adds_up():
     assert np.percentile(ratio, 5) < 0.15  # in its shadow
 
 
+def test_a_room_has_one_weak_lamp_and_light_of_its_own(first):
+    scan, truth = scanned(0, 0, light="room")
+    (lamp,) = truth.lights
+    assert 0.3 <= lamp.intensity <= 1.0
+    np.testing.assert_array_equal(truth.albedo_linear, first[1].albedo_linear)
+    colored, _ = scanned(0, 0, light="room", lamp_colors=0.3)
+    bright = scan.texture_linear.min(-1) > 0.1
+    tint = np.log(colored.texture_linear[bright] / scan.texture_linear[bright])
+    assert (tint[:, 0] - tint[:, 1]).std() > 0.02  # over the surface: no tint of the whole picture
+
+
 def test_brows_and_lips_take_their_own_form():
     model = AnnotatedFaceModel.default()
     image = face_geometry_image(model, face_surface(model, model.control_vertices), 128)
@@ -125,6 +136,7 @@ def test_brows_and_lips_take_their_own_form():
     "wrong",
     [
         {"individuality": 0.0},
+        {"light": "sun"},
         {"individuality": 1.5},
         {"two_lights": -0.1},
         {"expression": -1.0},

@@ -20,7 +20,8 @@ CHROMATICITY = "raw red to green"
 
 def method_names(options: RecognitionExperimentOptions) -> tuple[str, ...]:
     """Return the names of what is compared, raw texture first."""
-    return (RAW, RAW_SRGB, EQUALIZED, RETINEX, CHROMATICITY, *map(albedo_method, options.brdfs))
+    albedos = map(albedo_method, options.brdfs)
+    return (RAW, RAW_SRGB, EQUALIZED, RETINEX, CHROMATICITY, *albedos, unlit_chromaticity(options))
 
 
 def albedo_method(brdf: str) -> str:
@@ -28,11 +29,18 @@ def albedo_method(brdf: str) -> str:
     return f"albedo, {brdf}"
 
 
+def unlit_chromaticity(options: RecognitionExperimentOptions) -> str:
+    """Return the name under which red over green of the first reflectance's albedo is compared."""
+    return f"red to green of {albedo_method(options.brdfs[0])}"
+
+
 def method_image(method: str, session: Session, options: RecognitionExperimentOptions) -> FloatArray:
     """Return what a method compares, (H, W) or (H, W, 3)."""
     for brdf in options.brdfs:
         if method == albedo_method(brdf):
             return session.images[brdf].astype(np.float64)
+    if method == unlit_chromaticity(options):
+        return one_channel(session.images[options.brdfs[0]].astype(np.float64), "red-to-green")
     texture = session.images[TEXTURE].astype(np.float64)
     if method == RAW:
         return texture

@@ -65,6 +65,17 @@ class MethodResult:
         low, high = np.percentile(rates, [2.5, 97.5])
         return float(low), float(high)
 
+    @property
+    def separation(self) -> float:
+        """How far similarities of one person lie from those of two, in standard deviations: Daugman's d'.
+
+        It still tells methods apart that identify everybody.
+        """
+        scores, genuine = self.identification.similarities, self.identification.genuine
+        same, other = scores[genuine], scores[~genuine]
+        spread = max((same.var() + other.var()) / 2, 1e-12)
+        return float((same.mean() - other.mean()) / np.sqrt(spread))
+
     def against(self, other: MethodResult) -> tuple[int, int, float]:
         """Return probes that only this method identifies, that only `other` does, and McNemar's exact p."""
         mine, theirs = self.identification.ranks == 1, other.identification.ranks == 1
@@ -83,6 +94,7 @@ class MethodResult:
             "interval_by_persons": self.interval_by_persons,
             "rank_5": self.identification.rate(5),
             "equal_error_rate": self.roc.equal_error_rate,
+            "separation": self.separation,
             "equal_error_interval": self.roc.equal_error_interval,
             "gained_over_raw": gained,
             "lost_to_raw": lost,
@@ -151,15 +163,15 @@ class RecognitionReport:
             f"{len(self.persons)} persons, {probes} probes"
             + ("" if self.converged else ", the budget ended before the rest")
             + (f"; {len(self.failures)} scans failed and are left out" if self.failures else ""),
-            f"  {'':28}{'rank 1':>7}  {'95 % interval':15}{'by persons':15}{'equal error':>11}"
+            f"  {'':35}{'rank 1':>7}  {'95 % interval':15}{'by persons':15}{'equal error':>11}{'d':>6}'"
             f"{'against raw':>19}{'paper':>8}",
         ]
         for result in self.results:
             gained, lost, p = result.against(self.results[0])
             paper = PAPER_RANK_1.get(result.method)
             lines.append(
-                f"  {result.method:28}{result.rank_1:7.1%}  {_span(result.interval):15}"
-                f"{_span(result.interval_by_persons):15}{result.roc.equal_error_rate:11.1%}"
+                f"  {result.method:35}{result.rank_1:7.1%}  {_span(result.interval):15}"
+                f"{_span(result.interval_by_persons):15}{result.roc.equal_error_rate:11.1%}{result.separation:7.2f}"
                 + f"{' ' * 19 if result is self.results[0] else f'+{gained} -{lost} p {p:.1g}':>19}"
                 + f"{'' if paper is None else f'{paper:.1%}':>8}"
             )

@@ -10,7 +10,7 @@ from recognition_experiment import (
     experiment,
     run_recognition_experiment,
 )
-from recognition_experiment.methods import CHROMATICITY, method_image, method_names
+from recognition_experiment.methods import CHROMATICITY, method_image, method_names, unlit_chromaticity
 from recognition_experiment.sessions import (
     Session,
     cached_session,
@@ -94,6 +94,12 @@ def test_a_ratio_of_channels_sees_no_light_that_is_white(small_options, charts):
     assert np.abs(np.log(one / other))[seen].mean() < 0.01
 
 
+def test_red_over_green_of_an_albedo_is_that_of_a_texture_in_white_light(small_options, charts):
+    unlit = method_image(unlit_chromaticity(small_options), charts[0, 0], small_options)
+    lit = method_image(CHROMATICITY, charts[0, 0], small_options)
+    assert np.abs(np.log(unlit / lit))[charts[0, 0].seen].mean() < 0.01
+
+
 def test_a_worker_that_was_killed_is_told(tmp_path, small_options, monkeypatch):
     def killed(*arguments):
         raise BrokenProcessPool("gone")
@@ -149,6 +155,7 @@ def test_intervals_and_comparison(filled_cache, small_options):
     assert gained - lost == round(8 * (albedo.rank_1 - raw.rank_1))
     assert 0 <= p <= 1
     assert raw.against(raw) == (0, 0, 1.0)
+    assert albedo.separation > raw.separation
     figures = report.figures()
     assert figures["best"] == report.best.method
     assert [row["rank_1"] for row in figures["methods"]] == [result.rank_1 for result in report.results]

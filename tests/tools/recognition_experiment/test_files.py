@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import cv2
 import pytest
-from experiment_recognition import main
+from experiment_recognition import main, options_of, parser
 from recognition_experiment import run_recognition_experiment
 from recognition_experiment.files import RECORD, write_report
 
@@ -63,6 +63,7 @@ def test_a_folder_that_cannot_be_written_is_named(filled_cache, small_options, t
         (["--brdf", "phong"], "phong"),
         (["--budget", "-1"], "budget is -1"),
         (["--size", "32"], "expected at least the 128"),
+        (["--light", "sun"], "invalid choice: 'sun'"),
     ],
 )
 def test_wrong_choices_are_usage_errors(arguments, message, tmp_path, capsys):
@@ -71,6 +72,15 @@ def test_wrong_choices_are_usage_errors(arguments, message, tmp_path, capsys):
     assert ended.value.code == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_room_is_coloured_unless_told_otherwise():
+    def population(*arguments):
+        return options_of(parser().parse_args(arguments)).population
+
+    assert (population().light, population().lamp_colors) == ("flashes", 0.0)
+    assert (population("--light", "room").light, population("--light", "room").lamp_colors) == ("room", 0.3)
+    assert population("--light", "room", "--lamp-colors", "0").lamp_colors == 0.0
 
 
 def test_the_tool_reports_what_a_folder_holds(small_options, charts, tmp_path, monkeypatch, capsys):
