@@ -24,7 +24,7 @@ dim cells ask for extremes."""
 _DIM = 0.1
 """Light, as a part of its median, below which deviations from white count as if there were this much."""
 _TRIALS, _SETTLED = 12, 1e-4
-_LEAST = (0.08, 0.02), (0.04, 0.08)
+_LEAST = (0.08, 0.02), (0.06, 0.05), (0.04, 0.08)
 """Colour has to lower the residual by this part, and to change the ratio of two channels over the face by
 this standard deviation; more change needs less gain. Pigment that follows the shading by chance does up to
 0.04 and 0.025 on 30 faces in white light, and up to 0.10 and 0.05 (95 of 100 below 0.08) where the

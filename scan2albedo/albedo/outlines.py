@@ -12,13 +12,13 @@ from scan2albedo.core.plan import PlanStep
 _SHARP, _CLEAR = 0.06, 0.03
 """Steps of log light from a texel of a 512 x 512 chart to the next that make a sharp, a blurred outline."""
 _SIDE = 512
-_AROUND = 1 / 128
+_AROUND = 1 / 200
 """Standard deviation of the neighbourhood over which steps are compared, as a part of the chart's side."""
 _SEEN, _HINTED = 0.75, 0.4
 """Parts of a sharp and of a blurred outline's steps that the texture has to show for it to stay as it is."""
 _CHANCE = 0.15
 """Part of the outlines' length that texture and noise hide even where the light is right."""
-_BAND = 1 / 100
+_BAND = 1 / 80
 """Half width of the band over which an outline that is not seen is spread, as a part of the chart's side."""
 _DARK = 1e-4
 """Value below which logarithms are not taken."""
