@@ -161,7 +161,7 @@ class LightSearch:
         decided = decide_parts(self._unguided, current, options, self._tint)
         self._record(decided.solution)
         highlight = largest.at(current.model, current.x).highlight() if decided.highlight else None
-        guided = largest.guided(highlight, tint_on(largest, self._tint))
+        guided = largest.guided(highlight, tint_on(largest, self._tint, decided.solution))
         best = descend(guided, decided.solution.model, decided.solution.x, _LAST_EVALUATIONS)
         best = best if math.isfinite(best.cost) else decided.solution
         explained = guided.guide.explained

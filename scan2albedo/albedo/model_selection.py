@@ -206,7 +206,7 @@ def decide_parts(
     `full` is an optimum, every allowed part free, of `problem`, which has no guide yet.
     """
     rows = list[PlanStep]()
-    current, chosen, highlight = _decide_highlight(problem, full, options, tint_on(problem, tint), rows)
+    current, chosen, highlight = _decide_highlight(problem, full, options, tint_on(problem, tint, full), rows)
     for name in ("environment", "near", "rough", "bounce", "occlusion"):
         part = PARTS[name]
         if not current.model.has(name) or chosen.meter.exhausted:

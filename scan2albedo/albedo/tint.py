@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.albedo.light_colour import solve_colours
-from scan2albedo.albedo.light_parameters import Solution
+from scan2albedo.albedo.light_parameters import HARMONICS, Solution
 from scan2albedo.albedo.residual_objective import ResidualProblem
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
@@ -33,9 +33,24 @@ class Tint:
         return cls(solution, found.colors, found.step)
 
 
-def tint_on(problem: ResidualProblem, tint: Tint | None) -> FloatArray | None:
-    """Return (N, 3) by what the light multiplies the colours of the cells; None for white light."""
-    if tint is None or (tint.colors == 1).all():
-        return None
-    columns = problem.at(tint.solution.model, tint.solution.x).columns()
-    return np.maximum(columns.T @ tint.colors, DARKEST) / np.maximum(columns.sum(0), DARKEST)[:, None]
+def tint_on(problem: ResidualProblem, tint: Tint | None, found: Solution | None = None) -> FloatArray | None:
+    """Return (N, 3) by what the light multiplies the colours of the cells; None for white light.
+
+    Light that bounced in the solution `found` has the mean colour of the surface.
+    """
+    by_light = None
+    if tint is not None and not (tint.colors == 1).all():
+        by_light = _ratio(problem, tint.solution, tint.colors)
+    if found is None or not found.model.has("bounce"):
+        return by_light
+    colors = np.ones((found.model.lights + HARMONICS + 2, 3))
+    mean = np.average(problem.level.color, axis=0, weights=problem.level.weight)
+    colors[-1] = mean / mean.max()
+    by_bounce = _ratio(problem, found, colors)
+    return by_bounce if by_light is None else by_light * by_bounce
+
+
+def _ratio(problem: ResidualProblem, solution: Solution, colors: FloatArray) -> FloatArray:
+    """Return (N, 3) the light in these colours (K, 3) of its parts as multiples of white light."""
+    columns = problem.at(solution.model, solution.x).columns()
+    return np.asarray(np.maximum(columns.T @ colors, DARKEST) / np.maximum(columns.sum(0), DARKEST)[:, None])
