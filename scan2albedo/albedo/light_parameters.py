@@ -25,12 +25,17 @@ class Hypothesis:
     rows: FloatArray
     """(L, 5) direction, 1/distance, intensity."""
     reflectance: Reflectance
+    radius_deg: float = 0.0
+    """Angular radius of each light."""
 
     def lights(self) -> tuple[PointLight, ...]:
         """Return the lights, strongest first."""
         order = np.argsort(-self.rows[:, 4], kind="stable")
         return tuple(
-            light_from_direction(row[:3], float(1 / row[3]) if row[3] > 0 else math.inf, row[4])
+            replace(
+                light_from_direction(row[:3], float(1 / row[3]) if row[3] > 0 else math.inf, row[4]),
+                radius_deg=self.radius_deg,
+            )
             for row in self.rows[order]
         )
 
@@ -72,6 +77,7 @@ class LightModel:
     occlusion: bool = False
     bounce: bool = False
     environment: bool = False
+    radius_deg: float = 0.0
 
     @cached_property
     def _tail(self) -> list[tuple[str, float, float, float, float]]:
@@ -164,7 +170,7 @@ class LightModel:
             float(tail.get("specular", 0.0)),
             math.exp(tail.get("log_exponent", math.log(_DEFAULT_EXPONENT))),
         )
-        return Hypothesis(rows, reflectance)
+        return Hypothesis(rows, reflectance, self.radius_deg)
 
     def soft(self, x: FloatArray) -> SoftState:
         """Return the state of soft light that x stands for."""

@@ -39,6 +39,10 @@ _NEARLY = 1.3
 """How many times the best cost soft light alone may cost for lamps to be sought beside it."""
 _LAST_EVALUATIONS = 8
 """Of the descent on the largest image, which starts near its end."""
+_LAMP_RADII_DEG = 6.0, 12.0, 20.0, 30.0
+"""Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
+_SIZE_GAIN, _SIZE_EVALUATIONS = 0.005, 4
+"""Part of the cost that a radius has to remove, and the evaluations of one descent."""
 _LEAST_EVALUATIONS = 4
 """What any answer takes, whatever the budget: a step toward the light from where the shading grows."""
 
@@ -56,8 +60,9 @@ class LightSearch:
         current, steps = self._environment(*self._lamps(lights), lights)
         steps = [self.scene.shadows[1], *steps]
         if meter.exhausted:
-            late = PlanStep("albedo.light_colour", False, "the budget ended before it")
-            return self._found(current, _once([*steps, *undecided(current.model, options), late]))
+            ended = "the budget ended before it"
+            late = (PlanStep(f"albedo.{name}", False, ended) for name in ("lamp_size", "light_colour"))
+            return self._found(current, _once([*steps, *undecided(current.model, options), *late]))
         return self._with_parts(current, steps)
 
     def _lamps(self, lights: int | None) -> tuple[Solution, PlanStep]:
@@ -154,9 +159,44 @@ class LightSearch:
         unit = self.scene.level(self.scene.options.sizes[0]).unit
         return LightFound(solution, unit, steps, self.scene.shadows[0])
 
+    def _with_size(self, point: Solution) -> tuple[Solution, PlanStep]:
+        """Return the light with the angular radius of its lamps that explains the outlines best, and the row.
+
+        Only the largest image shows how wide outlines are. Larger radii are tried while they explain more.
+        """
+        stage, options, largest = "albedo.lamp_size", self.scene.options, self._largest
+        choice = options.choice(stage)
+        if choice is False:
+            return point, PlanStep(stage, False, "left out by the caller")
+        if not point.model.lights or self.scene.shadows[0] is None:
+            return point, PlanStep(stage, False, "no lamp that casts shadows", "not judged")
+        problem = largest.guided(None, tint_on(largest, self._tint))
+        costs = dict[float, float]()
+
+        def tried(radius_deg: float) -> Solution:
+            model = replace(point.model, radius_deg=radius_deg)
+            found = descend(problem, model, point.x, _SIZE_EVALUATIONS)
+            costs[radius_deg] = found.cost
+            return found
+
+        best = none = tried(0.0)
+        for radius_deg in _LAMP_RADII_DEG:
+            found = tried(radius_deg)
+            if found.cost >= best.cost and not (choice and best is none):
+                break
+            best = found
+        gain = cost_removed(best.cost, none.cost)
+        tries = ", ".join(f"{radius:g} deg {cost:.4f}" for radius, cost in sorted(costs.items()))
+        evidence = f"cost by angular radius: {tries} ({100 * _SIZE_GAIN:g} % less asked)"
+        if self.scene.meter.exhausted or (gain < _SIZE_GAIN and not choice) or best is none:
+            return point, PlanStep(stage, False, "lamps may be points", evidence)
+        reason = f"lamps have a radius of {best.model.radius_deg:g} deg"
+        return replace(best, cost=point.cost), PlanStep(stage, True, reason, evidence)
+
     def _with_parts(self, current: Solution, steps: list[PlanStep]) -> LightFound:
         """Return the light with the parts of the model that the scene needs, refined on the largest image."""
         options, largest = self.scene.options, self._largest
+        current, size = self._with_size(current)
         current = self._descend(self._unguided, current.model, current.x)
         decided = decide_parts(self._unguided, current, options, self._tint)
         self._record(decided.solution)
@@ -176,7 +216,7 @@ class LightSearch:
         # Last, so that the trace ends with all evaluations spent.
         self._record(best)
         return replace(
-            self._found(best, _once([*steps, *decided.steps, guide, tint.step])),
+            self._found(best, _once([*steps, size, *decided.steps, guide, tint.step])),
             colors=tint.colors,
             uncertainty=sure,
             albedo_deviation=cell_image(guided.level, cells, self.scene.image.mask),

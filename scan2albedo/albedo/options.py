@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 OPTIONAL_STEPS = (
     "albedo.shadows",
+    "albedo.lamp_size",
     "albedo.specular",
     "albedo.near_light",
     "albedo.roughness",
@@ -18,11 +19,11 @@ OPTIONAL_STEPS = (
     "albedo.rectification",
     "albedo.inpainting",
 )
-"""Steps that the evidence decides on, unless `EstimateOptions.skip` or `force` names them: cast shadows,
-Phong's highlight, a finite distance common to all lights, Oren-Nayar's sigma (or Minnaert's exponent),
-occlusion of ambient light, one bounce of light off the surface, an environment in spherical harmonics,
-colours of the light's parts, softening of outlines that the texture does not show, repair of the albedo along
-shadow outlines, repair of saturated texels."""
+"""Steps that the evidence decides on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
+lamps' angular radius, Phong's highlight, a finite distance common to all lights, Oren-Nayar's sigma (or
+Minnaert's exponent), occlusion of ambient light, one bounce of light off the surface, an environment in
+spherical harmonics, colours of the light's parts, softening of outlines that the texture does not show,
+repair of the albedo along shadow outlines, repair of saturated texels."""
 
 OBJECTIVES = ("residual", "albedo-deviation")
 

@@ -28,8 +28,10 @@ _COARSE = 160
 """Longer side, in texels, of a chart that shows whether there are shadows."""
 _SPACING = 2.0
 """Distance of the lattice's nodes in cells of the image (as a part of its longer side)."""
+_OF_RADIUS = 0.5
+"""The least distance of nodes as a part of the lamps' angular radius."""
 _NEARNESS = 2.0
-"""The same for nearness, beside that of directions: shadows change little with it."""
+"""The distance of nodes along nearness, beside that of directions: shadows change little with it."""
 
 
 def shadow_caster(
@@ -99,9 +101,8 @@ class ShadowLattice:
     def __init__(self, level: Level, caster: RayCaster | None, offset_mm: float) -> None:
         self._position, self._normal = level.position, level.normal
         self._rays = None if caster is None else ShadowMap(caster, level.anchor, level.normal, offset_mm)
-        step = _SPACING / float(level.cell.max() + 1)
-        self._steps = step, step, _NEARNESS * step
-        self._known: dict[tuple[int, int, int], Visibility] = {}
+        self._least_step = _SPACING / float(level.cell.max() + 1)
+        self._known: dict[tuple[int, int, int, float], Visibility] = {}
 
     def visibility(self, model: LightModel, x: FloatArray) -> tuple[Visibility, Visibility]:
         """Return (L, N) visibility and (L, 2, N) its derivatives by the directions' coordinates.
@@ -115,17 +116,23 @@ class ShadowLattice:
         blended = np.stack([self._blended(model, (*x[3 * k : 3 * k + 2], nearness)) for k in range(lights)])
         return blended[:, 0], blended[:, 1:]
 
+    def _steps(self, model: LightModel) -> tuple[float, float, float]:
+        """Return the lattice's spacing along its axes: wide for lamps whose shadows are soft."""
+        step = max(self._least_step, _OF_RADIUS * math.radians(model.radius_deg))
+        return step, step, _NEARNESS * step
+
     def _blended(self, model: LightModel, light: tuple[float, float, float]) -> Visibility:
         """Return (3, N) the visibility of a light and its derivatives by two of its three coordinates."""
         ends, shares = list[tuple[int, ...]](), list[tuple[float, float]]()
-        for value, step in zip(light, self._steps, strict=True):
+        steps = self._steps(model)
+        for value, step in zip(light, steps, strict=True):
             low = math.floor(value / step)
             part = value / step - low
             # On a node, such as that of distant lights, the next one has no share.
             ends.append((low, low + 1) if part > 0 or len(ends) < 2 else (low,))
             shares.append((1 - part, part))
         across, along, near = shares
-        slope = -1 / self._steps[0], 1 / self._steps[0]
+        slope = -1 / steps[0], 1 / steps[0]
         table = (across, along, near), (slope, along, near), (across, slope, near)
         weights = [[a * b * c for a, b, c in product(p, q, r[: len(ends[2])])] for p, q, r in table]
         nodes = [self._node(model, *node) for node in product(*ends)]
@@ -134,11 +141,12 @@ class ShadowLattice:
     def _node(self, model: LightModel, column: int, row: int, nearness: int) -> Visibility:
         """Return (N,) the visibility at a node of the lattice."""
         assert self._rays is not None
-        key = column, row, nearness
+        key = column, row, nearness, model.radius_deg
         if key not in self._known:
-            direction = model.direction(column * self._steps[0], row * self._steps[1])
-            distance = model.radius_mm / (nearness * self._steps[2]) if nearness > 0 else math.inf
-            visible = self._rays.visible(direction, distance).astype(np.float32)
+            across, along, near = self._steps(model)
+            direction = model.direction(column * across, row * along)
+            distance = model.radius_mm / (nearness * near) if nearness > 0 else math.inf
+            visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
             # Turned away at the node, a cell may face the light itself: no outline of a cast shadow there.
             rays = direction if math.isinf(distance) else distance * direction - self._position
             visible[np.sum(self._normal * rays, 1) <= 0] = 1

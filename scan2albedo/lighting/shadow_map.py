@@ -15,8 +15,8 @@ from scan2albedo.geometry.rays import RayCaster
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
 
-_DISC = 16
-"""Points that stand for a lamp of some size."""
+_DISC, _RIM = 16, 5
+"""Points that stand for a lamp of some size, and how many of them, the outermost, tell whether all count."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,25 @@ class ShadowMap:
         """
         if radius_deg == 0:
             return self.visible(direction, distance_mm)
+        directions = disc_directions(direction, radius_deg, _DISC)
+        seen, facing = self._seen(directions[-_RIM:], distance_mm)
+        # Where the rim is hidden or seen as a whole, so is the rest.
+        partly = np.flatnonzero((seen > 0) & (seen < facing))
+        some = ShadowMap(self.caster, self.position[partly], self.normal[partly], self.offset_mm)
+        more, most = some._seen(directions[:-_RIM], distance_mm)
+        seen[partly] += more
+        facing[partly] += most
+        return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0).astype(np.float32)
+
+    def _seen(self, directions: FloatArray, distance_mm: float) -> tuple[FloatArray, FloatArray]:
+        """Return (N,) the sums of the cosines to the points of a lamp that are seen, and to all."""
         seen, facing = np.zeros((2, len(self.position)))
-        for toward in disc_directions(direction, radius_deg, _DISC):
+        for toward in directions:
             to_lamp = toward - self.position / distance_mm
             cosine = np.maximum(np.einsum("nc,nc->n", self.normal, to_lamp), 0.0)
             facing += cosine
             seen += cosine * self.visible(toward, distance_mm)
-        return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0).astype(np.float32)
+        return seen, facing
 
     def table(self, directions: ArrayLike) -> VisibilityTable:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 FORCEABLE = (
     "register.depth_annealing",
     "albedo.shadows",
+    "albedo.lamp_size",
     "albedo.specular",
     "albedo.near_light",
     "albedo.roughness",
