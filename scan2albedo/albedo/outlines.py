@@ -16,8 +16,9 @@ _AROUND = 1 / 200
 """Standard deviation of the neighbourhood over which steps are compared, as a part of the chart's side."""
 _SEEN, _HINTED = 0.75, 0.4
 """Parts of a sharp and of a blurred outline's steps that the texture has to show for it to stay as it is."""
-_CHANCE = 0.15
-"""Part of the outlines' length that texture and noise hide even where the light is right."""
+_CHANCE, _MOST, _ABSENT = 0.15, 0.4, 0.3
+"""Part of the outlines' length that texture and noise hide even where the light is right, the part up to
+which lamps are trusted, and what of an outline's steps the texture then has to show."""
 _BAND = 1 / 80
 """Half width of the band over which an outline that is not seen is spread, as a part of the chart's side."""
 _DARK = 1e-4
@@ -41,19 +42,24 @@ def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tu
     if not any(edge.any() for edge in edges):
         return light, PlanStep(stage, False, "the light has no sharp outline", "0 texels")
     seen = _seen_share(steps, forward_differences(log_value), edges, light.shape)
-    wrong, wanted, part = np.zeros(light.shape, bool), [], 0
-    for axis, step, edge in zip((1, 0), steps, edges, strict=True):
-        share = _of_pairs(seen, axis)
-        unseen = edge & (share < np.where(np.abs(step) > sharp, _SEEN, _HINTED))
-        wanted.append(np.where(unseen, share * step, step))
-        first, second = _ends(axis)
-        wrong[first] |= unseen
-        wrong[second] |= unseen
-        part += int(unseen.sum())
-    length = sum(int(edge.sum()) for edge in edges)
+    shares = [_of_pairs(seen, axis) for axis in (1, 0)]
+    unseen = [
+        edge & (share < np.where(np.abs(step) > sharp, _SEEN, _HINTED))
+        for share, step, edge in zip(shares, steps, edges, strict=True)
+    ]
+    part, length = (sum(int(edge.sum()) for edge in each) for each in (unseen, edges))
     evidence = f"the texture lacks {100 * part / length:.0f} % of {length} texels of sharp outlines"
-    if part < _CHANCE * length:
+    if part < _MOST * length:
+        # Outlines that run a texel beside the texture's seem to be lacking in part.
+        unseen = [edge & (share < _ABSENT) for share, edge in zip(shares, edges, strict=True)]
+    if part < _CHANCE * length or not any(edge.any() for edge in unseen):
         return light, PlanStep(stage, False, "the texture has the outlines of the light", evidence)
+    wrong, wanted = np.zeros(light.shape, bool), []
+    for axis, step, share, edge in zip((1, 0), steps, shares, unseen, strict=True):
+        wanted.append(np.where(edge, share * step, step))
+        first, second = _ends(axis)
+        wrong[first] |= edge
+        wrong[second] |= edge
     band = binary_dilation(wrong, iterations=max(1, round(_BAND * max(light.shape)))) & usable
     spread = integrate_gradients(log_light, band, usable & ~band, wanted[0], wanted[1])
     reason = "outlines that the texture does not show are spread"
