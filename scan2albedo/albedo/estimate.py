@@ -75,7 +75,7 @@ def estimate_albedo(
         Toward the viewer, for roughness and highlights.
     budget : Budget or float, optional
         Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``. An
-        evaluation or two are needed for any answer; spherical harmonics are one step.
+        evaluation or two are needed for any answer; spherical harmonics ask for none.
     seed : int
         Of simulated annealing and of inpainting; the default search draws nothing.
     options : EstimateOptions
