@@ -8,18 +8,18 @@ import scan2albedo as s2a
 FOLDER = traced_folder()
 NAMES = [] if FOLDER is None else scene_names(FOLDER, "images")
 CEILINGS = {
-    "dome": 0.2,
-    "sky": 0.3,
-    "softboxes6": 2.2,
-    "softboxes2": 1.3,
-    "softbox_side": 0.6,
-    "window": 12.0,
-    "ring": 0.55,
-    "lamp_room": 0.45,
-    "flash": 1.7,
-    "flash_near": 1.0,
-    "flashes2": 0.4,
-    "sun": 9.0,
+    "dome": 0.15,
+    "sky": 0.25,
+    "softboxes6": 0.25,
+    "softboxes2": 0.3,
+    "softbox_side": 0.2,
+    "window": 0.25,
+    "ring": 0.2,
+    "lamp_room": 0.25,
+    "flash": 0.25,
+    "flash_near": 0.6,
+    "flashes2": 0.25,
+    "sun": 1.7,
 }
 """MSE of V in percent that neither of two people's albedo may exceed."""
 
