@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 
+from scan2albedo.albedo.lamp_size import LAMP_SIZE, with_lamp_size
 from scan2albedo.albedo.levels import cell_image
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import LightFound, LitImage
@@ -39,10 +40,6 @@ _NEARLY = 1.3
 """How many times the best cost soft light alone may cost for lamps to be sought beside it."""
 _LAST_EVALUATIONS = 8
 """Of the descent on the largest image, which starts near its end."""
-_LAMP_RADII_DEG = 6.0, 12.0, 20.0, 30.0
-"""Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
-_SIZE_GAIN, _SIZE_EVALUATIONS = 0.005, 4
-"""Part of the cost that a radius has to remove, and the evaluations of one descent."""
 _LEAST_EVALUATIONS = 4
 """What any answer takes, whatever the budget: a step toward the light from where the shading grows."""
 
@@ -61,7 +58,7 @@ class LightSearch:
         steps = [self.scene.shadows[1], *steps]
         if meter.exhausted:
             ended = "the budget ended before it"
-            late = (PlanStep(f"albedo.{name}", False, ended) for name in ("lamp_size", "light_colour"))
+            late = (PlanStep(stage, False, ended) for stage in (LAMP_SIZE, "albedo.light_colour"))
             return self._found(current, _once([*steps, *undecided(current.model, options), *late]))
         return self._with_parts(current, steps)
 
@@ -72,7 +69,7 @@ class LightSearch:
         decision = PlanStep("albedo.lights", True, "one light", "no second one tried")
         none = None
         if not meter.exhausted and lights is None:
-            alone = self._without_lamps(current.model)
+            alone = self._without_lamps(self._middle, current.model)
             first = light_evidence(self._middle, current, alone)
             # Two lamps may pay where one between them does not.
             none = None if first.accepted else alone
@@ -91,10 +88,10 @@ class LightSearch:
             decision = replace(decision, reason=f"{lights} asked for{short}")
         return current, decision
 
-    def _without_lamps(self, model: LightModel) -> Solution:
-        """Return the optimum of soft light alone on the middle image."""
+    def _without_lamps(self, problem: ResidualProblem, model: LightModel) -> Solution:
+        """Return the optimum of soft light alone."""
         alone = replace(model, lights=0)
-        return self._descend(self._middle, alone, alone.from_lights(np.zeros((0, 3)), np.zeros(0)))
+        return self._descend(problem, alone, alone.from_lights(np.zeros((0, 3)), np.zeros(0)))
 
     def _environment(
         self, lamps: Solution, decision: PlanStep, lights: int | None
@@ -115,7 +112,7 @@ class LightSearch:
             f"it removes {100 * gain:.1f} % of the cost beside {lamps.model.lights} lamp(s) "
             f"({100 * ENVIRONMENT_GAIN:g} % asked)"
         )
-        alone = self._without_lamps(model) if lights is None else both
+        alone = self._without_lamps(middle, model) if lights is None else both
         tried = [both] if choice else [lamps, both]
         if lights is None:
             tried += self._with_fewer_lamps(both)
@@ -159,44 +156,11 @@ class LightSearch:
         unit = self.scene.level(self.scene.options.sizes[0]).unit
         return LightFound(solution, unit, steps, self.scene.shadows[0])
 
-    def _with_size(self, point: Solution) -> tuple[Solution, PlanStep]:
-        """Return the light with the angular radius of its lamps that explains the outlines best, and the row.
-
-        Only the largest image shows how wide outlines are. Larger radii are tried while they explain more.
-        """
-        stage, options, largest = "albedo.lamp_size", self.scene.options, self._largest
-        choice = options.choice(stage)
-        if choice is False:
-            return point, PlanStep(stage, False, "left out by the caller")
-        if not point.model.lights or self.scene.shadows[0] is None:
-            return point, PlanStep(stage, False, "no lamp that casts shadows", "not judged")
-        problem = largest.guided(None, tint_on(largest, self._tint))
-        costs = dict[float, float]()
-
-        def tried(radius_deg: float) -> Solution:
-            model = replace(point.model, radius_deg=radius_deg)
-            found = descend(problem, model, point.x, _SIZE_EVALUATIONS)
-            costs[radius_deg] = found.cost
-            return found
-
-        best = none = tried(0.0)
-        for radius_deg in _LAMP_RADII_DEG:
-            found = tried(radius_deg)
-            if found.cost >= best.cost and not (choice and best is none):
-                break
-            best = found
-        gain = cost_removed(best.cost, none.cost)
-        tries = ", ".join(f"{radius:g} deg {cost:.4f}" for radius, cost in sorted(costs.items()))
-        evidence = f"cost by angular radius: {tries} ({100 * _SIZE_GAIN:g} % less asked)"
-        if self.scene.meter.exhausted or (gain < _SIZE_GAIN and not choice) or best is none:
-            return point, PlanStep(stage, False, "lamps may be points", evidence)
-        reason = f"lamps have a radius of {best.model.radius_deg:g} deg"
-        return replace(best, cost=point.cost), PlanStep(stage, True, reason, evidence)
-
     def _with_parts(self, current: Solution, steps: list[PlanStep]) -> LightFound:
         """Return the light with the parts of the model that the scene needs, refined on the largest image."""
         options, largest = self.scene.options, self._largest
-        current, size = self._with_size(current)
+        casts = self.scene.shadows[0] is not None
+        current, size = with_lamp_size(largest, self._tint, current, casts, options.choice(LAMP_SIZE))
         current = self._descend(self._unguided, current.model, current.x)
         decided = decide_parts(self._unguided, current, options, self._tint)
         self._record(decided.solution)
@@ -243,8 +207,7 @@ class LightSearch:
         for part in ("occlusion", "environment"):
             model = model.with_part(part)
         lit = self._descend(problem, model, lamp.model.extend(lamp.x, model))
-        alone = replace(model, lights=0)
-        soft = self._descend(problem, alone, alone.from_lights(np.zeros((0, 3)), np.zeros(0)))
+        soft = self._without_lamps(problem, model)
         if self.scene.meter.exhausted:
             return None
         return Tint.of(problem, lit if cost_removed(lit.cost, soft.cost) >= LIGHT_GAIN else soft)
