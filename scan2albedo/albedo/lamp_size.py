@@ -15,7 +15,7 @@ _RADII_DEG = 6.0, 12.0, 20.0, 30.0
 """Angular radii that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
 _GAIN, _EVALUATIONS = 0.005, 4
 """Part of the cost that a radius has to remove, and the evaluations of one descent, which starts near its
-end. On path-traced faces 6 degrees remove 0.002 at most under small lamps; large ones' radii 0.007 to 0.09."""
+end. On path-traced faces 6 degrees remove 0.002 at most under small lamps, and more under large ones."""
 
 
 def with_lamp_size(
@@ -24,8 +24,8 @@ def with_lamp_size(
     """Return the solution with the radius [deg] of its lamps that explains the outlines best, and the row.
 
     Only the `largest` image, without guide yet, shows how wide outlines are. Larger radii are tried while
-    they explain more. `point` has point lamps; its cost, of another image, is kept. `choice` True takes a radius
-    whatever the evidence, False none.
+    they explain more. `point` has point lamps; its cost, of another image, is kept. `choice` True takes a
+    radius whatever the evidence, False none.
     """
     if choice is False:
         return point, PlanStep(LAMP_SIZE, False, "left out by the caller")
