@@ -34,7 +34,7 @@ def load_albedos(
     albedo_linear : (N, size, size, 3) float32
         Texels correspond between scans of one face model; those of scans without a model do not.
     masks : (N, size, size) bool
-        Texels whose albedo comes from the scan's texture; others were filled in.
+        Texels that the scanner saw; others have the colour of the closest point of the scan.
 
     Raises
     ------

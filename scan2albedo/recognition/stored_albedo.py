@@ -29,7 +29,7 @@ class StoredAlbedo:
     albedo_linear: NDArray[np.float32]
     """(H, W, 3)."""
     seen: NDArray[np.bool_]
-    """(H, W): texels whose albedo comes from the scan's texture; others were filled in."""
+    """(H, W): texels that the scanner saw; others have the colour of the closest point of the scan."""
     chart: Chart
     """On which it lies."""
 
