@@ -225,11 +225,7 @@ def insert_lenses(
     photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
     size = _picture_size(shape, photograph)
     around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
-    if around is not None and lights is None and photograph is None:
-        lights = DistantLights.from_environment(around, options.light_count)
-    _check_light(photograph, lights)
-    if lights is not None and not options.relightable:
-        lights = without_dark(lights)
+    lights = _chosen_lights(photograph, around, lights, options)
     toward = np.zeros((0, 3)) if lights is None else np.asarray(lights.directions)
     irradiance = np.zeros((0, 3)) if lights is None else np.asarray(lights.irradiance_linear)
     placed = _placed(frame, keypoints, lenses, lens_centers)
@@ -237,40 +233,17 @@ def insert_lenses(
     scene = LensScene(bare.surface, surfaces)
     region = PixelRegion.of_lenses(placed, matrix, size)
     colors: SceneColors
-    if photograph is not None:
-        colors = PhotographedScene(
-            scene,
-            photograph,
-            matrix,
-            nearest=options.hidden == "nearest",
-            fringe_px=_FRINGE_PX,
-            region=region.slices,
-        )
+    if photograph is None:
+        colors = _lit_scene(scene, placed, toward, options)
+        empty, window = np.zeros((*size, 3)), PixelRegion(0, 0, size[1], size[0])
     else:
-        colors = LitScene(
-            scene,
-            placed,
-            toward,
-            background=options.background == "environment",
-            offset_mm=_SHADOW_OFFSET_MM,
-            every_pixel=options.shadows == "every pixel",
-        )
-    renderer = LensRenderer(scene, placed, colors, matrix, region)
-    # Outside the region a photograph stays as it is.
-    window = region if photograph is not None else PixelRegion(0, 0, size[1], size[0])
-    light = Illumination(irradiance, around)
+        colors = _photographed_scene(scene, photograph, matrix, region, options)
+        # Outside the region a photograph stays as it is.
+        empty, window = photograph, region
+    renderer, light = LensRenderer(scene, placed, colors, matrix, region), Illumination(irradiance, around)
     rendering = renderer.picture(window, options.supersampling, light, keep=options.relightable)
-    empty = np.zeros((*size, 3)) if photograph is None else photograph
-    traced = rendering.traced
-    return LensPicture(
-        pasted(empty, window, rendering.colors.shaded),
-        pasted(empty, window, rendering.colors.bare),
-        pasted(np.full(size, -1, np.int8), window, rendering.lens),
-        pasted(np.zeros(size, bool), window, rendering.unknown),
-        placed,
-        bare.notes + _notes(placed, rendering) + _mirror_notes(placed, around),
-        None if traced is None else LensRelighting(traced, window, empty, toward),
-    )
+    notes = bare.notes + _notes(placed, rendering) + _mirror_notes(placed, around)
+    return _lens_picture(rendering, window, empty, toward, placed, notes)
 
 
 def _picture_size(shape: tuple[int, int] | None, photograph: FloatArray | None) -> tuple[int, int]:
@@ -282,11 +255,22 @@ def _picture_size(shape: tuple[int, int] | None, photograph: FloatArray | None) 
     return int(height), int(width)
 
 
-def _check_light(photograph: FloatArray | None, lights: DistantLights | None) -> None:
-    if photograph is None and lights is None:
+def _chosen_lights(
+    photograph: FloatArray | None,
+    around: FloatArray | None,
+    lights: DistantLights | None,
+    options: LensPictureOptions,
+) -> DistantLights | None:
+    """Return the lights to draw under, given or standing for the environment; None for a photograph."""
+    if photograph is not None:
+        if lights is not None:
+            raise ValueError("a photograph has its own light; leave lights out, or give shape instead")
+        return None
+    if lights is None and around is not None:
+        lights = DistantLights.from_environment(around, options.light_count)
+    if lights is None:
         raise ValueError("a scene without light is black; give environment_linear or lights")
-    if photograph is not None and lights is not None:
-        raise ValueError("a photograph has its own light; leave lights out, or give shape instead")
+    return lights if options.relightable else without_dark(lights)
 
 
 def _placed(
@@ -315,6 +299,57 @@ def _placed(
         )
         for side, material in enumerate(materials)
         if material is not None
+    )
+
+
+def _lit_scene(
+    scene: LensScene, lenses: tuple[InsertedLens, ...], toward: FloatArray, options: LensPictureOptions
+) -> LitScene:
+    return LitScene(
+        scene,
+        lenses,
+        toward,
+        background=options.background == "environment",
+        offset_mm=_SHADOW_OFFSET_MM,
+        every_pixel=options.shadows == "every pixel",
+    )
+
+
+def _photographed_scene(
+    scene: LensScene,
+    photograph: FloatArray,
+    camera: FloatArray,
+    region: PixelRegion,
+    options: LensPictureOptions,
+) -> PhotographedScene:
+    return PhotographedScene(
+        scene,
+        photograph,
+        camera,
+        nearest=options.hidden == "nearest",
+        fringe_px=_FRINGE_PX,
+        region=region.slices,
+    )
+
+
+def _lens_picture(
+    rendering: Rendering,
+    window: PixelRegion,
+    empty: FloatArray,
+    toward: FloatArray,
+    lenses: tuple[InsertedLens, ...],
+    notes: tuple[str, ...],
+) -> LensPicture:
+    """Return the picture with the pixels of the window; outside it is `empty` (H, W, 3)."""
+    size, traced = empty.shape[:2], rendering.traced
+    return LensPicture(
+        pasted(empty, window, rendering.colors.shaded),
+        pasted(empty, window, rendering.colors.bare),
+        pasted(np.full(size, -1, np.int8), window, rendering.lens),
+        pasted(np.zeros(size, bool), window, rendering.unknown),
+        lenses,
+        notes,
+        None if traced is None else LensRelighting(traced, window, empty, toward),
     )
 
 
