@@ -18,6 +18,8 @@ from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 
+Smoother = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
 _SMALLEST_STEP = 0.25
 """A change that does not help is halved down to this share of it, then given up."""
 _LEAST_GAIN = 1e-3
@@ -141,28 +143,7 @@ def finetune(
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
     tuning = _Tuning(model, lighting, options, meter, list(held_out))
     before = tuning.error
-    converged = False
-    for _ in range(options.rounds):
-        if meter.exhausted:
-            break
-        try:
-            fits = tuning.fitted(observations)
-            changes = [
-                best_change(
-                    model,
-                    observations,
-                    fits,
-                    mean_change=options.mean_change,
-                    basis_change=basis_change,
-                ).smoothed(smooth)
-                for basis_change in options.basis_changes
-            ]
-            helped = tuning.try_steps(changes)
-        except _OutOfTime:
-            break
-        if not helped:
-            converged = not meter.exhausted
-            break
+    converged = tuning.run(observations, smooth)
     return FineTuning(tuning.current, tuple(tuning.steps), before, tuning.error, converged, meter.trace)
 
 
@@ -193,11 +174,34 @@ class _Tuning:
         """Mean objective of the held-out images."""
         return float(self.errors[:, 0].mean())
 
-    def fitted(self, observations: Sequence[ImageObservation]) -> list[ImageFit]:
-        """Fit images with the current model."""
-        return [self._fit(observation, self.current) for observation in observations]
+    def run(self, observations: Sequence[ImageObservation], smooth: Smoother) -> bool:
+        """Change the model round by round; return whether it ended because no change helps."""
+        for _ in range(self.options.rounds):
+            if self.meter.exhausted:
+                break
+            try:
+                helped = self._try_steps(self._changes(observations, smooth))
+            except _OutOfTime:
+                break
+            if not helped:
+                return not self.meter.exhausted
+        return False
 
-    def try_steps(self, changes: Sequence[ModelChange]) -> bool:
+    def _changes(self, observations: Sequence[ImageObservation], smooth: Smoother) -> list[ModelChange]:
+        """Return the most probable changes, smooth ones, by fits of all images with the current model."""
+        fits = [self._fit(observation, self.current) for observation in observations]
+        return [
+            best_change(
+                self.initial,
+                observations,
+                fits,
+                mean_change=self.options.mean_change,
+                basis_change=basis_change,
+            ).smoothed(smooth)
+            for basis_change in self.options.basis_changes
+        ]
+
+    def _try_steps(self, changes: Sequence[ModelChange]) -> bool:
         """Go as far towards one of the changes as helps, and return whether any step does."""
         step = 1.0
         while step >= _SMALLEST_STEP and not self.meter.exhausted:
@@ -275,7 +279,7 @@ def _smoother(
     faces: ArrayLike,
     vertices: ArrayLike | None,
     options: FineTuneOptions,
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+) -> Smoother:
     """Return a smoother of columns (V, C) over the vertices that the model knows."""
     count = len(model.known)
     triangles = _checked_faces(faces, count)
