@@ -150,19 +150,14 @@ def refine_geometry(
     start = initial_state(
         matrix, landmarks, shape_model, initial_scene_from_model, initial_identity, initial_expression
     )
-    photometry = None
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
+    photometry = None
     if reflectance is not None and light is not None:
         blur_px = [edge_px(matrix, shape_model, start) * blur for blur in options.blur_edges]
         images = [SmoothImage(image_linear, mask, blur) for blur in blur_px]
-        if len(reflectance.known) != len(shape_model.mean):
-            raise ReflectanceError(
-                f"the reflectance has {len(reflectance.known)} vertices and the shape model "
-                f"{len(shape_model.mean)}; bring both to one topology"
-            )
-        photometry = Photometry(images, matrix, shape_model.faces, reflectance, checked_light(light), options)
-    if photometry is None and not np.isfinite(landmarks).any():
+        photometry = _photometry(images, matrix, shape_model, reflectance, light, options)
+    elif not np.isfinite(landmarks).any():
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
         )
@@ -175,6 +170,22 @@ def refine_geometry(
             stacklevel=2,
         )
     return _result(fit)
+
+
+def _photometry(
+    images: list[SmoothImage],
+    camera: FloatArray,
+    shape_model: MorphableShapeModel,
+    reflectance: VertexReflectance,
+    light: ArrayLike,
+    options: GeometryFitOptions,
+) -> Photometry:
+    if len(reflectance.known) != len(shape_model.mean):
+        raise ReflectanceError(
+            f"the reflectance has {len(reflectance.known)} vertices and the shape model "
+            f"{len(shape_model.mean)}; bring both to one topology"
+        )
+    return Photometry(images, camera, shape_model.faces, reflectance, checked_light(light), options)
 
 
 @dataclass

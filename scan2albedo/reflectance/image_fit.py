@@ -120,15 +120,7 @@ def fit_image(
     Cost of a step: 3 U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a
     second of CPU in all.
     """
-    if len(np.asarray(observation.seen)) != len(model.known):
-        raise ReflectanceError(
-            f"the observation has {len(np.asarray(observation.seen))} vertices and the model "
-            f"{len(model.known)}; bring both to one topology"
-        )
-    lighting = LightingModel.default() if lighting is None else lighting
-    terms = ImageTerms.of(observation, model, lighting, options.lobe)
-    if len(terms.used) == 0:
-        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
+    terms = _image_terms(observation, model, lighting, options)
     meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
     term = None
     if perceptual is not None:
@@ -149,6 +141,25 @@ def fit_image(
             stacklevel=2,
         )
     return _result(found, terms, model, meter.trace)
+
+
+def _image_terms(
+    observation: ImageObservation,
+    model: MorphableReflectanceModel,
+    lighting: LightingModel | None,
+    options: ImageFitOptions,
+) -> ImageTerms:
+    """Return what the colours of the vertices are made of; `ReflectanceError` where there is none to fit."""
+    if len(np.asarray(observation.seen)) != len(model.known):
+        raise ReflectanceError(
+            f"the observation has {len(np.asarray(observation.seen))} vertices and the model "
+            f"{len(model.known)}; bring both to one topology"
+        )
+    lighting = LightingModel.default() if lighting is None else lighting
+    terms = ImageTerms.of(observation, model, lighting, options.lobe)
+    if len(terms.used) == 0:
+        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
+    return terms
 
 
 def _result(

@@ -93,13 +93,7 @@ def light_transfer(
     xyz, index = checked_mesh(vertices, faces)
     if not _DIRECTIONS[0] <= directions <= _DIRECTIONS[1]:
         raise ValueError(f"directions must be {_DIRECTIONS[0]} to {_DIRECTIONS[1]}, got {directions}")
-    n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)
-    if v.shape != xyz.shape:
-        raise ValueError(f"toward_camera is {v.shape}, expected {xyz.shape} as vertices")
-    # Placeholders where there is no surface; their rows are set to 0 below.
-    bare = np.asarray(~n.any(1))
-    n[bare] = (0.0, 0.0, 1.0)
-    v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
+    n, v, bare = _checked_vectors(checked_normals(xyz, index, normals), toward_camera)
     toward = distant_directions(directions)
     weighted = harmonics(toward, ORDER) * (4 * np.pi / directions)
     visible = ShadowMap(RayCaster(xyz, index), xyz, n, offset_mm).table(toward).visibility
@@ -118,6 +112,18 @@ def light_transfer(
     each_block(sum_up, blocks(len(xyz), _BLOCK))
     diffuse[bare], specular[bare] = 0.0, 0.0
     return LightResponse(diffuse, specular)
+
+
+def _checked_vectors(
+    normals: FloatArray, toward_camera: ArrayLike
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return n and v (V, 3), and (V,) where there is no surface, whose n and v are placeholders."""
+    n, v = normalized(normals), np.asarray(toward_camera, np.float64)
+    if v.shape != n.shape:
+        raise ValueError(f"toward_camera is {v.shape}, expected {n.shape} as vertices")
+    bare = np.asarray(~n.any(1))
+    n[bare] = (0.0, 0.0, 1.0)
+    return n, unit_vectors(np.where(bare[:, None], n, v), "toward_camera"), bare
 
 
 def _highlights(lit_cosine: FloatArray, n: FloatArray, v: FloatArray, toward: FloatArray) -> list[FloatArray]:
