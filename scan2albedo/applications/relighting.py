@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, photograph
 from scan2albedo.applications.processed_face import ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
@@ -150,15 +151,16 @@ def relight(
     scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
     lit = shade(shadow_map, light, face.reflectance, view / np.linalg.norm(view), scale)
     texture = face.albedo_linear[mask].astype(np.float64) * lit.diffuse + lit.specular
-    if (
-        max(np.abs(values).max() for values in (texture, lit.diffuse, lit.specular))
-        > np.finfo(np.float32).max
-    ):
+    pictures = [_chart_image(face, values) for values in (texture, lit.diffuse, lit.specular)]
+    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows)
+
+
+def _chart_image(face: ProcessedFace, values: FloatArray) -> NDArray[np.float32]:
+    if np.abs(values).max() > np.finfo(np.float32).max:
         raise ApplicationError(
             f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
         )
-    pictures = [on_grid(mask, values).astype(np.float32) for values in (texture, lit.diffuse, lit.specular)]
-    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows)
+    return on_grid(face.mask, values).astype(np.float32)
 
 
 def _check_lights(face: ProcessedFace, lights: Sequence[PointLight], ambient: float) -> None:

@@ -87,12 +87,7 @@ def simulated_annealing(
     >>> bool(np.abs(result.x - 0.3).max() < 0.02)
     True
     """
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
-    x = np.clip(np.asarray(start, float), low, high)
-    if not (x.shape == low.shape == high.shape and np.all(low <= high)):
-        raise ValueError(
-            f"start {x.shape}, lower {low.shape}, upper {high.shape} must agree with lower <= upper"
-        )
+    x, low, high = _checked_box(start, lower, upper)
     rng = np.random.default_rng(seed)
     step = (high - low) / 4 if initial_step is None else np.asarray(initial_step, float).copy()
     meter = meter if meter is not None else Meter("annealing", "cost")
@@ -125,6 +120,19 @@ def simulated_annealing(
             step = np.clip(step * np.exp(rate - options.target_acceptance), 1e-9, high - low)
             accepted[:] = 0
     return AnnealingResult(best_x, best_cost, used, converged=used >= options.evaluations)
+
+
+def _checked_box(
+    start: ArrayLike, lower: ArrayLike, upper: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the start, moved into the box, and the box."""
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    x = np.clip(np.asarray(start, float), low, high)
+    if not (x.shape == low.shape == high.shape and np.all(low <= high)):
+        raise ValueError(
+            f"start {x.shape}, lower {low.shape}, upper {high.shape} must agree with lower <= upper"
+        )
+    return x, low, high
 
 
 @dataclass
