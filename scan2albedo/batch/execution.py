@@ -151,6 +151,7 @@ def run_on_cluster(
             for task, future in _answered(client, waiting):
                 try:
                     row = future.result()
+                # Raises whatever the task raised in its worker, of any library, and dask's own errors.
                 except Exception as error:
                     if future.status != "error":  # its task did not end: nobody is there to run it
                         raise BatchError(

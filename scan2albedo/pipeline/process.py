@@ -264,6 +264,7 @@ def _warnings_as_messages() -> Iterator[list[str]]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UserWarning)
             yield messages
+    # Whatever ends the block carries the notes, and is raised again.
     except Exception as error:
         for warning in caught:
             if issubclass(warning.category, UserWarning):
