@@ -23,6 +23,7 @@ from scan2albedo.albedo.rectification import rectified
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.albedo.texel_light import light_on_texels
+from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
@@ -224,7 +225,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         shadow_offset_mm=options.shadow_offset_mm,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-        expected_error=np.hypot(division.deviation, 0 if deviation is None else deviation).astype(np.float32),
+        expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
         environment=lit.environment,
     )
 
@@ -296,5 +297,7 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         casts_shadows=True,
         shadow_offset_mm=options.shadow_offset_mm,
         environment=environment_of_shading(coefficients),
-        expected_error=division.deviation.astype(np.float32),
+        expected_error=expected_error(
+            division.deviation, None, value_channel(shading), image.mask, image.skin
+        ),
     )

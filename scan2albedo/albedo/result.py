@@ -66,8 +66,9 @@ class AlbedoEstimate:
     environment: EnvironmentLight | None = None
     """The soft light; None is the constant white ambient light of 1."""
     expected_error: NDArray[np.float32] | None = None
-    """(H, W): relative standard deviation of each texel's albedo: the noise that is left and, where it is
-    known, `albedo_deviation`; 1 where nothing was measured."""
+    """(H, W): relative error of the albedo that two texels in three stay below, best scale removed: from the
+    noise that is left, the light's uncertainty where it is known, and what path-traced faces err by besides;
+    1 where nothing was measured."""
 
     def relit(
         self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None

@@ -5,13 +5,19 @@ import math
 
 import numpy as np
 import pytest
+from benchmarks.traced_set import calibration, load_image
 
 from scan2albedo.albedo import EstimateOptions, estimate_albedo
 from scan2albedo.albedo.levels import build_level, usable_texels
 from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.residual_objective import ResidualProblem
 from scan2albedo.albedo.shadows import ShadowLattice
-from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty, light_uncertainty
+from scan2albedo.albedo.uncertainty import (
+    Alternative,
+    LightUncertainty,
+    expected_error,
+    light_uncertainty,
+)
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
@@ -113,16 +119,52 @@ def test_albedo_deviation_tells_how_far_the_albedo_is_off(contrasts, scenes):
 
 
 def test_the_expected_error_holds_for_most_texels(noisy, contrasts, scenes):
-    """Four in five err by less than twice what is said, and not because too much is said."""
+    """Two texels in three err by less than what is said, nineteen in twenty by less than twice as much."""
     plain, skin = (scenes.texture(kind, 96)[..., 0] for kind in ("plain", "skin"))
     truths = [plain] * len(noisy) + [0.55 + contrast * (skin - 0.55) for contrast in (0.25, 0.5, 1.0)]
     for estimate, true in zip(noisy + contrasts, truths, strict=True):
         measured = estimate.confidence > 0
         ratio = estimate.albedo_linear[..., 0][measured] / true[measured]
         off, said = np.abs(ratio / np.mean(ratio) - 1), estimate.expected_error[measured]
-        assert np.mean(off < 2 * said) > 0.8
-        assert np.sqrt(np.mean(said**2)) < 3 * np.sqrt(np.mean(off**2))
+        assert np.mean(off < said) > 0.66
+        assert np.mean(off < 2 * said) > 0.95
+    said = [float(np.median(e.expected_error[e.image.mask])) for e in noisy]
+    assert said[0] < said[1] < said[2] < 0.15
     assert np.all(noisy[0].expected_error[~noisy[0].image.mask] == 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["soft_dome", "soft_sky", "soft_softboxes6", "soft_window"])
+def test_the_expected_error_holds_on_a_path_traced_face(shared_data, name):
+    scene = load_image(shared_data / "traced", name)
+    estimate = estimate_albedo(scene.image)
+    inside, within = calibration(
+        estimate.albedo_linear.max(2), scene.albedo_linear.max(2), estimate.expected_error, scene.judged
+    )
+    assert inside > 0.6
+    assert within > 0.9
+
+
+def test_expected_error_names_each_of_its_sources():
+    """Noise, an unsure light, a steep light and what is not skin raise it; without any it is the least."""
+    mask, light = np.ones((8, 8), bool), np.ones((8, 8))
+    none = np.zeros((8, 8))
+    least = expected_error(none, None, light, mask)
+    assert np.allclose(least, least[0, 0])
+    assert 0 < least[0, 0] < 0.05
+    steep = light * np.where(np.arange(8) < 4, 1.0, 2.0)
+    edge = expected_error(none, None, steep, mask)
+    assert edge[4, 4] > least[4, 4] == edge[4, 1]
+    skin = np.ones((8, 8))
+    skin[2, 2] = 0
+    for raised in (
+        expected_error(none + 0.1, None, light, mask),
+        expected_error(none, none + 0.1, light, mask),
+        expected_error(none, None, light, mask, skin),
+    ):
+        assert raised[2, 2] > 0.1
+    assert np.all(expected_error(none + 1, None, light, mask) == 1)
+    assert np.all(expected_error(none, None, light, ~mask) == 0)
 
 
 def test_the_albedo_is_least_sure_where_the_light_is_weakest_known(contrasts):

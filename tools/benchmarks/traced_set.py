@@ -99,6 +99,19 @@ def lit(texture: NDArray[np.floating], albedo: FloatArray, known: BoolArray) -> 
     return known & (light > _UNLIT * np.median(light[known]))
 
 
+def calibration(
+    albedo: FloatArray, truth: FloatArray, expected_error: NDArray[np.floating], judged: BoolArray
+) -> tuple[float, float]:
+    """Return what parts of the texels err by less than what is said, and than twice that.
+
+    `albedo` and `truth` (H, W) are V, which agree in the median; nearly black texels do not count.
+    """
+    at = judged & (truth > _DARKEST)
+    ratio = albedo[at] / truth[at]
+    off, said = np.abs(ratio / np.median(ratio) - 1), expected_error[at]
+    return float(np.mean(off <= said)), float(np.mean(off <= 2 * said))
+
+
 @dataclass(frozen=True)
 class ScanTruth:
     """What is known about a raw scan: the surface in mm, its albedo as a linear picture, the lamps."""
