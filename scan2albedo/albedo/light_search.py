@@ -188,12 +188,12 @@ class LightSearch:
 
     @cached_property
     def _coarse(self) -> ResidualProblem:
-        return self._tinted(0)
+        return self._smallest.guided(None, tint_on(self._smallest, self._tint))
 
     @cached_property
     def _first_tries(self) -> list[Solution]:
         """Optima of one light on the smallest image, best first, before colours of light are known."""
-        model, problem = self.scene.model(1), self._problem(0).guided(None)
+        model, problem = self.scene.model(1), self._smallest.guided(None)
         starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self.scene.directions)
         return self._polished(problem, model, starts, self.scene.options.starts, self._record)
 
@@ -202,7 +202,7 @@ class LightSearch:
         """What the light does to colours, by a first estimate on the smallest image without their guide."""
         if self.scene.meter.exhausted:
             return None
-        problem, lamp = self._problem(0), self._first_tries[0]
+        problem, lamp = self._smallest, self._first_tries[0]
         model = lamp.model
         for part in ("occlusion", "environment"):
             model = model.with_part(part)
@@ -212,9 +212,9 @@ class LightSearch:
             return None
         return Tint.of(problem, lit if cost_removed(lit.cost, soft.cost) >= LIGHT_GAIN else soft)
 
-    def _tinted(self, k: int) -> ResidualProblem:
-        problem = self._problem(k)
-        return problem.guided(None, tint_on(problem, self._tint))
+    @cached_property
+    def _smallest(self) -> ResidualProblem:
+        return self._problem(0)
 
     @cached_property
     def _unguided(self) -> ResidualProblem:
@@ -230,7 +230,9 @@ class LightSearch:
 
     def _problem(self, k: int) -> ResidualProblem:
         level = self.scene.level(self.scene.options.sizes[k])
-        return ResidualProblem(level, self.scene.lattice(level), self.scene.meter, self.scene.soft(level))
+        # What soft light knows of the sky spares the lamps' shadows most of their rays.
+        soft = self.scene.soft(level)
+        return ResidualProblem(level, self.scene.lattice(level), self.scene.meter, soft)
 
     def _record(self, solution: Solution) -> None:
         """Add a trace row with the cost on the largest image: costs at different sizes do not compare."""

@@ -13,29 +13,25 @@ def block_albedos(value, weight, light, specular, blocks, softness, robust, albe
     The cost is sum sqrt((w r)^2 + e^2) - e with r = T - I_s - a_b I; `mass` (B,) gets sum w I^2. `robust`
     (S, N), the weights of iterative reweighting, is updated in each of the `sweeps`.
     """
-    cost = 0.0
-    for _ in range(sweeps):
-        albedo[:] = 0.0
+    sums, cost = np.zeros(albedo.size), 0.0
+    for sweep in range(sweeps + 1):
+        if sweep > 0:
+            for block in range(albedo.size):
+                albedo[block] = max(sums[block], 0.0) / mass[block] if mass[block] > 0.0 else 0.0
+        sums[:] = 0.0
         mass[:] = 0.0
-        for s in range(blocks.shape[0]):
-            for i in range(value.size):
-                block = blocks[s, i]
-                w = weight[i] * robust[s, i]
-                albedo[block] += w * (value[i] - specular[i]) * light[i]
-                mass[block] += w * light[i] * light[i]
-        for block in range(albedo.size):
-            albedo[block] = max(albedo[block], 0.0) / mass[block] if mass[block] > 0.0 else 0.0
         cost = 0.0
         for s in range(blocks.shape[0]):
             for i in range(value.size):
-                r = weight[i] * (value[i] - specular[i] - albedo[blocks[s, i]] * light[i])
-                spread = np.sqrt(r * r + softness * softness)
-                cost += spread - softness
-                robust[s, i] = weight[i] / spread
-    mass[:] = 0.0
-    for s in range(blocks.shape[0]):
-        for i in range(value.size):
-            mass[blocks[s, i]] += weight[i] * robust[s, i] * light[i] * light[i]
+                block, rest = blocks[s, i], value[i] - specular[i]
+                if sweep > 0:
+                    r = weight[i] * (rest - albedo[block] * light[i])
+                    spread = np.sqrt(r * r + softness * softness)
+                    cost += spread - softness
+                    robust[s, i] = weight[i] / spread
+                w = weight[i] * robust[s, i]
+                sums[block] += w * rest * light[i]
+                mass[block] += w * light[i] * light[i]
     return cost
 
 
