@@ -16,6 +16,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
+from scan2albedo.lighting.interreflection import SMALLEST_MM, surface_keys
 
 _BLACK = 1e-6
 """Parts of the brightest texel up to which a texel is black."""
@@ -236,14 +237,61 @@ def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
     return means.reshape(values.shape)
 
 
+def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return (N,) the mean over each cell's texels within `mask` (H, W) of `values` there."""
+    fields = np.zeros((*mask.shape, 2))
+    fields[mask, 0], fields[mask, 1] = values, 1.0
+    sums = _cell_sums(fields, mask, level.factor)[tuple(level.cell.T)]
+    return np.asarray(sums[:, 0] / sums[:, 1])
+
+
 def cell_image(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) `values` (N,) of each texel's cell, or of the nearest one, within `mask`; 0 elsewhere."""
-    row, column = level.cell.T
-    factor = level.factor
-    shape = tuple(-(-side // factor) for side in mask.shape)
-    grid, known = np.zeros(shape), np.zeros(shape, bool)
-    grid[row, column], known[row, column] = values, True
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    grid = grid[tuple(nearest)]
-    full = grid.repeat(factor, 0).repeat(factor, 1)[: mask.shape[0], : mask.shape[1]]
+    grid = np.asarray(values)[_nearest_cells(level, mask)]
+    full = grid.repeat(level.factor, 0).repeat(level.factor, 1)[: mask.shape[0], : mask.shape[1]]
     return np.where(mask, full, 0.0)
+
+
+def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
+    """Return (h, w) the number of each cell of the chart, or of the nearest one that there is."""
+    row, column = level.cell.T
+    number = np.full(tuple(-(-side // level.factor) for side in mask.shape), -1)
+    number[row, column] = np.arange(len(row))
+    nearest = distance_transform_edt(number < 0, return_distances=False, return_indices=True)
+    return np.asarray(number[tuple(nearest)])
+
+
+def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:
+    """Return (P, C) `values` (N, C) of the cells on the P masked texels, from the four cells around each.
+
+    They count by their distance in space and by how their normals turn, as in `SurfaceLookup`: no value leaks
+    over a fold, or a cut of the chart.
+    """
+    mask, found = image.mask, np.empty((int(image.mask.sum()), values.shape[1]))
+    texels = surface_keys(image.position[mask], image.normal[mask])
+    cells, number = surface_keys(level.anchor, level.normal), _nearest_cells(level, mask)
+    _from_four_cells(np.argwhere(mask), texels, level.factor, number, cells, values, SMALLEST_MM, found)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _from_four_cells(at, texels, factor, number, cells, values, smallest, found):  # type: ignore[no-untyped-def]
+    """Fill `found` (P, C) at the texels `at` (P, 2); `texels` (P, 6) and `cells` (N, 6) are keys."""
+    for p in range(len(at)):
+        row, column = ((at[p, 0] + 0.5) / factor - 0.5, (at[p, 1] + 0.5) / factor - 0.5)
+        total = 0.0
+        found[p] = 0.0
+        for a in range(2):
+            i = min(max(int(np.floor(row)) + a, 0), number.shape[0] - 1)
+            for b in range(2):
+                j = min(max(int(np.floor(column)) + b, 0), number.shape[1] - 1)
+                cell = number[i, j]
+                square = 0.0
+                for k in range(6):
+                    square += (texels[p, k] - cells[cell, k]) ** 2
+                weight = 1 / (np.sqrt(square) + smallest) ** 2
+                total += weight
+                for c in range(values.shape[1]):
+                    found[p, c] += weight * values[cell, c]
+        for c in range(values.shape[1]):
+            found[p, c] /= total

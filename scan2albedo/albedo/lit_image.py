@@ -10,7 +10,7 @@ import numpy as np
 from scan2albedo.albedo.levels import Level, brightest_around, build_level
 from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.albedo.shadows import ShadowLattice, shadow_caster
+from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Meter
@@ -19,8 +19,8 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.environment_light import open_transfer, shadowed_transfer
-from scan2albedo.lighting.interreflection import Bounce, Patches, SurfaceLookup
+from scan2albedo.lighting.environment_light import shadowed_transfer, sky_table
+from scan2albedo.lighting.interreflection import Bounce, Patches
 from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
 
 CONE_RAD = 1.92
@@ -63,12 +63,16 @@ class LitImage:
         return LightModel(lights, self.brdf, self.view, radius)
 
     def level(self, size: int) -> Level:
-        """Return the image with `size` cells along its longer side."""
-        return self._smallest if size == self.options.sizes[0] else self._built(size)
+        """Return the image with `size` cells along its longer side; known ones are kept."""
+        if size not in self._levels:
+            self._levels[size] = build_level(self.image, self.usable, size, self._value)
+        return self._levels[size]
 
     def lattice(self, level: Level) -> ShadowLattice:
         """Return the cast shadows of a level."""
-        return ShadowLattice(level, self.shadows[0], self.options.shadow_offset_mm)
+        horizon = self._horizons.get(level.factor)
+        above = None if horizon is None else horizon.at(level.center)
+        return ShadowLattice(level, self.shadows[0], self.options.shadow_offset_mm, above)
 
     def soft(self, level: Level) -> SoftTerms:
         """Return what soft light needs to know of a level; known ones are kept."""
@@ -77,26 +81,30 @@ class LitImage:
         return self._soft[level.factor]
 
     def _soft_of(self, level: Level) -> SoftTerms:
-        surface = self.shadows[0], level.anchor, level.normal
-        shadows = ShadowMap(*surface, self.options.shadow_offset_mm)
-        return SoftTerms(shadowed_transfer(shadows), self._bounce(level.anchor, level.normal))
+        caster, bounce = self.shadows[0], self._bounce(level.anchor, level.normal)
+        surface = level.anchor, level.normal, self.options.shadow_offset_mm
+        shadows = ShadowMap(caster, *surface)
+        if caster is None:
+            return SoftTerms(shadowed_transfer(shadows), bounce)
+        sky = sky_table(shadows)
+        self._horizons[level.factor] = Horizon(level, sky)
+        return SoftTerms(shadowed_transfer(shadows, sky), bounce)
 
-    def soft_texels(self, level: Level) -> SoftTerms:
-        """Return the same of the masked texels, what the surface hides from them taken from `level`."""
-        image = self.image
-        position, normal = image.position[image.mask], image.normal[image.mask].astype(np.float64)
-        if self.shadows[0] is None:
-            return SoftTerms.unshadowed(normal)
-        known = self.soft(level)
-        weights = SurfaceLookup.of(level.anchor, level.normal).weights(position, normal)
-        transfer = open_transfer(normal) - weights @ (open_transfer(level.normal) - known.transfer)
-        return SoftTerms(transfer, None if known.bounce is None else known.bounce.seen_through(weights))
+    def open_above(self) -> FloatArray | None:
+        """Return (P,) the cosine above which nothing hides a light from each masked texel, where known."""
+        if not self._horizons:
+            return None
+        return self._horizons[min(self._horizons)].at(np.argwhere(self.image.mask))
 
     def _bounce(self, position: FloatArray, normal: FloatArray) -> Bounce | None:
         return None if self._patches is None else self._patches.seen_from(position, normal)
 
     @cached_property
     def _soft(self) -> dict[int, SoftTerms]:
+        return {}
+
+    @cached_property
+    def _horizons(self) -> dict[int, Horizon]:
         return {}
 
     @cached_property
@@ -117,17 +125,18 @@ class LitImage:
         """What casts shadows, and the plan's row."""
         return shadow_caster(self.image, self._smallest, self.directions, self.options, self.meter)
 
-    @cached_property
+    @property
     def _smallest(self) -> Level:
-        return self._built(self.options.sizes[0])
+        return self.level(self.options.sizes[0])
+
+    @cached_property
+    def _levels(self) -> dict[int, Level]:
+        return {}
 
     @cached_property
     def _value(self) -> FloatArray:
         assert self.image.texture_linear is not None
         return brightest_around(self.image.texture_linear, self.usable)
-
-    def _built(self, size: int) -> Level:
-        return build_level(self.image, self.usable, size, self._value)
 
 
 def shading_direction(level: Level) -> FloatArray:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan
@@ -117,14 +118,15 @@ def shade_image(
     caster: RayCaster | None,
     offset_mm: float,
     environment: EnvironmentLight | None = None,
+    open_above: FloatArray | None = None,
 ) -> LitSurface:
     """Shade the masked texels with shadows of `caster` (None: attached shadows alone).
 
-    The environment stands for the ambient light of 1.
+    The environment stands for the ambient light of 1. `open_above` (N,) is what `ShadowMap` spares rays by.
     """
     mask = image.mask
     position, normal = image.position[mask], image.normal[mask]
-    hidden = ShadowMap(caster, position, normal, offset_mm)
+    hidden = ShadowMap(caster, position, normal, offset_mm, open_above)
     attached = ShadowMap(None, position, normal, offset_mm)
     none = np.ones((0, len(position)), np.uint8)
     visible, facing = (

@@ -7,16 +7,17 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage, Occluder
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 Visibility = NDArray[np.float32]
 
@@ -32,6 +33,9 @@ _OF_RADIUS = 0.5
 """The least distance of nodes as a part of the lamps' angular radius."""
 _NEARNESS = 2.0
 """The distance of nodes along nearness, beside that of directions: shadows change little with it."""
+
+_UNSEEN = 0.2
+"""Cosine by which a hidden direction may be above those of a sky of 96: that of 12 degrees."""
 
 
 def shadow_caster(
@@ -90,6 +94,27 @@ def _largest_shadow(shadows: ShadowMap, directions: FloatArray) -> float:
     return largest
 
 
+class Horizon:
+    """Above which cosine to the normal no light is hidden, from the `sky` that the cells of a level see.
+
+    It is the largest at which one of the sky's directions is hidden from the cell or from one beside it, and
+    some more: between the directions an occluder may be missed.
+    """
+
+    def __init__(self, level: Level, sky: VisibilityTable) -> None:
+        row, column = level.cell.T
+        hidden, known = np.zeros((2, row.max() + 1, column.max() + 1))
+        hidden[row, column], known[row, column] = sky.highest_hidden(level.normal), 1
+        above = np.where(known > 0, maximum_filter(hidden, 3) + _UNSEEN, np.inf)
+        self._above = np.pad(above, (0, 1), constant_values=np.inf)
+        self._factor = level.factor
+
+    def at(self, texels: FloatArray | IntArray) -> FloatArray:
+        """Return (N,) the cosines at `texels` (N, 2); infinite beyond the cells."""
+        cells = np.minimum(texels // self._factor, np.array(self._above.shape) - 1).astype(np.int64)
+        return np.asarray(self._above[tuple(cells.T)])
+
+
 class ShadowLattice:
     """Visibility of N cells, by rays at the nodes of a lattice of lights and blended linearly between them.
 
@@ -98,9 +123,12 @@ class ShadowLattice:
     search rarely shoots rays. Without `caster` everything is visible.
     """
 
-    def __init__(self, level: Level, caster: RayCaster | None, offset_mm: float) -> None:
+    def __init__(
+        self, level: Level, caster: RayCaster | None, offset_mm: float, open_above: FloatArray | None = None
+    ) -> None:
         self._position, self._normal = level.position, level.normal
-        self._rays = None if caster is None else ShadowMap(caster, level.anchor, level.normal, offset_mm)
+        surface = level.anchor, level.normal
+        self._rays = None if caster is None else ShadowMap(caster, *surface, offset_mm, open_above)
         self._least_step = _SPACING / float(level.cell.max() + 1)
         self._known: dict[tuple[int, int, int, float], Visibility] = {}
 
@@ -148,7 +176,7 @@ class ShadowLattice:
             distance = model.radius_mm / (nearness * near) if nearness > 0 else math.inf
             visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
             # Turned away at the node, a cell may face the light itself: no outline of a cast shadow there.
-            rays = direction if math.isinf(distance) else distance * direction - self._position
-            visible[np.sum(self._normal * rays, 1) <= 0] = 1
+            nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
+            visible[self._normal @ direction <= nearer] = 1
             self._known[key] = visible
         return self._known[key]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scan2albedo.albedo.levels import along_surface, cell_means
 from scan2albedo.albedo.light_parameters import HARMONICS
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.result import LitSurface, shade_image
@@ -13,6 +14,7 @@ from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
+from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.shading import Reflectance
 
 
@@ -44,7 +46,8 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     strength = state.reflectance.specular_strength * found.unit
     reflectance, lamps = replace(state.reflectance, specular_strength=strength), state.lights()
     offset = scene.options.shadow_offset_mm
-    lit = shade_image(scene.image, lamps, reflectance, scene.view, found.caster, offset)
+    where = scene.image, lamps, reflectance, scene.view, found.caster, offset
+    lit = shade_image(*where, open_above=scene.open_above())
     colors = _strongest_first(found)
     environment, light = _with_soft_light(scene, found, lit, colors)
     return TexelLight(
@@ -74,14 +77,24 @@ def _with_soft_light(
     model = found.solution.model
     if (colors == 1).all() and not (model.occlusion or model.bounce or model.environment):
         return None, lit.shading.light_linear
-    state = model.soft(found.solution.x)
-    terms = scene.soft_texels(scene.level(scene.options.sizes[2]))
-    columns = terms.columns(state, lit.shading.lamps)
+    state, lamps, mask = model.soft(found.solution.x), lit.shading.lamps, scene.image.mask
     harmonics = np.append(1.0, state.harmonics)[:, None] * colors[model.lights : -1]
     environment = EnvironmentLight(
         harmonics, occluded=found.caster is not None, fill=state.fill, bounce=state.bounce
     )
-    return environment, np.maximum(columns.T @ colors, DARKEST)
+    light = lamps.T @ colors[: model.lights] + open_transfer(scene.image.normal[mask]) @ harmonics
+    if found.caster is None:
+        return environment, np.maximum(light, DARKEST)
+    # What the surface hides and what it throws back changes slowly along it, and comes from cells.
+    level = scene.level(scene.options.sizes[2])
+    terms = scene.soft(level)
+    hidden = open_transfer(level.normal) - terms.transfer
+    hidden[:, 0] *= 1 - state.fill
+    change = -hidden @ harmonics
+    if terms.bounce is not None and state.bounce:
+        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ state.harmonics
+        change += state.bounce * terms.bounce(direct)[:, None] * colors[-1]
+    return environment, np.maximum(light + along_surface(level, change, scene.image), DARKEST)
 
 
 def _coloured(lamp: PointLight, color: FloatArray) -> PointLight:

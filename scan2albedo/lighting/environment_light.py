@@ -9,7 +9,7 @@ from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.interreflection import Bounce
-from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 _ORDER = 2
 _COSINE_LOBE = np.array([1.0, *[2 / 3] * 3, *[1 / 4] * 5])
@@ -47,8 +47,15 @@ def environment_of_shading(coefficients: FloatArray) -> EnvironmentLight:
     )
 
 
-def shadowed_transfer(shadows: ShadowMap, directions: int = _DIRECTIONS) -> FloatArray:
+def sky_table(shadows: ShadowMap, directions: int = _DIRECTIONS) -> VisibilityTable:
+    """Return which of so many directions, spread evenly, each point sees."""
+    return shadows.table(distant_directions(directions))
+
+
+def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) -> FloatArray:
     """Return (N, 9) the same for points that the surface partly hides; the first is ambient occlusion.
+
+    `sky` is their `sky_table`, where it is known already.
 
     Sums over rays err; only what is hidden is therefore taken from them, and the rest from `open_transfer`.
 
@@ -60,11 +67,11 @@ def shadowed_transfer(shadows: ShadowMap, directions: int = _DIRECTIONS) -> Floa
     free = open_transfer(shadows.normal)
     if shadows.caster is None:
         return free
-    toward = distant_directions(directions)
-    values = harmonics(toward, _ORDER)
-    weighted = values / values[:, :1] * (4 / directions)
-    cosine = np.maximum(shadows.normal @ toward.T, 0.0)
-    whole, part = cosine @ weighted, (cosine * shadows.table(toward).visibility.T) @ weighted
+    sky = sky_table(shadows) if sky is None else sky
+    values = harmonics(sky.directions, _ORDER)
+    weighted = values / values[:, :1] * (4 / len(values))
+    cosine = np.maximum(shadows.normal @ sky.directions.T, 0.0)
+    whole, part = cosine @ weighted, (cosine * sky.visibility.T) @ weighted
     # The first harmonic is constant, so its coefficient gives the visible share.
     share = part[:, :1] / np.maximum(whole[:, :1], 1e-12)
     return np.asarray(part + share * (free - whole))

@@ -20,7 +20,7 @@ _NORMAL_MM = 20.0
 """Distance that counts as much as a turn of the normal by 1 rad when points are looked up."""
 _CELLS = 28
 """Patches along the longest side of the points, of which they are chosen."""
-_NEIGHBOURS, _SMALLEST_MM = 4, 0.5
+_NEIGHBOURS, SMALLEST_MM = 4, 0.5
 """Points that a value is interpolated from, and the distance below which all weigh the same."""
 
 
@@ -28,7 +28,7 @@ _NEIGHBOURS, _SMALLEST_MM = 4, 0.5
 class SurfaceLookup:
     """Interpolation of values known at points of a surface to others on it, along the surface.
 
-    `keys` (M, 6) are position in mm and scaled normal: a value does not leak to the other side of a fold.
+    Distances are those of `surface_keys`: a value does not leak to the other side of a fold.
     """
 
     tree: cKDTree
@@ -36,20 +36,21 @@ class SurfaceLookup:
     @classmethod
     def of(cls, position: FloatArray, normal: FloatArray) -> SurfaceLookup:
         """Return the lookup of values at M points."""
-        return cls(cKDTree(_keys(position, normal)))
+        return cls(cKDTree(surface_keys(position, normal)))
 
     def weights(self, position: FloatArray, normal: FloatArray) -> sparse.csr_matrix:
         """Return (N, M) weights, rows summing to 1, of the values at N points."""
         count = min(_NEIGHBOURS, self.tree.n)
-        far, index = self.tree.query(_keys(position, normal), range(1, count + 1))
-        weight = 1 / (far + _SMALLEST_MM) ** 2
+        far, index = self.tree.query(surface_keys(position, normal), range(1, count + 1))
+        weight = 1 / (far + SMALLEST_MM) ** 2
         weight /= weight.sum(1, keepdims=True)
         rows = np.repeat(np.arange(len(position)), count)
         shape = len(position), self.tree.n
         return sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), shape)
 
 
-def _keys(position: FloatArray, normal: FloatArray) -> FloatArray:
+def surface_keys(position: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return (N, 6) what distances along a surface are taken between: position in mm and scaled normal."""
     return np.column_stack([position, _NORMAL_MM * normal])
 
 
@@ -88,10 +89,6 @@ class Bounce:
         """Return the bounced light (..., N) of `light` (..., N)."""
         patches = (self.down @ light.T).astype(np.float32)
         return np.asarray((self.up @ (self.factors @ patches).astype(np.float64)).T)
-
-    def seen_through(self, weights: sparse.csr_matrix) -> Bounce:
-        """Return the bounce onto and from P points whose values are `weights` (P, N) of these points'."""
-        return Bounce(self.factors, weights @ self.up, self.down @ _averages(weights))
 
 
 @dataclass(frozen=True)

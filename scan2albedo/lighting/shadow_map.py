@@ -26,19 +26,25 @@ class ShadowMap:
     `position` (N, 3) is in mm on the caster's surface, `normal` (N, 3) unit and outward. Rays start
     `offset_mm` along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow itself, more
     loses shadow at contacts. It is kept between 0.015 % and 0.5 % of the caster's size, so that a surface in
-    another unit than millimetres neither shadows itself nor loses all its shadows.
+    another unit than millimetres neither shadows itself nor loses all its shadows. No ray is shot where the
+    light's cosine to the normal is above `open_above` (N,): there nothing is known to hide it.
     """
 
     caster: RayCaster | None
     position: FloatArray
     normal: FloatArray
     offset_mm: float = 0.2
+    open_above: FloatArray | None = None
     _origin: NDArray[np.float32] = field(init=False, repr=False)
+    _above: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        origin, above = np.empty((0, 3), np.float32), 0.0
         if self.caster is not None:
-            origin = shadow_origins(self.caster, self.position, self.normal, self.offset_mm)
-            object.__setattr__(self, "_origin", origin)
+            origin, above = shadow_origins(self.caster, self.position, self.normal, self.offset_mm), math.inf
+        known = np.full(len(self.position), above) if self.open_above is None else self.open_above
+        object.__setattr__(self, "_origin", origin)
+        object.__setattr__(self, "_above", known)
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
         """Return (N,) uint8, 1 where a light reaches the point.
@@ -49,12 +55,11 @@ class ShadowMap:
         toward = np.asarray(direction, np.float64)
         inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
         result = np.zeros(len(self.position), np.uint8)
-        if self.caster is None:
-            _facing(self.position, self.normal, toward, inverse, result)
-            return result
-        lit, origin, ray = _lit_rays(self.position, self.normal, self._origin, toward, inverse, result)
-        hidden = self.caster.occluded_local(origin, ray if inverse else toward)
-        result[lit] = ~hidden
+        at, origin, ray = _needed_rays(
+            self.position, self.normal, self._origin, toward, inverse, self._above, result
+        )
+        if self.caster is not None and len(at):
+            result[at] = ~self.caster.occluded_local(origin, ray if inverse else toward)
         return result
 
     def reached(
@@ -66,15 +71,30 @@ class ShadowMap:
         """
         if radius_deg == 0:
             return self.visible(direction, distance_mm)
-        directions = disc_directions(direction, radius_deg, _DISC)
+        to_lamp, radius = np.asarray(direction) - self.position / distance_mm, math.radians(radius_deg)
+        length = np.linalg.norm(to_lamp, axis=1)
+        cosine = np.einsum("nc,nc->n", self.normal, to_lamp) / np.maximum(length, 1e-9)
+        # The most by which the cosines to points of the disc differ from that to its centre.
+        spread = radius / np.maximum(length - radius / 2, 1e-9)
+        result = (cosine > self._above + spread).astype(np.float32)
+        unsure = np.flatnonzero((result == 0) & (cosine > -spread))
+        result[unsure] = self._some(unsure)._parts(disc_directions(direction, radius_deg, _DISC), distance_mm)
+        return result
+
+    def _some(self, index: NDArray[np.intp]) -> ShadowMap:
+        """Return that of some points."""
+        surface = self.position[index], self.normal[index]
+        return ShadowMap(self.caster, *surface, self.offset_mm, self._above[index])
+
+    def _parts(self, directions: FloatArray, distance_mm: float) -> FloatArray:
+        """Return (N,) the part of the lamp's points in `directions` (K, 3), its rim last, that is seen."""
         seen, facing = self._seen(directions[-_RIM:], distance_mm)
         # Where the rim is hidden or seen as a whole, so is the rest.
         partly = np.flatnonzero((seen > 0) & (seen < facing))
-        some = ShadowMap(self.caster, self.position[partly], self.normal[partly], self.offset_mm)
-        more, most = some._seen(directions[:-_RIM], distance_mm)
+        more, most = self._some(partly)._seen(directions[:-_RIM], distance_mm)
         seen[partly] += more
         facing[partly] += most
-        return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0).astype(np.float32)
+        return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0)
 
     def _seen(self, directions: FloatArray, distance_mm: float) -> tuple[FloatArray, FloatArray]:
         """Return (N,) the sums of the cosines to the points of a lamp that are seen, and to all."""
@@ -119,38 +139,31 @@ def shadow_offset_mm(size: float, offset_mm: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _facing(position, normal, toward, inverse, lit):  # type: ignore[no-untyped-def]
-    """Set `lit` (N,) uint8 to 1 where n . (toward - inverse position) > 0; return how often it is."""
-    count = 0
-    for i in range(position.shape[0]):
-        cosine = 0.0
-        for k in range(3):
-            cosine += normal[i, k] * (toward[k] - inverse * position[i, k])
-        lit[i] = cosine > 0
-        count += lit[i]
-    return count
+def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  # type: ignore[no-untyped-def]
+    """Set `lit` (N,) to 1 where n . (toward - inverse position) > 0; return what has to be shot there.
 
-
-@njit(cache=True, nogil=True)
-def _lit_rays(position, normal, origin, toward, inverse, lit):  # type: ignore[no-untyped-def]
-    """Fill `lit` as `_facing` does; return indices (M,), origins and rays (M, 3) float32 of the lit points.
-
-    Rays are empty for a distant light (`inverse` 0), where all are `toward`.
+    Indices (M,), origins and rays (M, 3) float32 of the points where the cosine is not above `open_above`
+    (N,). Rays are empty for a distant light (`inverse` 0), where all are `toward`.
     """
-    count = _facing(position, normal, toward, inverse, lit)
-    index = np.empty(count, np.int64)
-    start = np.empty((count, 3), np.float32)
-    ray = np.empty((count if inverse != 0 else 0, 3), np.float32)
+    index = np.empty(len(lit), np.int64)
+    start = np.empty((len(lit), 3), np.float32)
+    ray = np.empty((len(lit) if inverse != 0 else 0, 3), np.float32)
     m = 0
     for i in range(len(lit)):
-        if lit[i]:
+        cosine, square = 0.0, 0.0
+        for k in range(3):
+            along = toward[k] - inverse * position[i, k]
+            cosine += normal[i, k] * along
+            square += along * along
+        lit[i] = cosine > 0
+        if lit[i] and not cosine > open_above[i] * np.sqrt(square):
             index[m] = i
             for k in range(3):
                 start[m, k] = origin[i, k]
                 if inverse != 0:
                     ray[m, k] = toward[k] - inverse * position[i, k]
             m += 1
-    return index, start, ray
+    return index[:m], start[:m], ray[:m]
 
 
 @dataclass(frozen=True)
@@ -159,6 +172,11 @@ class VisibilityTable:
 
     directions: FloatArray
     visibility: NDArray[np.uint8]
+
+    def highest_hidden(self, normal: FloatArray) -> FloatArray:
+        """Return (N,) the largest cosine to `normal` (N, 3) of a hidden direction, 0 where none is."""
+        hidden = np.where(self.visibility.T == 0, normal @ self.directions.T, 0.0)
+        return np.asarray(hidden.max(1, initial=0.0))
 
     def nearest(self, direction: ArrayLike) -> NDArray[np.uint8]:
         """Return (N,) the visibility of the tabulated direction closest to `direction`."""

@@ -5,9 +5,11 @@ import pytest
 
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.levels import (
+    along_surface,
     brightest_around,
     build_level,
     cell_image,
+    cell_means,
     usable_texels,
     value_channel,
 )
@@ -119,6 +121,34 @@ def test_cell_image_at_full_size_is_the_values_themselves(make_image):
     usable = usable_texels(image, OPTIONS)
     level = build_level(image, usable, 64)
     assert np.array_equal(cell_image(level, level.value, image.mask)[usable], level.value)
+
+
+def test_values_of_cells_follow_the_surface(make_image):
+    image = make_image()
+    level = build_level(image, usable_texels(image, OPTIONS), 16)
+    values = np.stack([np.ones(len(level.value)), level.anchor[:, 0]], 1)
+    found = along_surface(level, values, image)
+    assert found[:, 0] == pytest.approx(1)
+    off = found[:, 1] - image.position[image.mask][:, 0]
+    assert np.sqrt(np.mean(off**2)) < 0.02 * np.ptp(image.position[image.mask][:, 0])
+
+
+def test_values_of_cells_do_not_leak_over_a_cut(make_image):
+    image = make_image()
+    position = image.position.copy()
+    position[:, 32:] += [0, 0, 400.0]
+    apart = GeometryImage(position, image.normal, image.mask, texture_linear=image.texture_linear)
+    level = build_level(apart, usable_texels(apart, OPTIONS), 16)
+    right = level.center[:, 1] > 31.5
+    found = along_surface(level, right[:, None].astype(float), apart)[:, 0]
+    assert found == pytest.approx((np.argwhere(image.mask)[:, 1] > 31.5).astype(float), abs=0.01)
+
+
+def test_means_over_cells_are_those_of_their_texels(make_image):
+    image = make_image()
+    level = build_level(image, usable_texels(image, OPTIONS), 16)
+    x = image.position[image.mask][:, 0]
+    assert cell_means(level, x, image.mask) == pytest.approx(level.position[:, 0])
 
 
 def test_noise_does_not_brighten_the_value_that_the_search_sees():

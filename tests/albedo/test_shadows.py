@@ -10,11 +10,13 @@ from scan2albedo.albedo import EstimateOptions, shadows
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.lit_image import CONE_RAD
-from scan2albedo.albedo.shadows import LEAST_SHADOW, ShadowLattice, shadow_caster
+from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import cone_directions
+from scan2albedo.lighting.environment_light import sky_table
+from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
+from scan2albedo.synthetic import face
 
 DIRECTIONS = cone_directions(60, (0, 0, 1), CONE_RAD)
 
@@ -165,3 +167,26 @@ def test_nothing_is_hidden_where_nothing_casts_shadows(make_image):
     seen, slopes = open_sky.visibility(MODEL, np.array([0.5, 0.1, 0.0, 0.2]))
     assert np.all(seen == 1)
     assert np.all(slopes == 0)
+
+
+@pytest.mark.parametrize("cells", [32, 64])
+def test_nothing_is_hidden_above_the_horizon(cells):
+    """On a face it spares most rays, and none of those that would have met something."""
+    image = face(0, size=128).image
+    level = build_level(image, image.mask, cells)
+    exact = ShadowMap(RayCaster(*image.occluder_mesh()), level.anchor, level.normal)
+    above = Horizon(level, sky_table(exact)).at(level.center)
+    cosine = level.normal @ DIRECTIONS.T
+    seen, spared = exact.table(DIRECTIONS).visibility.T, cosine > above[:, None]
+    assert seen[spared].all()
+    assert spared.sum() > 0.5 * (cosine > 0).sum()
+    assert (seen[cosine > 0] == 0).any()
+
+
+def test_beyond_the_cells_no_horizon_is_known(make_image):
+    image = make_image("bumps")
+    level = build_level(image, image.mask & (np.arange(64) < 40), 32)
+    exact = ShadowMap(RayCaster(*image.occluder_mesh()), level.anchor, level.normal)
+    horizon = Horizon(level, sky_table(exact, 24))
+    assert np.isfinite(horizon.at(level.center)).all()
+    assert np.isinf(horizon.at(np.array([[32, 60], [63, 63]]))).all()

@@ -13,9 +13,14 @@ from scan2albedo.lighting.environment_light import (
     open_shading,
     open_transfer,
     shadowed_transfer,
+    sky_table,
 )
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
+
+
+def _of_rays(shadows, count):
+    return shadowed_transfer(shadows, sky_table(shadows, count))
 
 
 def test_open_surfaces_receive_the_clamped_cosine_of_the_radiance():
@@ -38,7 +43,7 @@ def test_the_bottom_of_a_pit_sees_what_its_wall_leaves(depth):
     pit = trimesh.creation.annulus(1.0, 1.2, depth, sections=128)
     position = np.array([[0.0, 0, -depth / 2 - 1e-3]])
     shadows = ShadowMap(RayCaster(pit.vertices, pit.faces), position, np.array([[0.0, 0, 1]]), 1e-3)
-    assert shadowed_transfer(shadows, 4000)[0, 0] == pytest.approx(1 / (1 + depth**2), abs=0.01)
+    assert _of_rays(shadows, 4000)[0, 0] == pytest.approx(1 / (1 + depth**2), abs=0.01)
     filled = EnvironmentLight(np.eye(9, 3)[:, [0]] * np.ones(3), fill=0.5)
     seen = shadowed_transfer(shadows)[0, 0]
     assert environment_light_on(filled, shadows)[0] == pytest.approx(seen + 0.5 * (1 - seen))
@@ -64,7 +69,7 @@ def _wall_beside_floor(height, away=10.0):
 def test_a_floor_beside_a_wall_sees_the_sky_above_it(height):
     """(1 + cos a) / 2 with the elevation a of a long wall's upper edge."""
     expected = (1 + 10 / np.hypot(10, height)) / 2
-    found = shadowed_transfer(_wall_beside_floor(height), 8000)[0, 0]
+    found = _of_rays(_wall_beside_floor(height), 8000)[0, 0]
     assert found == pytest.approx(expected, abs=0.005)
 
 
@@ -72,7 +77,7 @@ def test_a_floor_beside_a_high_wall_receives_half_of_every_harmonic():
     """Half of those even in x, and of x itself what -x of the open half brings: -2 / (3 pi) sqrt(3)."""
     toward = np.eye(3)
     slopes = (harmonics(toward, 1) / harmonics(toward, 0))[:, 1:]
-    transfer = shadowed_transfer(_wall_beside_floor(300.0, 1.0), 8000)[0]
+    transfer = _of_rays(_wall_beside_floor(300.0, 1.0), 8000)[0]
     x, y, z = (int(np.abs(row).argmax()) for row in slopes)
     assert transfer[0] == pytest.approx(0.5, abs=0.005)
     assert transfer[1 + x] / slopes[0, x] == pytest.approx(-2 / (3 * np.pi), abs=0.005)
@@ -83,4 +88,4 @@ def test_a_floor_beside_a_high_wall_receives_half_of_every_harmonic():
 def test_few_rays_leave_what_nothing_hides_exact():
     shadows = ShadowMap(RayCaster(np.eye(3) - 500, np.array([[0, 1, 2]])), np.zeros((4, 3)), np.eye(4, 3) + 0)
     shadows.normal[3] = [0, 0, 1]
-    assert shadowed_transfer(shadows, 24)[2:] == pytest.approx(open_transfer(shadows.normal)[2:], abs=1e-9)
+    assert _of_rays(shadows, 24)[2:] == pytest.approx(open_transfer(shadows.normal)[2:], abs=1e-9)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions, view_frame
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions, view_frame
 
 RADIUS, HEIGHT = 20.0, 60.0
 
@@ -116,3 +116,26 @@ def test_a_lamp_of_some_size_has_a_penumbra_as_wide_as_it_is_seen():
     assert (
         ShadowMap(None, points, np.tile([0, 0, 1.0], (61, 1))).reached([0, 0, 1.0], 900.0, 5.0) == 1
     ).all()
+
+
+def test_no_ray_is_shot_where_the_surface_is_known_to_be_open():
+    points, normals = _plane_points()
+    caster = _sphere_over_plane()
+    toward = np.array([0.4, 0.1, 1.0]) / np.linalg.norm([0.4, 0.1, 1.0])
+    shadows = ShadowMap(caster, points, normals)
+    open_above = np.where(np.arange(len(points)) % 2, 0.7, 1.0)
+    spared = ShadowMap(caster, points, normals, open_above=open_above)
+    assert np.array_equal(spared.visible(toward), np.where(open_above < 1, 1, shadows.visible(toward)))
+    for distance_mm in (math.inf, 900.0):
+        hidden, sure = (s.reached(toward, distance_mm, 4.0) for s in (shadows, spared))
+        assert np.array_equal(sure, np.where(open_above < 1, 1, hidden))
+        assert (hidden[open_above < 1] < 1).any()
+
+
+def test_a_table_tells_how_high_above_the_surface_directions_are_hidden():
+    points, normals = np.zeros((2, 3)), np.array([[0, 0, 1.0], [0, 0.6, 0.8]])
+    toward = np.array([[0, 0, 1.0], [0.6, 0, 0.8], [0, 0, -1.0]])
+    table = VisibilityTable(toward, np.array([[1, 0], [0, 1], [0, 0]], np.uint8))
+    assert table.highest_hidden(normals) == pytest.approx([0.8, 0.8])
+    nothing = VisibilityTable(toward, np.ones((3, len(points)), np.uint8))
+    assert nothing.highest_hidden(normals).tolist() == [0, 0]
