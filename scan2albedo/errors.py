@@ -1,12 +1,36 @@
 """The errors scan2albedo raises on purpose; every message names the thing, what is wrong and what to do."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters, marks that turn the direction of text, and bytes of names that are no UTF-8."""
+
+
+def printable(text: str) -> str:
+    """Return text from a file or of a file's name without what a terminal would obey or cannot show.
+
+    Control characters, line breaks among them, direction marks and bytes that are no UTF-8 are escaped.
+
+    >>> print(printable("skin\\x1b[2J\\n"))
+    skin\\x1b[2J\\x0a
+    """
+    return _UNPRINTABLE.sub(lambda found: _escaped(ord(found[0])), text)
+
+
+def _escaped(code: int) -> str:
+    if 0xDC80 <= code <= 0xDCFF:  # as Python holds a byte of a file's name that it cannot decode
+        code -= 0xDC00
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+
 
 class Scan2AlbedoError(Exception):
-    """Base of every error that scan2albedo raises about its input or its work."""
+    """Base of every error that scan2albedo raises about its input or its work; its text is `printable`."""
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*(_on_one_line(text) if isinstance(text, str) else text for text in arguments))
 
 
 class ScanError(Scan2AlbedoError):
@@ -110,5 +134,9 @@ def import_open3d() -> ModuleType:
 
 
 def one_line(error: BaseException | str) -> str:
-    """Return a message, or that of an error, on one line."""
-    return " ".join(str(error).split())
+    """Return a message, or that of an error, on one line and printable."""
+    return printable(" ".join(str(error).split()))
+
+
+def _on_one_line(text: str) -> str:
+    return printable(re.sub(r"\s*[\r\n]+\s*", " ", text))

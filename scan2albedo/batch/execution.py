@@ -19,7 +19,7 @@ from scan2albedo.batch import worker
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.batch.worker import ScanTask
-from scan2albedo.errors import BatchError, needs_extra
+from scan2albedo.errors import BatchError, OutputError, needs_extra
 
 _DEATHS_BEFORE_ANY_SCAN = 3
 _CAUSES = "for want of memory, or a library crashed"
@@ -116,20 +116,30 @@ def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord
     tasks_left = iter(tasks)
     # Two a process: one that waits keeps a process busy, and few are lost track of when one dies.
     ahead = 1 if jobs == 1 else 2 * jobs
-    running: set[Future[BatchScanRecord]] = set()
+    running: dict[Future[BatchScanRecord], ScanTask] = {}
     with _quiet():
         try:
             while True:
                 new = islice(tasks_left, ahead - len(running))
-                running |= {executor.submit(worker.process_task, task) for task in new}
+                running |= {executor.submit(worker.process_task, task): task for task in new}
                 if not running:
                     break
-                done, running = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield future.result()
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield _row(future, running.pop(future))
         finally:
             # At once: they hold hundreds of MB each.
             executor.shutdown(kill_workers=True)
+
+
+def _row(future: Future[BatchScanRecord], task: ScanTask) -> BatchScanRecord:
+    """Return the record that a worker answers, or that of a task that raised; BrokenProcessPool passes."""
+    try:
+        return future.result()
+    except (BrokenProcessPool, OutputError):
+        raise
+    # Raises whatever the task raised in its worker, of any library.
+    except Exception as error:  # noqa: BLE001
+        return task.failed(_reason(error))
 
 
 def run_on_cluster(

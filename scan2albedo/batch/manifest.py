@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from scan2albedo.batch.records import is_taken
-from scan2albedo.errors import BatchError
+from scan2albedo.core.raw_scan import is_folder_name, scan_name
+from scan2albedo.errors import BatchError, printable
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text
@@ -19,7 +20,6 @@ OWN_OPTIONS = ("unit", "model", "lights", "seed")
 """Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
 
 _TABLES = (".csv", ".tsv")
-_LONGEST_NAME = 200
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class ManifestScan:
     name: str
     """Of the folder of its result."""
     source: str
-    """The path as written in the manifest."""
+    """The path as the manifest has it, `printable`."""
     path: Path
     """Absolute."""
     own: Mapping[str, str] = field(default_factory=dict)
     """Options of `OWN_OPTIONS` that the line sets."""
     extra: Mapping[str, str] = field(default_factory=dict)
-    """Cells of all other columns, as written."""
+    """Cells of all other columns, `printable`."""
     where: str = ""
     """Place in the manifest, for messages."""
 
@@ -115,7 +115,7 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
 
 def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:
     path = Path(os.path.normpath((folder / source).absolute()))
-    return ManifestScan(name or path.stem, source, path, where=where, **more)
+    return ManifestScan(name or scan_name(path), printable(source), path, where=where, **more)
 
 
 def _scans_below(folder: Path, leave_out: Path | None) -> Iterator[Path]:
@@ -142,7 +142,7 @@ def _of_table(file: Path, text: str) -> BatchManifest:
         if not (source := cells[SCAN].strip()):
             raise BatchError(f"{where}: names no scan")
         own = {name: cells[name].strip() for name in OWN_OPTIONS if name in cells}
-        kept = {name: cells[name] for name in extra}
+        kept = {name: printable(cells[name]) for name in extra}
         name = cells.get("name", "").strip()
         scans.append(_scan(source, file.parent.absolute(), where=where, name=name, own=own, extra=kept))
     return BatchManifest(file, tuple(scans), extra)
@@ -150,7 +150,8 @@ def _of_table(file: Path, text: str) -> BatchManifest:
 
 def _header(file: Path, cells: list[str]) -> list[str]:
     known = (SCAN, "name", *OWN_OPTIONS)
-    header = [c.strip().lower() if c.strip().lower() in known else c.strip() for c in cells]
+    names = [printable(cell.strip()) for cell in cells]
+    header = [name.lower() if name.lower() in known else name for name in names]
     if SCAN not in header:
         found = f"its first line has {', '.join(header)}" if header else "it is empty"
         raise BatchError(
@@ -172,7 +173,7 @@ def _checked(manifest: BatchManifest) -> BatchManifest:
         raise BatchError(f"{manifest.path} lists no scan{kinds}; nothing to do")
     first: dict[str, ManifestScan] = {}
     for scan in manifest.scans:
-        if scan.name.startswith(".") or set(scan.name) & set("/\\\0\n") or len(scan.name) > _LONGEST_NAME:
+        if not is_folder_name(scan.name):
             raise BatchError(
                 f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
             )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
 from scan2albedo.cli.relight import relight
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def personal_model(
     face = applications.load_result(result)
     stop_cleanly_on_interrupt(None)
     applications.personal_model(face, template).save(out)
-    typer.echo(f"{face.name}: personal model in {out}", err=True)
+    say(f"{face.name}: personal model in {out}")
     if json_summary:
         echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
 
@@ -152,7 +152,7 @@ def _write_face(
 
     stop_cleanly_on_interrupt(out)
     write_face(face, out, application=application, inputs=inputs, options=options)
-    typer.echo(f"{face.name}: {application}; files in {out}", err=True)
+    say(f"{face.name}: {application}; files in {out}")
     if json_summary:
         names = [given.name for given in inputs]
         echo_json({"face": face.name, "status": "done", "out": str(out), "inputs": names, "options": options})

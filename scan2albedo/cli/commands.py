@@ -16,8 +16,10 @@ from scan2albedo.cli.common import (
     SOME_FAILED,
     USAGE_ERROR,
     JsonOption,
+    PrintableUsage,
     echo_json,
     refuse_shared_folders,
+    say,
     stop_cleanly_on_interrupt,
     with_process_flags,
 )
@@ -25,10 +27,12 @@ from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.report import report
+from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.pipeline.options import ProcessOptions
 
 app = typer.Typer(
+    cls=PrintableUsage,
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
     no_args_is_help=True,
     add_completion=False,
@@ -66,23 +70,24 @@ def process(
     stop_cleanly_on_interrupt(out)
     template = chosen_model(options.model)
     for note in template.notes if template is not None else ():
-        typer.echo(f"{options.model}: {note}", err=True)
+        say(f"{options.model}: {note}")
     chosen = options.arguments() | {"model": template or "none"}
     summaries, failures = [], 0
     for path in scans:
-        with ProgressLines(path.stem) as progress:
-            progress.say(f"{path.stem}: reading {path}")
+        name = scan_name(path)
+        with ProgressLines(name) as progress:
+            progress.say(f"{name}: reading {path}")
             try:
                 result = run(path, out=out, on_progress=progress.update, **chosen)
             except (Scan2AlbedoError, ValueError) as error:
                 failures += 1
                 for warning in getattr(error, "__notes__", ()):
-                    progress.say(f"{path.stem}: {one_line(warning)}")
+                    progress.say(f"{name}: {one_line(warning)}")
                 progress.say(f"scan2albedo: error: {one_line(error)}")
                 summaries.append({"scan": str(path), "status": "failed", "reason": one_line(error)})
                 continue
             for note in result.scan.notes:
-                progress.say(f"{path.stem}: {note}")
+                progress.say(f"{name}: {note}")
             progress.say(result.summary())
         summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
     if json_summary:
@@ -144,7 +149,8 @@ def batch(
             file=sys.stderr,
         )
         raise typer.Exit(INTERRUPTED) from None
-    typer.echo(report.summary(), err=True)
+    for line in report.summary().splitlines():
+        say(line)
     if json_summary:
         echo_json(report.figures())
     if report.progress.failed:

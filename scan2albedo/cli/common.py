@@ -15,8 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from scan2albedo.core import Budget
+from scan2albedo.core.raw_scan import scan_name
+from scan2albedo.errors import printable
 from scan2albedo.io.atomic import remove_unfinished
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text, process_options
 
@@ -28,11 +31,32 @@ OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the res
 BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
 
 
+class PrintableUsage(TyperGroup):
+    """Commands whose usage errors hold names of files only as `printable` has them."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        # Raised again; typer does not export the base of its usage errors.
+        except Exception as error:
+            if hasattr(error, "format_message"):
+                text = printable(error.format_message())
+                error.format_message = lambda: text
+            raise
+
+
+def say(line: str) -> None:
+    """Print one line on stderr, without anything in it that a terminal would obey."""
+    typer.echo(printable(line), err=True)
+
+
 def echo_json(value: Any) -> None:
     """Print strict JSON on stdout: infinite and unknown numbers are null."""
     from scan2albedo.io.records import plain_json
 
-    typer.echo(json.dumps(plain_json(value), indent=2, allow_nan=False))
+    text = json.dumps(plain_json(value), indent=2, allow_nan=False)
+    typer.echo(text.replace("\x7f", "\\u007f"))
 
 
 def checked_budget(budget: float | None, unit: str = "auto") -> Budget:
@@ -50,10 +74,11 @@ def refuse_shared_folders(scans: list[Path]) -> None:
     """Refuse scans whose results would overwrite each other: the folder of a result has the scan's name."""
     first: dict[str, Path] = {}
     for path in scans:
-        other = first.setdefault(path.stem.casefold(), path)
+        name = scan_name(path)
+        other = first.setdefault(name.casefold(), path)
         if other is not path:
             raise typer.BadParameter(
-                f"{other} and {path} would both be written to the folder {path.stem}; "
+                f"{other} and {path} would both be written to the folder {name}; "
                 "rename one, or process them into different folders"
             )
 

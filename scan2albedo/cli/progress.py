@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from scan2albedo.core import TraceRow
+from scan2albedo.errors import printable
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
@@ -43,8 +44,8 @@ class StderrLines:
             self._bar.stop()
 
     def say(self, line: str) -> None:
-        """Print a line that stays."""
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+        """Print a line that stays, without anything in it that a terminal would obey."""
+        self._console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
 
 
 class ProgressLines(StderrLines):
@@ -55,14 +56,14 @@ class ProgressLines(StderrLines):
 
         super().__init__(
             SpinnerColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.fields[error]}"),
         )
-        self._name, self._stage = name, ""
+        self._name, self._stage = printable(name), ""
         if self._bar is not None:
-            self._task = self._bar.add_task(name, total=None, error="")
+            self._task = self._bar.add_task(self._name, total=None, error="")
 
     def update(self, row: TraceRow) -> None:
         """Show one trace row."""

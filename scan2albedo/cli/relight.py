@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
 
 if TYPE_CHECKING:
     from scan2albedo.applications import ProcessedFace, RelitFace
@@ -91,7 +91,7 @@ def relight(
         map_linear = None if environment is None else read_image_linear(environment)
         relit = applications.relight(face, lights, environment_linear=map_linear, ambient=ambient)
         _write_relit(relit, camera, size, texture, exposure, out)
-    typer.echo(f"{face.name}: relit; {out}", err=True)
+    say(f"{face.name}: relit; {out}")
     if json_summary:
         echo_json({"face": face.name, "status": "done", "out": str(out), "lights": len(lights)})
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
 
 
 def report(
@@ -30,10 +30,8 @@ def report(
     from scan2albedo.report.html.texts import size_text
 
     stop_cleanly_on_interrupt(None)
-    written = write_report(
-        out, path, options=ReportOptions(scans=scans), on_progress=lambda line: typer.echo(line, err=True)
-    )
-    typer.echo(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}", err=True)
+    written = write_report(out, path, options=ReportOptions(scans=scans), on_progress=say)
+    say(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}")
     if json_summary:
         echo_json(
             {

@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, printable
 
 LARGEST_COORDINATE = 1e30
 """Beyond it squared areas overflow; only garbage is that large."""
 
 _LARGEST_UV = 1e12
+LONGEST_NAME = 200
+"""Bytes of the name of a result's folder: names of files made from it may have 255."""
+
+
+def scan_name(file: str | Path) -> str:
+    """Return the name that a scan has after its file: the stem, where that can name a folder everywhere.
+
+    In others, slashes and what `printable` would escape become "_", and so does a dot in front; what is too
+    long is cut. A hash of the whole stem then keeps names apart.
+
+    >>> scan_name("scans/anna.obj"), scan_name("scans/an\\x1b[31mna.obj")
+    ('anna', 'an_[31mna-cf59b66c')
+    """
+    stem = Path(file).stem
+    plain = re.sub(r"\\x[0-9a-f]{2}|\\u[0-9a-f]{4}|[/\\]", "_", printable(stem))
+    if stem == "" or stem.startswith("."):
+        plain = f"_{plain[1:]}"
+    if plain == stem and len(stem.encode()) <= LONGEST_NAME:
+        return stem
+    digest = hashlib.sha256(stem.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    return f"{plain.encode()[: LONGEST_NAME - 9].decode('utf-8', 'ignore')}-{digest}"
+
+
+def is_folder_name(name: str) -> bool:
+    """Return whether results can get a folder of that name."""
+    fitting = name == printable(name) and len(name.encode("utf-8", "replace")) <= LONGEST_NAME
+    return fitting and not name.startswith(".") and name != "" and not set(name) & set("/\\")
 
 
 @dataclass(frozen=True)
@@ -39,11 +69,12 @@ class RawScan:
     """What loading decided and repaired (unit, dropped faces, missing texture), one sentence each."""
 
     def __post_init__(self) -> None:
-        if self.name in ("", ".", "..") or set(self.name) & set("/\\\0"):
+        if not is_folder_name(self.name):
             raise ScanError(
-                f"a scan cannot be named {self.name!r}: its results get a folder of that name; "
-                "rename the file, or give another `name`"
+                f"a scan cannot be named {self.name!r}: its results get a folder of that name; give another "
+                f"`name` of up to {LONGEST_NAME} bytes"
             )
+        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         vertices = self._checked("vertices", self.vertices, np.float64, (None, 3))
         faces = self._checked("faces", self.faces, np.int64, (None, 3))
         object.__setattr__(self, "vertices", vertices)

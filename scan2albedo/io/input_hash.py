@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import stat
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
@@ -27,6 +28,7 @@ def input_sha256(source: str | Path | RawScan) -> str:
         return _arrays_sha256(source)
     digest = hashlib.sha256()
     try:
+        require_regular(Path(source))
         for file in files_of_scan(Path(source)):
             digest.update(f"{file.stat().st_size}:".encode())
             with file.open("rb") as opened:
@@ -35,6 +37,13 @@ def input_sha256(source: str | Path | RawScan) -> str:
     except OSError as error:
         raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
     return digest.hexdigest()
+
+
+def require_regular(file: Path) -> None:
+    """Raise ScanError for a pipe, a device or a socket, which may never end; OSError for a missing file."""
+    mode = file.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise ScanError(f"{file}: is a pipe or a device, not a file; give the file that holds the scan")
 
 
 def file_sha256(path: Path) -> str:
@@ -46,7 +55,8 @@ def file_sha256(path: Path) -> str:
 def files_of_scan(path: Path) -> tuple[Path, ...]:
     """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
     referred = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf}.get(path.suffix.lower())
-    names = referred(path) if referred else []
+    # A pipe or a device may never end.
+    names = referred(path) if referred and path.is_file() else []
     found = [find_beside(path.parent, name) for name in names]
     return (path, *dict.fromkeys(file for file in found if file is not None))
 
@@ -75,7 +85,7 @@ def _of_gltf(path: Path) -> list[str]:
         tree = json.loads(path.read_bytes())
         entries = [*tree.get("buffers", ()), *tree.get("images", ())]
         uris = [entry.get("uri", "") for entry in entries]
-    except (ValueError, AttributeError, TypeError):
+    except (ValueError, AttributeError, TypeError, RecursionError):
         return []  # load_scan says what is wrong with the file
     return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scan2albedo.errors import ScanError
+from scan2albedo.io.input_hash import require_regular
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,7 +67,7 @@ def load_scan_with(
     `decide_unit` maps the repaired mesh, in file units, and its (V,) component labels to (factor to
     millimetres, note).
     """
-    from scan2albedo.core.raw_scan import RawScan
+    from scan2albedo.core.raw_scan import RawScan, scan_name
     from scan2albedo.geometry.mesh import vertex_components
     from scan2albedo.io.repair import repair, require_usable
     from scan2albedo.io.texture_atlas import pack_texture
@@ -92,7 +94,7 @@ def load_scan_with(
         uv=packed.uv,
         texture_linear=packed.texture_linear,
         vertex_color_linear=mesh.vertex_color_linear,
-        name=name or file.stem,
+        name=name or scan_name(file),
         notes=tuple(notes),
     )
 
@@ -102,7 +104,7 @@ def read_mesh_file(file: Path) -> ParsedMesh:
 
     Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """
-    if file.is_dir():
+    if os.path.isdir(file):  # false, where Path.is_dir raises, for names that are too long
         raise ScanError(f"{file}: is a folder; name the scan file in it ({', '.join(SUPPORTED_SCANS)})")
     extension = file.suffix.lower()
     if extension not in SUPPORTED_SCANS:
@@ -111,6 +113,7 @@ def read_mesh_file(file: Path) -> ParsedMesh:
             f"save the scan as one of {', '.join(SUPPORTED_SCANS)}"
         )
     try:
+        require_regular(file)
         size = file.stat().st_size
         with file.open("rb"):
             pass

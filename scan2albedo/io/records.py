@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, ValidationError, field_validator
 
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, printable
 from scan2albedo.io.atomic import write_text
 
 _LIBRARIES = ("numpy", "scipy", "numba", "libigl", "open3d-cpu", "open3d", "embreex", "xatlas", "trimesh")
@@ -44,9 +44,25 @@ Matrix = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(plain_json)]
 
 
 class Record(BaseModel):
-    """Base of every record: unknown fields and numbers that are not finite raise; values are fixed."""
+    """Base of every record: unknown fields and numbers that are not finite raise; values are fixed.
+
+    Texts are `printable`, whether they come from a scan's files or from a record that was edited.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _printable(cls, value: Any) -> Any:
+        return _printable_texts(value)
+
+
+def _printable_texts(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict):
+        return {_printable_texts(key): _printable_texts(item) for key, item in value.items()}
+    return type(value)(map(_printable_texts, value)) if type(value) in (list, tuple) else value
 
 
 def installed_versions() -> dict[str, str]:

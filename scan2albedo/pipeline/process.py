@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -136,7 +137,7 @@ def _processed(
     file = None if isinstance(source, RawScan) else Path(source)
     with clock.timed("load"):
         # Hashed before it is read: a file that changes meanwhile is stale at once.
-        sha256 = input_sha256(file) if file is not None and file.is_file() else None
+        sha256 = input_sha256(file) if file is not None and os.path.isfile(file) else None
         if not isinstance(source, RawScan):
             scan = load_scan(source, unit=options.unit, name=name)
         else:

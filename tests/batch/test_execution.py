@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from scan2albedo.batch import load_catalogue, run_batch
+from scan2albedo.batch import execution, load_catalogue, run_batch
 from scan2albedo.errors import BatchError, MissingDependencyError
 from scan2albedo.pipeline.options import ProcessOptions
 
@@ -67,3 +67,15 @@ def test_a_missing_library_is_named_with_its_extra_before_any_work(library, scan
     with pytest.raises(MissingDependencyError, match=rf"{library}.*pip install 'scan2albedo\[batch\]'"):
         run_batch(scans_in("a"), tmp_path / "out", options=TINY)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_task_that_raises_outside_of_the_stages_fails_alone(scans_in, tmp_path, monkeypatch):
+    def process_task(task):
+        if task.name == "bad":
+            raise RecursionError("too\ndeep")
+        return task.record("done")
+
+    monkeypatch.setattr(execution.worker, "process_task", process_task)
+    report = run_batch(scans_in("a", "bad", "b"), tmp_path / "out", options=TINY, jobs=1)
+    assert report.failures == {"bad": "RecursionError: too"}
+    assert report.progress.done == 2

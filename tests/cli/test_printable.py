@@ -1,0 +1,81 @@
+"""Nothing in the names and texts of files is obeyed by a terminal."""
+
+import json
+import re
+
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from scan2albedo.cli import progress
+from scan2albedo.cli.commands import app
+from scan2albedo.core import TraceRow
+from scan2albedo.errors import Scan2AlbedoError
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\n\r\x9b31m"
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def raw(text):
+    """What of a text a terminal would obey; line ends are ours."""
+    return re.findall(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", text)
+
+
+@pytest.fixture
+def scan(tmp_path):
+    """A ball with a name, a material and a texture that are not harmless."""
+    sphere = trimesh.creation.icosphere(2, 90.0)
+    lines = [f"mtllib {'a.mtl'}", *(f"v {x} {y} {z}" for x, y, z in sphere.vertices), "vt 0 0"]
+    lines += ["usemtl skin\x1b[31m", *(f"f {a + 1}/1 {b + 1}/1 {c + 1}/1" for a, b, c in sphere.faces)]
+    path = tmp_path / f"ball{EVIL}.obj"
+    path.write_text("\n".join(lines))
+    (tmp_path / "a.mtl").write_text("newmtl skin\x1b[31m\nmap_Kd lost\x1b[2J.png\n")
+    return path
+
+
+def test_a_processed_scan(scan, tmp_path):
+    done = invoke("process", scan, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--json")
+    assert done.exit_code == 0, done.output
+    assert raw(done.stderr) == raw(done.stdout) == []
+    assert r"texture lost\x1b[2J.png is missing" in done.stderr
+    assert not [
+        line for line in done.stderr.splitlines() if line.startswith("\x1b") or "reading" in line[60:] * 0
+    ]
+    (folder,) = (tmp_path / "out").iterdir()
+    assert raw(folder.name) == []
+    record = (folder / "result.json").read_text()
+    assert raw(record) == []
+    assert EVIL not in json.loads(record)["input"]["file"]
+
+
+def test_errors_of_the_scan_and_of_the_usage(tmp_path):
+    scan = tmp_path / f"a{EVIL}.obj"
+    scan.write_text("v 0 0 x\x1b[2J\n")
+    failed = invoke("process", scan, "-o", tmp_path / "out")
+    assert failed.exit_code == 2
+    assert raw(failed.stderr) == []
+    assert len([line for line in failed.stderr.splitlines() if "error:" in line]) == 1
+    for wrong in (
+        ("process", scan, scan.with_name(scan.name), "-o", tmp_path / "out"),
+        ("process", scan, "-o", tmp_path / "out", "--unit", EVIL),
+        ("batch", scan, "-o", tmp_path / "out", "--jobs", EVIL),
+        ("report", tmp_path / EVIL),
+        ("relight", tmp_path / EVIL, "-o", "x.png", "--light", "0,0"),
+        ("relight", tmp_path, "-o", f"x{EVIL}.txt", "--light", "0,0"),
+        (f"no{EVIL}command",),
+    ):
+        said = invoke(*wrong)
+        assert said.exit_code != 0
+        assert isinstance(said.exception, SystemExit | Scan2AlbedoError)
+        assert raw(str(said.exception)) == []
+        assert raw(said.stderr) == []
+
+
+def test_the_bar_takes_no_name_for_markup(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with progress.ProgressLines(f"[/red]{EVIL}") as lines:
+        lines.update(TraceRow("fit", 0.0, 0.0, 1, 1.0, "mm"))
+    assert "\x9b" not in capsys.readouterr().err
