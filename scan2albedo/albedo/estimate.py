@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from numbers import Integral
 
 import numpy as np
@@ -25,7 +26,7 @@ from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment_light import environment_of_shading
@@ -33,6 +34,7 @@ from scan2albedo.lighting.shading import Reflectance
 
 _LEAST_FACING = 0.1
 """Part of the texels that has to face the viewer."""
+_CAMERAS = "albedo.cameras"
 BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
 
 
@@ -73,7 +75,7 @@ def estimate_albedo(
         highlights: `lights`, the parts and the repairs in `options` do not touch them, and their albedo has a
         light of mean 1, not an ambient light of 1.
     view_direction : (3,) sequence of float
-        Toward the viewer, for roughness and highlights.
+        Toward the viewer, for roughness and highlights. Texels whose camera the image knows have their own.
     budget : Budget or float, optional
         Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``. An
         evaluation or two are needed for any answer; spherical harmonics ask for none.
@@ -123,7 +125,7 @@ def estimate_albedo(
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image, options)
-    image = with_every_normal(image)
+    image = _with_cameras(with_every_normal(image), options)
     _warn_when_turned_away(toward_viewer(image, usable, view), view)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     scene = LitImage(image, usable, brdf, view, options, meter)
@@ -205,6 +207,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     inpainting = _left_out("albedo.inpainting", options, late)
     if inpainting is None:
         color, inpainting = inpainted(color, image, usable, options, seed)
+    cameras = _cameras_step(scene, lit.reflectance)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,
@@ -213,7 +216,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, limits, outlines, rectification, inpainting)),
+        plan=Plan((*found.steps, cameras, limits, outlines, rectification, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
@@ -228,6 +231,33 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
         environment=lit.environment,
     )
+
+
+def _with_cameras(image: GeometryImage, options: EstimateOptions) -> GeometryImage:
+    """Return the image, without its cameras where the caller or the paper's method leaves them out."""
+    paper = options.objective == "albedo-deviation"
+    if image.camera is None or not (paper or options.choice(_CAMERAS) is False):
+        return image
+    return replace(image, camera=None, camera_positions=None)
+
+
+def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
+    """Return the plan's row of the view direction that each texel has from its camera."""
+    image, choice = scene.image, scene.options.choice(_CAMERAS)
+    if choice is False:
+        return PlanStep(_CAMERAS, False, "left out by the caller")
+    if image.camera is None or image.camera_positions is None:
+        return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")
+    known = image.camera[image.mask] != NO_CAMERA
+    cosine = (image.toward_camera(scene.view) @ np.asarray(scene.view)).min()
+    evidence = (
+        f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels, from up to "
+        f"{math.degrees(math.acos(float(np.clip(cosine, -1, 1)))):.0f} deg off the view direction"
+    )
+    plain = 1.0 if reflectance.brdf == "minnaert" else 0.0
+    if reflectance.specular_strength == 0 and reflectance.roughness == plain:
+        return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)
+    return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
 
 
 def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | None:

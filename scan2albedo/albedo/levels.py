@@ -37,16 +37,18 @@ class Level:
     """N cells of the image at one size; `weight` (N,) is the usable part of a cell's texels times their
     mean skin.
 
-    `position`, `normal` (N, 3) are weighted means, normals of unit length again. `anchor` (N, 3) is one
-    texel's position, where shadow rays start: it lies on the surface, as the mean need not. `value` (N,) and
-    `color` (N, 3) are the mean V and colour of the linear texture divided by `unit`, the median V of the
-    usable texels, also the unit of the highlight's strength. `scale` (N,) is the annotated strength of
-    highlights. `cell` (N, 2) is row and column among the cells, `center` (N, 2) their mean among the texels.
-    `texels` counts those of the whole chart; `factor` is the side of a cell in texels.
+    `position`, `normal` and `toward`, the direction to the camera, (N, 3) are weighted means, directions of
+    unit length again. `anchor` (N, 3) is one texel's position, where shadow rays start: it lies on the
+    surface, as the mean need not. `value` (N,) and `color` (N, 3) are the mean V and colour of the linear
+    texture divided by `unit`, the median V of the usable texels, also the unit of the highlight's strength.
+    `scale` (N,) is the annotated strength of highlights. `cell` (N, 2) is row and column among the cells,
+    `center` (N, 2) their mean among the texels. `texels` counts those of the whole chart; `factor` is the
+    side of a cell in texels.
     """
 
     position: FloatArray
     normal: FloatArray
+    toward: FloatArray
     anchor: FloatArray
     value: FloatArray
     weight: FloatArray
@@ -150,6 +152,7 @@ def build_level(
     usable: BoolArray,
     size: int,
     values: NDArray[np.floating] | None = None,
+    view: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> Level:
     """Average usable texels of V, or of `values` (H, W), into cells, at most `size` along the longer side."""
     assert image.texture_linear is not None
@@ -164,6 +167,8 @@ def build_level(
 
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
+    toward = np.zeros(image.position.shape)
+    toward[image.mask] = image.toward_camera(view)
     center = mean(np.moveaxis(np.indices(image.shape), 0, -1))
     middle = np.zeros((*filled.shape, 3))
     middle[filled] = position
@@ -172,6 +177,7 @@ def build_level(
     return Level(
         position,
         normalized(mean(image.normal)),
+        normalized(mean(toward)),
         anchor,
         value / unit,
         count[filled] / factor**2 * mean(_skin(image, usable))[:, 0],

@@ -48,7 +48,10 @@ class LightFound:
 
 @dataclass(frozen=True)
 class LitImage:
-    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer."""
+    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer.
+
+    Texels whose camera is known have a view direction of their own.
+    """
 
     image: GeometryImage
     usable: BoolArray
@@ -65,7 +68,7 @@ class LitImage:
     def level(self, size: int) -> Level:
         """Return the image with `size` cells along its longer side; known ones are kept."""
         if size not in self._levels:
-            self._levels[size] = build_level(self.image, self.usable, size, self._value)
+            self._levels[size] = build_level(self.image, self.usable, size, self._value, self.view)
         return self._levels[size]
 
     def lattice(self, level: Level) -> ShadowLattice:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 OPTIONAL_STEPS = (
     "albedo.shadows",
     "albedo.lamp_size",
+    "albedo.cameras",
     "albedo.specular",
     "albedo.near_light",
     "albedo.roughness",
@@ -20,10 +21,10 @@ OPTIONAL_STEPS = (
     "albedo.inpainting",
 )
 """Steps that the evidence decides on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
-lamps' angular radius, Phong's highlight, a finite distance common to all lights, Oren-Nayar's sigma (or
-Minnaert's exponent), occlusion of ambient light, one bounce of light off the surface, an environment in
-spherical harmonics, colours of the light's parts, softening of outlines that the texture does not show,
-repair of the albedo along shadow outlines, repair of saturated texels."""
+lamps' angular radius, the cameras that each texel is seen from, Phong's highlight, a finite distance common
+to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient light, one bounce of light
+off the surface, an environment in spherical harmonics, colours of the light's parts, softening of outlines
+that the texture does not show, repair of the albedo along shadow outlines, repair of saturated texels."""
 
 OBJECTIVES = ("residual", "albedo-deviation")
 

@@ -118,7 +118,7 @@ class Residual:
             found.rows,
             model.tangents(self.x),
             model.radius_mm,
-            np.asarray(model.view),
+            level.toward,
             found.reflectance.kernel_brdf,
             found.reflectance.roughness,
             found.reflectance.specular_strength,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
@@ -53,7 +53,7 @@ class AlbedoEstimate:
     image: GeometryImage
     """The image estimated from."""
     view_direction: tuple[float, float, float]
-    """Unit vector toward the viewer."""
+    """Unit vector toward the viewer, from which `relit` shows highlights; `specular` is as cameras saw it."""
     reflectance: Reflectance
     """How the surface reflects."""
     casts_shadows: bool
@@ -78,7 +78,8 @@ class AlbedoEstimate:
 
         T = A (I_a + I_d) + I_s with the estimated reflectance; highlights are white, as those removed were.
         I_a is 1 without an environment; give the estimate's own for the light of the scan. With one, the
-        surface also throws light onto itself, if its `bounce` says so.
+        surface also throws light onto itself, if its `bounce` says so. One viewer sees all of it, whatever
+        cameras took the texture.
         """
         mask = self.image.mask
         shading = shade_image(
@@ -114,7 +115,7 @@ def shade_image(
     image: GeometryImage,
     lights: Sequence[PointLight],
     reflectance: Reflectance,
-    view_direction: Sequence[float],
+    view_direction: ArrayLike,
     caster: RayCaster | None,
     offset_mm: float,
     environment: EnvironmentLight | None = None,
@@ -122,7 +123,8 @@ def shade_image(
 ) -> LitSurface:
     """Shade the masked texels with shadows of `caster` (None: attached shadows alone).
 
-    The environment stands for the ambient light of 1. `open_above` (N,) is what `ShadowMap` spares rays by.
+    `view_direction` is one for all, (3,), or one a texel, (N, 3). The environment stands for the ambient
+    light of 1. `open_above` (N,) is what `ShadowMap` spares rays by.
     """
     mask = image.mask
     position, normal = image.position[mask], image.normal[mask]

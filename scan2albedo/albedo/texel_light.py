@@ -46,7 +46,8 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     strength = state.reflectance.specular_strength * found.unit
     reflectance, lamps = replace(state.reflectance, specular_strength=strength), state.lights()
     offset = scene.options.shadow_offset_mm
-    where = scene.image, lamps, reflectance, scene.view, found.caster, offset
+    toward = scene.image.toward_camera(scene.view)
+    where = scene.image, lamps, reflectance, toward, found.caster, offset
     lit = shade_image(*where, open_above=scene.open_above())
     colors = _strongest_first(found)
     environment, light = _with_soft_light(scene, found, lit, colors)

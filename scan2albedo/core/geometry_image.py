@@ -14,6 +14,9 @@ SMALLEST_SIZE = 8
 LARGEST_SIZE = 16384
 """A texel takes some hundred bytes on its way: 16384 texels a side are near 30 GB."""
 
+NO_CAMERA = 255
+"""In `GeometryImage.camera`: it is not known which camera took the texel."""
+
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 _SHAPES = {
@@ -26,6 +29,7 @@ _SHAPES = {
     "specular_scale": (np.float32, None),
     "inpaint": (np.bool_, None),
     "skin": (np.float32, None),
+    "camera": (np.uint8, None),
 }
 
 
@@ -78,6 +82,10 @@ class GeometryImage:
     skin: NDArray[np.float32] | None = None
     """(H, W): how surely a texel is skin, 0 to 1; 0 on hair, brows, eyes, lips, cloth and glasses, and where
     nothing was seen. When None it was not computed: every seen texel counts as 1."""
+    camera: NDArray[np.uint8] | None = None
+    """(H, W): number of the camera that took each texel; `NO_CAMERA` where it is not known."""
+    camera_positions: NDArray[np.float64] | None = None
+    """(K, 3): where the cameras stood, millimetres in the model's frame; given along with `camera`."""
 
     def __post_init__(self) -> None:
         grid = np.asarray(self.mask).shape
@@ -98,8 +106,26 @@ class GeometryImage:
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
         if self.skin is not None and not ((self.skin >= 0) & (self.skin <= 1))[self.mask].all():
             raise GeometryImageError("skin holds values beyond 0 to 1 inside the mask")
+        self._check_cameras()
         if self.occluder is not None:
             object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
+
+    def _check_cameras(self) -> None:
+        if self.camera is None and self.camera_positions is None:
+            return
+        if self.camera is None or self.camera_positions is None:
+            raise GeometryImageError("camera and camera_positions belong together, and one of them is None")
+        positions = np.array(self.camera_positions, np.float64)
+        if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
+            raise GeometryImageError(
+                f"camera_positions has shape {positions.shape}, expected (K, 3), finite numbers"
+            )
+        unknown = (self.camera >= len(positions)) & (self.camera != NO_CAMERA)
+        if unknown.any():
+            raise GeometryImageError(
+                f"camera refers to number {self.camera[unknown].max()} of {len(positions)} cameras"
+            )
+        object.__setattr__(self, "camera_positions", positions)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -117,6 +143,21 @@ class GeometryImage:
         padded = np.pad(self.mask, 1)
         surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
         return self.mask & ~surrounded
+
+    def toward_camera(self, view_direction: ArrayLike) -> NDArray[np.float64]:
+        """Return (N, 3) unit directions from the texels of `mask` to the camera that took each.
+
+        `view_direction` (3,), unit, serves where the camera is not known.
+        """
+        position = self.position[self.mask]
+        toward = np.broadcast_to(np.asarray(view_direction, np.float64), position.shape).copy()
+        if self.camera is None or self.camera_positions is None:
+            return toward
+        camera = self.camera[self.mask]
+        known = camera != NO_CAMERA
+        away = self.camera_positions[camera[known]] - position[known]
+        toward[known] = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), _LENGTH)
+        return toward
 
     def check_normals(self) -> None:
         """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
@@ -140,10 +181,12 @@ class GeometryImage:
         areas = self.texel_areas_mm2()
         low, median, high = np.percentile(areas, (5, 50, 95)) if len(areas) else (np.nan,) * 3
         skin = {} if self.skin is None else {"skin": float(self.skin[self.mask].mean())}
+        cameras = {} if self.camera_positions is None else {"cameras": float(len(self.camera_positions))}
         return {
             "coverage": float(self.mask.mean()),
             "seen": float(self.seen.sum() / max(int(self.mask.sum()), 1)),
             **skin,
+            **cameras,
             "texel_area_mm2": float(median),
             "texel_area_p95_to_p5": float(high / low) if low > 0 else float("nan"),
         }

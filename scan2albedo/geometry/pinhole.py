@@ -40,6 +40,39 @@ def camera_centers(cameras: FloatArray) -> FloatArray:
     return np.asarray(-np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0], np.float64)
 
 
+def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
+    """Return the (3, 4) camera that projects points (N, 3), six or more, to pixels (N, 2), least squares.
+
+    The homogeneous linear equations of [1]_, section 7.1 (DLT), in coordinates of mean 0 and unit size. Where
+    all points lie in a plane, many cameras do so, and one of them is returned.
+
+    References
+    ----------
+    .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry in Computer Vision", 2nd edition, 2004.
+    """
+    space, to_space = _centred(np.asarray(points, np.float64))
+    plane, to_plane = _centred(np.asarray(pixels, np.float64))
+    none = np.zeros_like(space)
+    rows = np.concatenate(
+        [
+            np.hstack([space, none, -plane[:, :1] * space]),
+            np.hstack([none, space, -plane[:, 1:2] * space]),
+        ]
+    )
+    camera = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
+    return np.asarray(np.linalg.solve(to_plane, camera @ to_space), np.float64)
+
+
+def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return homogeneous points (N, d + 1) of mean 0 and unit size, and the matrix that made them so."""
+    mean, d = points.mean(0), points.shape[1]
+    size = float(np.sqrt(((points - mean) ** 2).mean())) or 1.0
+    matrix = np.eye(d + 1)
+    matrix[:d, :d] /= size
+    matrix[:d, d] = -mean / size
+    return np.column_stack([points, np.ones(len(points))]) @ matrix.T, matrix
+
+
 def pixel_directions(camera: FloatArray, pixels: ArrayLike) -> FloatArray:
     """Return (N, 3) unit vectors from the camera through pixels (N, 2); the camera normalised."""
     plane = np.asarray(pixels, np.float64)

@@ -14,7 +14,12 @@ from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry_image.skin import skin_weight
-from scan2albedo.geometry_image.texture_lookup import LookupOptions, texel_steps, texture_on_chart
+from scan2albedo.geometry_image.texture_lookup import (
+    ChartTexture,
+    LookupOptions,
+    texel_steps,
+    texture_on_chart,
+)
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
@@ -103,28 +108,31 @@ def geometry_image(
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
     position = interpolate(raster, fitted.faces, fitted.vertices)
     normal = normalized(interpolate(raster, fitted.faces, vertex_normals(fitted.vertices, fitted.faces)))
-    texture, seen = _texture(fitted, scan, raster, position, normal, options)
+    texture = _texture(fitted, scan, raster, position, normal, options)
+    cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
     region[raster.covered] = fitted.region[raster.face[raster.covered]]
     return GeometryImage(
         position=position,
         normal=normal,
         mask=raster.covered,
-        texture_linear=texture,
+        texture_linear=texture.linear,
         region=region,
         occluder=_occluder(fitted),
-        texture_valid=seen,
+        texture_valid=texture.seen,
         specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
         skin=skin_weight(
             position,
             normal,
-            raster.covered if seen is None else seen,
-            texture,
+            raster.covered if texture.seen is None else texture.seen,
+            texture.linear,
             prior=_annotation(fitted, region, "skin_share"),
             anchor=_annotation(fitted, region, "shows_skin") > 0,
             residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
         ),
+        camera=texture.camera,
+        camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
     )
 
 
@@ -151,7 +159,7 @@ def _texture(
     position: NDArray[np.float64],
     normal: NDArray[np.float64],
     options: LookupOptions,
-) -> tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None]:
+) -> ChartTexture:
     inside = raster.covered
     scan_from_model = invert_rigid(fitted.model_from_scan)
     steps = texel_steps(fitted.vertices, fitted.uv, fitted.faces, raster.face.shape)[raster.face[inside]]

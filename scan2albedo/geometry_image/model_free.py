@@ -70,16 +70,18 @@ def geometry_image_of_scan(
     position = interpolate(raster, chart_faces, position_of)
     normal = normalized(interpolate(raster, chart_faces, normal_of))
     steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
-    texture, seen = texture_on_chart(scan, inside, position[inside], normal[inside], steps)
+    texture = texture_on_chart(scan, inside, position[inside], normal[inside], steps)
     center = vertices.mean(0)
     position[inside] -= center
     return GeometryImage(
         position,
         normal,
         inside,
-        texture_linear=texture,
+        texture_linear=texture.linear,
         occluder=(vertices - center, faces),
-        texture_valid=seen,
+        texture_valid=texture.seen,
+        camera=texture.camera,
+        camera_positions=None if texture.camera_positions is None else texture.camera_positions - center,
     )
 
 

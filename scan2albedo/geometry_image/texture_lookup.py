@@ -9,10 +9,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.closest_points import ClosestHits
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
 from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry_image.cameras import texture_cameras
 from scan2albedo.io.texture_atlas import in_first_period
 
 MAX_DISTANCE_MM = 4.0
@@ -38,6 +40,20 @@ class LookupOptions:
     """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
 
 
+@dataclass(frozen=True)
+class ChartTexture:
+    """What the scan shows of each texel, None for scans without colour.
+
+    Linear colour (H, W, 3), whether it was well `seen` (H, W) and, for textures of photographs, the number of
+    the `camera` (H, W) and `camera_positions` (K, 3), mm in the scan's frame.
+    """
+
+    linear: NDArray[np.float32] | None = None
+    seen: BoolArray | None = None
+    camera: NDArray[np.uint8] | None = None
+    camera_positions: FloatArray | None = None
+
+
 def texture_on_chart(
     scan: RawScan | None,
     inside: BoolArray,
@@ -45,16 +61,31 @@ def texture_on_chart(
     normals: FloatArray,
     steps: FloatArray,
     options: LookupOptions = LookupOptions(),
-) -> tuple[NDArray[np.float32] | None, BoolArray | None]:
-    """Return linear colour (H, W, 3) and whether it was well seen (H, W); None for scans without colour.
+) -> ChartTexture:
+    """Return the texture on a chart.
 
     `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W).
     """
     if scan is None or not scan.has_color:
-        return None, None
-    texture, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
-    texture[inside], seen[inside] = TextureLookup(scan, options).sample(points, normals, steps)
-    return texture, seen
+        return ChartTexture()
+    linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
+    found = TextureLookup(scan, options).sample(points, normals, steps)
+    linear[inside], seen[inside] = found.color_linear, found.seen
+    cameras = texture_cameras(scan)
+    if cameras is None:
+        return ChartTexture(linear, seen)
+    camera, number = np.full(inside.shape, NO_CAMERA, np.uint8), cameras.face_camera[found.face]
+    camera[inside] = np.where(number < 0, NO_CAMERA, number)
+    return ChartTexture(linear, seen, camera, cameras.positions)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Linear colour (N, 3) of surface points, whether it was well `seen` (N,), and the scan's `face` (N,)."""
+
+    color_linear: NDArray[np.float32]
+    seen: BoolArray
+    face: IntArray
 
 
 class TextureLookup:
@@ -71,10 +102,8 @@ class TextureLookup:
         near = np.flatnonzero(inside[faces].any(1))
         return near if len(near) else np.arange(len(faces))
 
-    def sample(
-        self, points: FloatArray, normals: FloatArray, steps: FloatArray
-    ) -> tuple[NDArray[np.float32], BoolArray]:
-        """Return linear colour (N, 3) and whether it was well seen (N,).
+    def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
+        """Return what the scan shows of points.
 
         `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
         on the surface of one texel to the right and one down: the footprint that the photograph is averaged
@@ -95,7 +124,7 @@ class TextureLookup:
             assert scan.vertex_color_linear is not None
             corners = scan.vertex_color_linear[scan.faces[face]]
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
-        return color, valid
+        return Samples(color, valid, face)
 
     def _dense_enough(self) -> BoolArray:
         """(F,) whether a face has enough photograph pixels for its area."""

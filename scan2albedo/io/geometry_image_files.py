@@ -34,8 +34,9 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     """Write a geometry image as a compressed ``.npz`` without loss, atomically.
 
     Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
-    ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``occluder_vertices_mm``
-    and ``occluder_faces``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
+    ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``camera`` and
+    ``camera_positions_mm``, ``occluder_vertices_mm`` and ``occluder_faces``; ``format_version`` is 1. Raises
+    OutputError when the folder cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
     for field, stored in _NAME_IN_FILE.items():
@@ -43,6 +44,8 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
             arrays[stored] = getattr(image, field)
     if image.occluder is not None:
         arrays["occluder_vertices_mm"], arrays["occluder_faces"] = image.occluder
+    if image.camera is not None and image.camera_positions is not None:
+        arrays["camera"], arrays["camera_positions_mm"] = image.camera, image.camera_positions
     # Floats hardly shrink: the fastest level saves a quarter of the time and costs 1 % of the size.
     write_npz(path, arrays, what="geometry image", compression=1)
 
@@ -52,7 +55,8 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 
     Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G`` ``.B``,
     and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``, ``skin.Y``. The
-    occluder does not fit into an image and is left out. Raises OutputError when the folder cannot be written.
+    occluder and the cameras do not fit into an image and are left out. Raises OutputError when the folder
+    cannot be written.
     """
     channels: dict[str, NDArray[np.float32]] = {}
     for field, stored in _NAME_IN_FILE.items():
@@ -95,8 +99,12 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     occluder = None
     if "occluder_vertices_mm" in arrays and "occluder_faces" in arrays:
         occluder = (arrays["occluder_vertices_mm"], arrays["occluder_faces"])
+    cameras = {
+        "camera": arrays.get("camera"),
+        "camera_positions": arrays.get("camera_positions_mm"),
+    }
     try:
-        return GeometryImage(**fields, occluder=occluder)  # type: ignore[arg-type]
+        return GeometryImage(**fields, **cameras, occluder=occluder)  # type: ignore[arg-type]
     except GeometryImageError as error:
         raise GeometryImageError(f"{file.name}: {error}") from error
 

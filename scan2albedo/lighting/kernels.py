@@ -97,7 +97,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     `position`, `normal`, `brdf`, `roughness`, `exponent` are as in `lamp_factors`. `lights` (L, 5) hold unit
     direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) the derivatives of each
     direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N) float32
-    its derivatives by the direction's coordinates: an outline moves with the light. `view` (3,) is unit,
+    its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is unit,
     `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
     `light_out`, `specular_out` (N,) and `light_slope`, `specular_slope` (>= P, N) are filled; all float64
     where nothing else is said.
@@ -114,7 +114,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             light_slope[j, i] = 0.0
             specular_slope[j, i] = 0.0
         n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
-        n_v = n0 * view[0] + n1 * view[1] + n2 * view[2]
+        v0, v1, v2 = view[i, 0], view[i, 1], view[i, 2]
+        n_v = n0 * v0 + n1 * v1 + n2 * v2
         cos_r = max(n_v, 0.0)
         floored = max(n_v, COSINE_FLOOR)
         strength = specular * scale[i]
@@ -131,7 +132,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             n_l = (n0 * l0 + n1 * l1 + n2 * l2) / length
             if n_l <= 0.0:
                 continue
-            l_v = (l0 * view[0] + l1 * view[1] + l2 * view[2]) / length
+            l_v = (l0 * v0 + l1 * v1 + l2 * v2) / length
             energy = lights[k, 4] / (length * length)
             s = max(l_v - n_l * cos_r, 0.0)
             larger = max(max(n_l, cos_r), COSINE_FLOOR)
@@ -159,7 +160,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                     t0, t1, t2 = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
                 stretch = (l0 * t0 + l1 * t1 + l2 * t2) / (length * length)
                 n_l_slope = (n0 * t0 + n1 * t1 + n2 * t2) / length - n_l * stretch
-                l_v_slope = (view[0] * t0 + view[1] * t1 + view[2] * t2) / length - l_v * stretch
+                l_v_slope = (v0 * t0 + v1 * t1 + v2 * t2) / length - l_v * stretch
                 if brdf == MINNAERT:
                     turned = roughness * diffuse / n_l * n_l_slope
                 else:

@@ -94,9 +94,9 @@ def shade_points(
     and E = intensity (distance/r)^2 (no falloff for a distant light), times the lamp's colour in I_d.
 
     `position` (N, 3) is in mm, the model's frame, `normal` (N, 3) unit. Lights may be none. `visible` (L, N)
-    is 0 where a light is hidden; everything is visible when None. `view_direction` (3,), of any length,
-    points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do not fit,
-    points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
+    is 0 where a light is hidden; everything is visible when None. `view_direction` (3,) or (N, 3), of any
+    length, points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do
+    not fit, points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
 
     References
     ----------
@@ -110,7 +110,7 @@ def shade_points(
     view = np.asarray(view_direction, np.float64)
     _check_points(xyz, unit, seen, scale, view, len(lights))
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
-    toward = view / np.linalg.norm(view)
+    toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
     return shade_rows(xyz, unit, seen, light_rows(lights), toward, reflectance, scale, colors)
 
 
@@ -124,14 +124,14 @@ def shade_rows(
     scale: FloatArray,
     colors: FloatArray | None = None,
 ) -> Shading:
-    """Do as `shade_points` for `rows` of `light_rows` and a unit `view`, unchecked.
+    """Do as `shade_points` for `rows` of `light_rows` and unit `view`, (3,) or (N, 3), unchecked.
 
     `colors` (L, 3) are the lamps', all white when None.
     """
     light, gloss = np.ones(len(position)), np.zeros(len(position))
     tint, lamps = np.zeros((len(position), 3)), np.empty((len(rows), len(position)))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
-        factors = lamp_factors(position, normal, seen, row[:3], row[3], view[None], reflectance)
+        factors = lamp_factors(position, normal, seen, row[:3], row[3], np.atleast_2d(view), reflectance)
         lamps[k] = row[4] * factors.diffuse
         light += lamps[k]
         gloss += row[4] * factors.highlight
@@ -201,5 +201,5 @@ def _check_points(
         bad = np.argwhere(~np.isfinite(given[name]))
         if len(bad):
             raise ValueError(f"{name} {bad[0, 0]} is not finite ({len(bad)} numbers are not); leave such out")
-    if view.shape != (3,) or not np.isfinite(view).all() or not view.any():
+    if view.shape not in ((3,), (count, 3)) or not np.isfinite(view).all() or not view.any(-1).all():
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")

@@ -19,6 +19,7 @@ FORCEABLE = (
     "register.depth_annealing",
     "albedo.shadows",
     "albedo.lamp_size",
+    "albedo.cameras",
     "albedo.specular",
     "albedo.near_light",
     "albedo.roughness",

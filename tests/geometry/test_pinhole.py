@@ -5,6 +5,7 @@ import pytest
 
 from scan2albedo.geometry.pinhole import (
     camera_centers,
+    fit_camera,
     look_at,
     normalized_cameras,
     pixel_directions,
@@ -60,3 +61,15 @@ def test_the_grid_runs_row_by_row():
 def test_bad_cameras_are_refused(cameras, message):
     with pytest.raises(ValueError, match=message):
         normalized_cameras(cameras)
+
+
+@pytest.mark.parametrize("far", [0.0, 1e5])
+def test_a_camera_is_fitted_to_what_it_saw(far):
+    points = np.random.default_rng(2).normal(0, 60, (6, 3)) + far
+    seen = look_at(np.array([120, 60, 500]) + far, np.full(3, far), focal_px=900, shape=(480, 640))
+    found = fit_camera(points, project(seen, points)[0])
+    assert camera_centers(found[None])[0] == pytest.approx(np.array([120, 60, 500]) + far, abs=1e-3)
+    others = np.random.default_rng(3).normal(0, 60, (50, 3)) + far
+    assert project(normalized_cameras(found[None])[0], others)[0] == pytest.approx(
+        project(seen, others)[0], abs=1e-5
+    )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.core import GeometryImage
+from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.io.geometry_image_files import (
     read_geometry_image,
@@ -34,6 +35,8 @@ def picture(complete=True):
         specular_scale=RNG.random(mask.shape).astype(np.float32),
         inpaint=RNG.random(mask.shape) > 0.5,
         skin=RNG.random(mask.shape).astype(np.float32),
+        camera=RNG.choice([0, 1, NO_CAMERA], mask.shape).astype(np.uint8),
+        camera_positions=RNG.normal(0, 900, (2, 3)),
     )
 
 
@@ -61,7 +64,7 @@ def test_exr_keeps_single_precision(tmp_path, complete):
     back = read_geometry_image(tmp_path / "a.exr")
     for field in fields(GeometryImage):
         want, got = getattr(image, field.name), getattr(back, field.name)
-        if want is None or field.name == "occluder":
+        if want is None or field.name in ("occluder", "camera", "camera_positions"):
             assert got is None
         else:
             assert got.dtype == want.dtype

@@ -57,10 +57,11 @@ def _sampled_face(seed: int, picture_size: int) -> SampledFace:
     scan_from_model = invert_rigid(fitted.model_from_scan)
     normal = face_normals(fitted.vertices, fitted.faces)[face]
     step = np.broadcast_to(_POINT_MM * np.eye(3)[:, :2], (_POINTS, 3, 2))
-    color, seen = TextureLookup(scan).sample(
+    found = TextureLookup(scan).sample(
         transform_points(scan_from_model, position), transform_directions(scan_from_model, normal), step
     )
-    return SampledFace(scan, fitted, uv[seen], position[seen], color[seen])
+    seen = found.seen
+    return SampledFace(scan, fitted, uv[seen], position[seen], found.color_linear[seen])
 
 
 def _settings(quick: bool) -> list[Setting]:
@@ -123,11 +124,15 @@ def _vertex_colors(scene: SampledFace) -> Outcome:
 
         normals = vertex_normals(fitted.vertices, fitted.faces)
         step = np.broadcast_to(_POINT_MM * np.eye(3)[:, :2], (len(fitted.vertices), 3, 2))
-        return TextureLookup(scene.scan).sample(
-            transform_points(scan_from_model, fitted.vertices),
-            transform_directions(scan_from_model, normals),
-            step,
-        )[0]
+        return (
+            TextureLookup(scene.scan)
+            .sample(
+                transform_points(scan_from_model, fitted.vertices),
+                transform_directions(scan_from_model, normals),
+                step,
+            )
+            .color_linear
+        )
 
     color, cost = timed(work)
     from scan2albedo.geometry.closest_points import ClosestPointQuery

@@ -1,0 +1,119 @@
+"""Which cameras took a scan's texture, and where they stood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.mesh import face_normals
+from scan2albedo.geometry.pinhole import camera_centers, fit_camera
+
+_LEAST_PART, _LEAST_FACES = 0.02, 100
+"""Faces of a piece of the texture from which a camera is fitted: as a part of all, and their number."""
+_MOST_FACES = 4000
+"""Of so many faces of a piece a camera is fitted."""
+_OFF = 0.003
+"""Median distance, as a part of a piece's span in the texture, by which a camera may miss it. Photographs of
+a stereo scanner have 0.0005, unwrapped surfaces 0.01 and more."""
+_PASSES, _OUTLIER = 4, 4.0
+"""Fits of a camera, each to the corners that the last one missed by less than so many median distances."""
+_RELIEF = 0.02
+"""Least thickness of a piece as a part of its length: nothing shows where the camera of a plane stood."""
+_FACING = 0.9
+"""Part of a piece's faces that has to face its camera."""
+_CAMERAS = 0.8
+"""Part of the faces that cameras have to explain: the texture is photographs or it is not."""
+_MOST_CAMERAS = 100
+
+
+@dataclass(frozen=True)
+class TextureCameras:
+    """`face_camera` (F,) is the number of the camera that took a face, -1 where it is not known.
+
+    `positions` (K, 3) is where the cameras stood, mm in the scan's frame.
+    """
+
+    face_camera: IntArray
+    positions: FloatArray
+
+
+def texture_cameras(scan: RawScan) -> TextureCameras | None:
+    """Find the cameras whose photographs a scan's texture is made of; None where it is not.
+
+    Of a photograph, the texture coordinates of the corners are the projection of the vertices by a pinhole
+    camera. It is fitted to each connected piece of the texture, large ones first; a face belongs to the
+    camera that projects its corners to where they lie in the texture. Textures painted on an unwrapped
+    surface fit no camera.
+    """
+    if scan.uv is None or scan.texture_linear is None or len(scan.faces) < _LEAST_FACES:
+        return None
+    height, width = scan.texture_linear.shape[:2]
+    corners, pixels = scan.vertices[scan.faces], scan.uv * np.array([width, height])
+    normals = face_normals(scan.vertices, scan.faces)
+    pieces = _pieces(scan)
+    camera, positions = np.full(len(scan.faces), -1), list[FloatArray]()
+    sizes = np.bincount(pieces)
+    least = max(_LEAST_FACES, _LEAST_PART * len(scan.faces))
+    for piece in np.flatnonzero(sizes >= least)[np.argsort(-sizes[sizes >= least], kind="stable")]:
+        inside = pieces == piece
+        if np.mean(camera[inside] >= 0) > 0.5 or len(positions) == _MOST_CAMERAS:
+            continue
+        fitted = _fitted(corners[inside], pixels[inside], normals[inside])
+        if fitted is None:
+            continue
+        off = _distances(fitted, corners, pixels).max(1)
+        camera[(camera < 0) & (inside | (off < _tolerance(pixels[inside])))] = len(positions)
+        positions.append(camera_centers(fitted[None])[0])
+    if np.mean(camera >= 0) < _CAMERAS:
+        return None
+    return TextureCameras(camera, np.array(positions))
+
+
+def _pieces(scan: RawScan) -> IntArray:
+    """Return (F,) the connected piece of the texture that each face is part of."""
+    assert scan.uv is not None
+    # One number for a vertex and its place in the texture; that two such numbers agree is next to impossible.
+    place = np.round(scan.uv * 2**20).astype(np.int64)
+    across, up = place[..., 0] * 0xC2B2AE3D27D4EB5, place[..., 1] * 0x165667B19E3779F
+    key = scan.faces * 0x9E3779B97F4A7C1 + across + up
+    _, corner = np.unique(key, return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    edges = np.concatenate([corner[:, :2], corner[:, 1:]])
+    count = int(corner.max()) + 1
+    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1][corner[:, 0]], np.int64)
+
+
+def _fitted(corners: FloatArray, pixels: FloatArray, normals: FloatArray) -> FloatArray | None:
+    """Return the camera (3, 4) of a piece with corners (F, 3, 3), pixels (F, 3, 2), normals (F, 3)."""
+    some = np.linspace(0, len(corners) - 1, min(len(corners), _MOST_FACES)).astype(np.int64)
+    points, places = corners[some].reshape(-1, 3), pixels[some].reshape(-1, 2)
+    extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    if extents[2] < _RELIEF * extents[0]:
+        return None
+    kept: BoolArray = np.ones(len(points), bool)
+    for _ in range(_PASSES):
+        camera = fit_camera(points[kept], places[kept])
+        off = _distances(camera, points, places)
+        kept = off <= _OUTLIER * np.median(off)
+    if not np.median(off) < _tolerance(pixels):
+        return None
+    toward = camera_centers(camera[None])[0] - corners[:, 0]
+    facing = np.einsum("ij,ij->i", toward, normals) > 0
+    return camera if facing.mean() >= _FACING else None
+
+
+def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> FloatArray:
+    """Return how far from `places` (..., 2) a camera (3, 4) projects points (..., 3)."""
+    image = points @ camera[:, :3].T + camera[:, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.linalg.norm(image[..., :2] / image[..., 2:] - places, axis=-1))
+
+
+def _tolerance(pixels: FloatArray) -> float:
+    return _OFF * float(np.ptp(pixels.reshape(-1, 2), axis=0).max())

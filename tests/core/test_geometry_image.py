@@ -1,0 +1,57 @@
+"""The cameras of a geometry image: directions in closed form, and what is refused."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
+from scan2albedo.errors import GeometryImageError
+
+SHAPE = 3, 4
+MASK = np.arange(12).reshape(SHAPE) != 5
+
+
+def image(camera=None, positions=None):
+    position = np.random.default_rng(0).normal(0, 50, (*SHAPE, 3))
+    normal = np.broadcast_to([0.0, 0.0, 1.0], (*SHAPE, 3))
+    return GeometryImage(position, normal, MASK, camera=camera, camera_positions=positions)
+
+
+def test_texels_look_toward_their_camera_and_others_along_the_view_direction():
+    camera = np.full(SHAPE, NO_CAMERA)
+    camera[0], camera[1] = 0, 1
+    places = np.array([[0, 0, 900.0], [700, 0, 600]])
+    made = image(camera, places)
+    toward = np.zeros((*SHAPE, 3))
+    toward[MASK] = made.toward_camera((0, 0, 1))
+    for row, place in enumerate(places):
+        away = place - made.position[row]
+        expected = away / np.linalg.norm(away, axis=1, keepdims=True)
+        assert toward[row][MASK[row]] == pytest.approx(expected[MASK[row]], abs=1e-12)
+    assert (toward[2] == [0, 0, 1]).all()
+
+
+def test_without_cameras_one_direction_serves_all_texels():
+    assert (image().toward_camera((0, 0.6, 0.8)) == [0, 0.6, 0.8]).all()
+    assert "cameras" not in image().figures()
+
+
+def test_a_texel_in_the_camera_itself_gives_no_nan():
+    made = image()
+    at = image(np.zeros(SHAPE, int), made.position[:1, 0])
+    assert np.isfinite(at.toward_camera((0, 0, 1))).all()
+
+
+@pytest.mark.parametrize(
+    ("camera", "positions", "message"),
+    [
+        (np.zeros(SHAPE), None, "belong together"),
+        (None, np.zeros((1, 3)), "belong together"),
+        (np.zeros((2, 2)), np.zeros((1, 3)), "shape"),
+        (np.zeros(SHAPE), np.zeros(3), "expected \\(K, 3\\)"),
+        (np.zeros(SHAPE), np.full((1, 3), np.nan), "finite"),
+        (np.full(SHAPE, 2), np.zeros((2, 3)), "number 2 of 2"),
+    ],
+)
+def test_what_does_not_fit_is_refused(camera, positions, message):
+    with pytest.raises(GeometryImageError, match=message):
+        image(camera, positions)
