@@ -78,7 +78,7 @@ class Level:
         return np.stack(found).astype(np.int32), total
 
 
-def value_channel(texture_linear: NDArray[np.float32]) -> FloatArray:
+def value_channel(texture_linear: NDArray[np.floating]) -> FloatArray:
     """Return (H, W) V of HSV: the largest of the three channels."""
     red, green, blue = np.moveaxis(texture_linear, -1, 0)
     return np.maximum(np.maximum(red, green), blue).astype(np.float64)

@@ -86,9 +86,13 @@ class LitImage:
     def _soft_of(self, level: Level) -> SoftTerms:
         caster, bounce = self.shadows[0], self._bounce(level.anchor, level.normal)
         surface = level.anchor, level.normal, self.options.shadow_offset_mm
-        shadows = ShadowMap(caster, *surface)
         if caster is None:
-            return SoftTerms(shadowed_transfer(shadows), bounce)
+            return SoftTerms(shadowed_transfer(ShadowMap(caster, *surface)), bounce)
+        above, middle = None, self.level(self.options.sizes[1])
+        if level.factor < middle.factor:
+            self.soft(middle)
+            above = self._horizons[middle.factor].at(level.center)
+        shadows = ShadowMap(caster, *surface, above)
         sky = sky_table(shadows)
         self._horizons[level.factor] = Horizon(level, sky)
         return SoftTerms(shadowed_transfer(shadows, sky), bounce)
