@@ -116,10 +116,11 @@ class LitImage:
 
     @cached_property
     def _patches(self) -> Patches | None:
-        caster, level = self.shadows[0], self._smallest
+        caster, image, mask = self.shadows[0], self.image, self.image.mask
         if caster is None:
             return None
-        return Patches.of(caster, level.anchor, level.normal, self.options.shadow_offset_mm)
+        surface = image.position[mask], image.normal[mask].astype(np.float64)
+        return Patches.among(ShadowMap(caster, *surface, self.options.shadow_offset_mm))
 
     @cached_property
     def directions(self) -> FloatArray:

@@ -39,7 +39,7 @@ class EstimateOptions:
     neither soft, bounced nor coloured light."""
     sizes: tuple[int, int, int] = (32, 64, 128)
     """Longer sides, in cells, of the images that compare starts, choose the model, refine it. Cells of the
-    first exchange the bounced light; those of the third say what the surface hides of soft light."""
+    third say what the surface hides of soft light."""
     start_directions: int = 60
     """Light directions of which least squares tries a step."""
     starts: int = 3

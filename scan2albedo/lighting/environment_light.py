@@ -8,7 +8,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.lighting.interreflection import Bounce
+from scan2albedo.lighting.interreflection import Patches
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 _ORDER = 2
@@ -95,5 +95,6 @@ def environment_light_on(
         light += lamps
     if environment.bounce and shadows.caster is not None:
         direct = light - transfer[:, :1] * environment.coefficients[0]
-        light += environment.bounce * Bounce.between(shadows)(direct.T).T
+        bounce = Patches.among(shadows).seen_from(shadows.position, shadows.normal)
+        light += environment.bounce * bounce(direct.T).T
     return np.maximum(light, 0.0)

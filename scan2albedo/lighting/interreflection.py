@@ -18,8 +18,8 @@ _DIRECTIONS = 128
 """Rays from each patch."""
 _NORMAL_MM = 20.0
 """Distance that counts as much as a turn of the normal by 1 rad when points are looked up."""
-_CELLS = 28
-"""Patches along the longest side of the points, of which they are chosen."""
+_CELLS = 24
+"""Patches along the longest side of the points, of which they are chosen: some 900 on a face."""
 _NEIGHBOURS, SMALLEST_MM = 4, 0.5
 """Points that a value is interpolated from, and the distance below which all weigh the same."""
 
@@ -74,17 +74,6 @@ class Bounce:
     up: sparse.csr_matrix
     down: sparse.csr_matrix
 
-    @classmethod
-    def between(cls, shadows: ShadowMap) -> Bounce:
-        """Return that between the points of `shadows`, which have a caster; patches are some of them."""
-        assert shadows.caster is not None
-        position, normal = shadows.position, shadows.normal
-        low, high = position.min(0), position.max(0)
-        edge = max(float((high - low).max()), 1e-9) / _CELLS
-        some = np.unique(((position - low) / edge).astype(np.int64), axis=0, return_index=True)[1]
-        patches = Patches.of(shadows.caster, position[some], normal[some], shadows.offset_mm)
-        return patches.seen_from(position, normal)
-
     def __call__(self, light: FloatArray) -> FloatArray:
         """Return the bounced light (..., N) of `light` (..., N)."""
         patches = (self.down @ light.T).astype(np.float32)
@@ -97,6 +86,17 @@ class Patches:
 
     lookup: SurfaceLookup
     factors: NDArray[np.float32]
+
+    @classmethod
+    def among(cls, shadows: ShadowMap) -> Patches:
+        """Return the patches around some of the points of `shadows`, evenly spread; they have a caster."""
+        assert shadows.caster is not None
+        position, normal = shadows.position, shadows.normal
+        low, high = position.min(0), position.max(0)
+        edge = max(float((high - low).max()), 1e-9) / _CELLS
+        column, row, layer = ((position - low) / edge).astype(np.int64).T
+        some = np.unique((column * (_CELLS + 1) + row) * (_CELLS + 1) + layer, return_index=True)[1]
+        return cls.of(shadows.caster, position[some], normal[some], shadows.offset_mm)
 
     @classmethod
     def of(cls, caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float) -> Patches:
