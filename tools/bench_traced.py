@@ -1,12 +1,13 @@
 """Albedo error on the path-traced set, beside simple peers: images with exact shape, and raw scans.
 
-    S2A_TRACED=FOLDER python tools/bench_traced.py [--set images|scans] [--only NAME ...]
+    S2A_TRACED=FOLDER python tools/bench_traced.py [--set images|scans] [--only NAME ...] [--peers slow]
 
 FOLDER is made by tools/build_traced_scans.py. A row a scene: 100 x MSE after the best single scale, on V and
 on colour, of the texture as it is, divided by ambient occlusion, by nine harmonics (SH), by the same with the
 face's own shadows, and ours; outlines in the albedo that the photograph lacks (share, and mean excess in log
 units); lamps found of all lamps (of those with hard shadows); CPU seconds. A dash marks what failed. Texels
-that got less than 3 % of the median light do not count.
+that got less than 3 % of the median light do not count. `--peers slow` adds the paper's objective and inverse
+rendering by Mitsuba's gradients (one lamp and an environment of 24 directions; needs `mitsuba` and libLLVM).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
 from benchmarks.traced_set import (
     VARIABLE,
     AlbedoScore,
@@ -34,11 +36,13 @@ from benchmarks.traced_set import (
 )
 
 import scan2albedo as s2a
-from scan2albedo.albedo import AlbedoEstimate
+from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import Scan2AlbedoError
 
 OURS = "ours"
+PAPER = EstimateOptions(objective="albedo-deviation")
+RENDERED = DescentOptions(environment=24, trial_steps=60, steps=300)
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,15 @@ class Row:
     note: str = ""
 
 
+def slow_peers(image: s2a.GeometryImage) -> dict[str, FloatArray]:
+    """Return albedos (H, W, 3) by name: of the paper's objective, and of inverse rendering on V."""
+    assert image.texture_linear is not None
+    texture = np.asarray(image.texture_linear, np.float64)
+    rendered = mitsuba_inverse(image, 1, RENDERED).albedo_value / np.maximum(texture.max(2), 1e-9)
+    paper = s2a.estimate_albedo(image, seed=0, options=PAPER).albedo_linear.astype(np.float64)
+    return {"paper's": paper, "Mitsuba": texture * rendered[..., None]}
+
+
 def scored(
     name: str,
     image: s2a.GeometryImage,
@@ -62,11 +75,13 @@ def scored(
     *,
     lamps: str,
     cpu_s: float,
+    slow: bool,
     note: str = "",
 ) -> Row:
-    """Return the row of an estimate."""
+    """Return the row of an estimate, beside `slow` peers too if asked for."""
     ours = np.asarray(estimate.albedo_linear, np.float64)
-    scores = {peer: score(albedo, truth, judged) for peer, albedo in simple_peers(image).items()}
+    peers = simple_peers(image) | (slow_peers(image) if slow else {})
+    scores = {peer: score(albedo, truth, judged) for peer, albedo in peers.items()}
     shading = np.asarray(estimate.shading, np.float64)
     outlines = invented_outlines(
         np.asarray(image.texture_linear, np.float64).max(2),
@@ -77,7 +92,7 @@ def scored(
     return Row(name, scores | {OURS: score(ours, truth, judged)}, outlines, lamps, cpu_s, note)
 
 
-def image_row(folder: Path, name: str) -> Row:
+def image_row(folder: Path, name: str, slow: bool) -> Row:
     """Estimate the albedo of a geometry image."""
     scene = load_image(folder, name)
     start = time.process_time()
@@ -85,10 +100,11 @@ def image_row(folder: Path, name: str) -> Row:
     cpu_s = time.process_time() - start
     hard = sum(lamp["hard"] for lamp in scene.lamps)
     lamps = f"{len(estimate.lights)} of {len(scene.lamps)} ({hard})"
-    return scored(name, scene.image, estimate, scene.albedo_linear, scene.judged, lamps=lamps, cpu_s=cpu_s)
+    truth, judged = scene.albedo_linear, scene.judged
+    return scored(name, scene.image, estimate, truth, judged, lamps=lamps, cpu_s=cpu_s, slow=slow)
 
 
-def scan_row(folder: Path, name: str) -> Row:
+def scan_row(folder: Path, name: str, slow: bool) -> Row:
     """Process a raw scan."""
     truth = ScanTruth.read(folder, name)
     with tempfile.TemporaryDirectory() as out:
@@ -106,11 +122,12 @@ def scan_row(folder: Path, name: str) -> Row:
         judged.judged,
         lamps=lamps,
         cpu_s=cpu_s,
+        slow=slow,
         note=note,
     )
 
 
-def rows(folder: Path, kinds: tuple[str, ...], only: list[str]) -> Iterator[Row | str]:
+def rows(folder: Path, kinds: tuple[str, ...], only: list[str], slow: bool) -> Iterator[Row | str]:
     """Yield a row a scene, or what went wrong with it."""
     make = {"images": image_row, "scans": scan_row}
     for kind in kinds:
@@ -118,7 +135,7 @@ def rows(folder: Path, kinds: tuple[str, ...], only: list[str]) -> Iterator[Row 
             if only and name not in only:
                 continue
             try:
-                yield make[kind](folder, name)
+                yield make[kind](folder, name, slow)
             except Scan2AlbedoError as error:
                 yield f"{name:26} - {error}"
 
@@ -131,9 +148,10 @@ def line(row: Row) -> str:
     return f"{row.name:26}{on_value} |{on_color} | {found} | {row.lamps:10} | {row.cpu_s:5.1f} s {row.note}"
 
 
-def heading() -> str:
+def heading(slow: bool) -> str:
     """Return the table's first line."""
-    methods = " ".join(f"{name[:7]:>7}" for name in ("as is", "AO", "SH", "SH+sh.", OURS))
+    peers = ("as is", "AO", "SH", "SH+sh.", *(("paper's", "Mitsuba") if slow else ()), OURS)
+    methods = " ".join(f"{name[:7]:>7}" for name in peers)
     return f"{'V % | colour %':26}{methods} |{methods} | {'invented outlines':>20} | {'lamps':10} | CPU"
 
 
@@ -159,14 +177,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--set", choices=("images", "scans"), help="both when omitted")
     parser.add_argument("--only", nargs="*", default=[], help="names of scenes")
+    parser.add_argument("--peers", choices=["slow"], help="the paper's objective and Mitsuba's gradients too")
     arguments = parser.parse_args()
-    folder = traced_folder()
+    folder, slow = traced_folder(), arguments.peers == "slow"
     if folder is None:
         raise SystemExit(f"{VARIABLE} names no folder with scenes; tools/build_traced_scans.py makes one")
     for kind in (arguments.set,) if arguments.set else ("images", "scans"):
-        print(heading(), flush=True)
+        print(heading(slow), flush=True)
         done = []
-        for row in rows(folder, (kind,), arguments.only):
+        for row in rows(folder, (kind,), arguments.only, slow):
             print(line(row) if isinstance(row, Row) else row, flush=True)
             done += [row] if isinstance(row, Row) else []
         if done:

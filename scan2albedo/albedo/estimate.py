@@ -327,7 +327,5 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         casts_shadows=True,
         shadow_offset_mm=options.shadow_offset_mm,
         environment=environment_of_shading(coefficients),
-        expected_error=expected_error(
-            division.deviation, None, value_channel(shading), image.mask, image.skin
-        ),
+        expected_error=expected_error(division.deviation, None, shading.max(axis=-1), image.mask, image.skin),
     )

@@ -21,6 +21,7 @@ from scipy.optimize import dual_annealing
 import scan2albedo as s2a
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -32,6 +33,10 @@ EXCESS = 3.0
 """Price of a highlight that is brighter than its texel, relative to other residuals."""
 OFFSET_MM = 0.2
 """Shadow rays start this far above the surface."""
+
+
+_DIMMEST = 0.03
+"""Least light, of an ambient light of 1: the sum of an environment may come near 0."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +171,9 @@ class DescentOptions:
     """Adam's step for log albedo."""
     near: bool = True
     """Also fit the lights' distance, common to all."""
+    environment: int = 0
+    """Distant directions of an environment past the surface's own shadows; their radiances are fitted in
+    place of constant ambient light, which 0 keeps."""
     threads: int = 1
 
 
@@ -179,7 +187,8 @@ def mitsuba_inverse(
     over log A (a number a texel) and theta: directions, log strengths, the inverse distance. Visibility V is
     ray-traced by Mitsuba anew at every step and held constant in the gradient. Ambient light is 1: the total
     variation of the logarithm does not see a common scale. Several starts run shortly, the best one on. What
-    is returned is T / I, which keeps the detail that the variation would smooth away.
+    is returned is T / I, which keeps the detail that the variation would smooth away. With an environment of
+    directions w_j, I has the sum of r_j V_j max(0, n.w_j), of mean 1 where all r_j are 1, in place of 1.
 
     References
     ----------
@@ -219,6 +228,10 @@ class _Descent:
         position, normal = image.position[image.mask], image.normal[image.mask]
         self._position, self._normal = self._points(position), mitsuba.Normal3f(self._points(normal))
         self._origin = self._points(position + OFFSET_MM * normal)
+        toward = distant_directions(options.environment) if options.environment else np.zeros((0, 3))
+        open_sky = [self._reached(w, normal @ w) for w in toward]
+        most = float(np.mean(sum(open_sky))) if open_sky else 1.0
+        self._sky = np.array(open_sky) / most
         self._value = mitsuba.Float(value.astype(np.float32))
         self._weight = mitsuba.Float((value < WHITE).astype(np.float32))
         index = np.full(image.shape, -1)
@@ -232,6 +245,12 @@ class _Descent:
         columns = [self._mi.Float(np.ascontiguousarray(c, np.float32)) for c in values.T]
         return self._mi.Point3f(*columns)
 
+    def _reached(self, toward: FloatArray, cosine: FloatArray) -> FloatArray:
+        """Return (N,) the cosine of a distant light at the texels that it reaches, else 0."""
+        direction = self._mi.Vector3f(*[self._mi.Float(float(c)) for c in toward])
+        hidden = np.array(self._scene.ray_test(self._mi.Ray3f(self._origin, direction)))
+        return np.where(hidden, 0.0, np.maximum(cosine, 0.0))
+
     def begin(self, directions: FloatArray) -> Any:
         """Return Adam at lights of strength 2 in `directions` (L, 3), the albedo what they leave."""
         mi = self._mi
@@ -240,7 +259,9 @@ class _Descent:
         for k, direction in enumerate(directions):
             optimizer[f"direction{k}"] = mi.Vector3f(*[mi.Float(float(c)) for c in direction])
             optimizer[f"strength{k}"] = mi.Float(math.log(2.0))
-        light = self._light(optimizer, len(directions))
+        if len(self._sky):
+            optimizer["radiance"] = mi.Float(np.zeros(len(self._sky), np.float32))
+        light = self._light(optimizer, len(directions), self._soft(optimizer))
         log_albedo = self._dr.log(self._dr.maximum(self._value, 1 / 255) / light)
         optimizer["log_albedo"] = self._dr.detach(log_albedo)
         self.pace(optimizer, 1.0)
@@ -255,10 +276,17 @@ class _Descent:
             rates["nearness"] = 0.0
         optimizer.set_learning_rate(rates)
 
-    def _light(self, optimizer: Any, count: int) -> Any:
+    def _soft(self, optimizer: Any) -> Any:
+        """Return the environment's light on all texels, the ambient light of 1 without one."""
+        if not len(self._sky):
+            return self._mi.Float(1.0)
+        radiance = np.exp(np.array(optimizer["radiance"], np.float64))
+        return self._mi.Float((radiance @ self._sky).astype(np.float32))
+
+    def _light(self, optimizer: Any, count: int, soft: Any) -> Any:
         """Return I of all texels, differentiable but for the visibility."""
         mi, dr = self._mi, self._dr
-        light = mi.Float(1.0)
+        light = mi.Float(soft)
         # With u = d - q x / (1000 mm), the light at 1000 mm / q lies along u and falls off as 1 / |u|^2.
         near = optimizer["nearness"] * 1e-3
         for k in range(count):
@@ -268,7 +296,7 @@ class _Descent:
             hidden = self._scene.ray_test(mi.Ray3f(self._origin, dr.detach(toward)))
             cosine = dr.maximum(0.0, dr.dot(toward, self._normal)) / dr.square(reach)
             light += dr.exp(optimizer[f"strength{k}"]) * dr.select(hidden, 0.0, cosine)
-        return light
+        return dr.maximum(light, _DIMMEST)
 
     def advance(self, optimizer: Any, steps: int) -> float:
         """Take Adam steps and return the last loss."""
@@ -277,12 +305,19 @@ class _Descent:
         scale = float(np.sum(self._value_numpy[self._value_numpy < WHITE]))
         loss = mi.Float(0.0)
         for _ in range(steps):
-            log_albedo = optimizer["log_albedo"]
-            residual = dr.abs(dr.exp(log_albedo) * self._light(optimizer, count) - self._value) * self._weight
+            log_albedo, soft = optimizer["log_albedo"], self._soft(optimizer)
+            dr.enable_grad(soft)
+            light = self._light(optimizer, count, soft)
+            residual = dr.abs(dr.exp(log_albedo) * light - self._value) * self._weight
             first, second = (dr.gather(mi.Float, log_albedo, p) for p in self._pairs)
             variation = dr.sum(dr.abs(first - second)) / len(self._pairs[0])
             loss = dr.sum(residual) / scale + self._options.variation_weight * variation
             dr.backward(loss)
+            if len(self._sky):
+                # By NumPy: Dr.Jit would run through all texels once for each direction.
+                slope = self._sky @ np.array(dr.grad(soft), np.float64)
+                radiance = optimizer["radiance"]
+                dr.set_grad(radiance, dr.exp(dr.detach(radiance)) * mi.Float(slope.astype(np.float32)))
             optimizer.step()
             optimizer["nearness"] = dr.clip(dr.detach(optimizer["nearness"]), 0.0, 2.5)
             for k in range(count):
@@ -292,7 +327,8 @@ class _Descent:
         return float(np.array(loss)[0])
 
     def albedo(self, optimizer: Any) -> FloatArray:
-        light = np.array(self._dr.detach(self._light(optimizer, _light_count(optimizer))), np.float64)
+        found = self._light(optimizer, _light_count(optimizer), self._soft(optimizer))
+        light = np.array(self._dr.detach(found), np.float64)
         full = np.zeros(self._mask.shape)
         full[self._mask] = self._value_numpy / light
         return full
