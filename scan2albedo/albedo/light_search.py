@@ -101,10 +101,11 @@ class LightSearch:
         It is tried beside the lamps found, and lamps are tried beside it: lamps found without it stand for
         parts of it, and it may stand for a lamp.
         """
-        middle, stage = self._middle, "albedo.environment"
+        stage = "albedo.environment"
         choice = self.scene.options.choice(stage)
         if choice is False or self.scene.meter.exhausted:
             return lamps, [decision]
+        middle = self._middle
         model = lamps.model.with_part("environment")
         both = self._descend(middle, model, lamps.model.extend(lamps.x, model))
         gain = environment_gain(both, lamps)
@@ -231,14 +232,19 @@ class LightSearch:
     def _problem(self, k: int) -> ResidualProblem:
         level = self.scene.level(self.scene.options.sizes[k])
         # What soft light knows of the sky spares the lamps' shadows most of their rays.
-        soft = self.scene.soft(level)
+        soft = None if self.scene.meter.exhausted else self.scene.soft(level)
         return ResidualProblem(level, self.scene.lattice(level), self.scene.meter, soft)
 
     def _record(self, solution: Solution) -> None:
-        """Add a trace row with the cost on the largest image: costs at different sizes do not compare."""
+        """Add a trace row with the cost on the largest image: costs at different sizes do not compare.
+
+        Where the budget has ended it may be the only row, and then has the cost that is known.
+        """
         meter = self.scene.meter
-        if not (meter.exhausted and meter.rows):
+        if not meter.exhausted:
             meter.record(self._largest.at(solution.model, solution.x).cost)
+        elif not meter.rows:
+            meter.record(solution.cost)
 
     def _descend(self, problem: ResidualProblem, model: LightModel, x: FloatArray) -> Solution:
         return descend(problem, model, x, self.scene.options.descent_iterations)
@@ -246,10 +252,12 @@ class LightSearch:
     def _first_light(self) -> Solution:
         """Return one light with every allowed part free."""
         meter, model = self.scene.meter, self.scene.model(1)
+        start = model.from_lights(self.scene.directions[:1], np.array([_FIRST_STRENGTH]))
         if meter.exhausted:
-            start = model.from_lights(self.scene.directions[:1], np.array([_FIRST_STRENGTH]))
             return self._least(start, model)
         tried = self._first_tries
+        if meter.exhausted:
+            return tried[0]
         polished = [self._descend(self._middle, s.model, s.x) for s in apart(tried, 2)]
         self.alternatives.note(polished)
         best = min([*polished, tried[0]] if meter.exhausted else polished, key=lambda s: s.cost)
