@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
@@ -42,6 +42,11 @@ class Layout:
         return self.out / _KEPT / "running"
 
     @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders in which files are made under hidden names."""
+        return self.out, self.rows, self.running
+
+    @property
     def catalogue(self) -> Path:
         """The table of all scans."""
         return self.out / CATALOGUE
@@ -71,15 +76,21 @@ class Layout:
         make_folder(self.rows)
         write_record(self.row_file(row.name), row)
 
-    def forget(self, name: str) -> None:
-        """Remove the record of a scan, and the mark that its result is whole."""
-        self.row_file(name).unlink(missing_ok=True)
-        (self.out / name / "result.json").unlink(missing_ok=True)
+    def recorded_files(self, name: str) -> tuple[str, ...]:
+        """Return the names of the files that an earlier run of a batch wrote for a scan."""
+        row = self.row(name)
+        return () if row is None else tuple(row.files)
+
+    def refuse_links(self) -> None:
+        """Raise `BatchError` when a folder in which a batch keeps its records is a link."""
+        for folder in (self.rows.parent, self.rows, self.running):
+            if folder.is_symlink():
+                raise BatchError(f"{folder}: is a link, and links are not followed; remove it")
 
     def begin_run(self, run: str) -> None:
         """Make `run` the only one whose workers may write here."""
         make_folder(self.rows)
-        shutil.rmtree(self.running, ignore_errors=True)
+        self._unmark_all()
         make_folder(self.running)
         write_text(self.out / _KEPT / "run", run)
 
@@ -87,7 +98,7 @@ class Layout:
         """Keep remaining workers from writing here."""
         with suppress(OSError):
             (self.out / _KEPT / "run").unlink()
-        shutil.rmtree(self.running, ignore_errors=True)
+        self._unmark_all()
 
     def is_running(self, run: str) -> bool:
         """Return whether `run` is the one that may write here."""
@@ -112,6 +123,20 @@ class Layout:
         with suppress(OSError):
             (self.running / name).unlink()
 
+    def _unmark_all(self) -> None:
+        with suppress(OSError):
+            for name in os.listdir(self.running):
+                if self.started_at(name) is not None:
+                    self.unmark(name)
+            self.running.rmdir()
+
+    def _opened_lock(self) -> TextIO:
+        lock = self.out / _KEPT / "lock"
+        try:
+            return open(lock, "a", opener=_without_links, encoding="utf-8")
+        except OSError as error:
+            raise BatchError(f"{lock}: cannot be opened: {error.strerror}; remove it") from error
+
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other batches out of the folder during the block; a killed process holds no lock.
@@ -121,7 +146,7 @@ class Layout:
         import fcntl
 
         make_folder(self.out / _KEPT)
-        with (self.out / _KEPT / "lock").open("w") as file:
+        with self._opened_lock() as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -133,6 +158,10 @@ class Layout:
             yield
 
 
+def _without_links(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+
+
 def folder_sha256(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file in a folder, by name."""
     return {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file()}
@@ -142,7 +171,8 @@ def changed_file(folder: Path, files: Mapping[str, str]) -> str | None:
     """Return the name of a file that is missing or changed, None when there is none."""
     for name, sha256 in files.items():
         try:
-            if file_sha256(folder / name) != sha256:
+            inside = Path(name).name == name and (folder / name).is_file()  # a record may have been edited
+            if not inside or file_sha256(folder / name) != sha256:
                 return name
         except OSError:
             return name

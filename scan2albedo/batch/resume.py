@@ -1,14 +1,11 @@
-"""Results of earlier runs that can be kept, and their leftovers."""
+"""Results of earlier runs that can be kept."""
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from scan2albedo.batch.layout import Layout, changed_file
 from scan2albedo.batch.records import BatchScanRecord
@@ -17,7 +14,6 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.input_hash import input_sha256
 
 _READERS = 4
-_CLOCK_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -67,33 +63,3 @@ def _looked_at(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, 
     if changed_file(layout.out / task.name, row.files) is not None:
         return None, "with changed or missing files"
     return row, ""
-
-
-def remove_leftovers(layout: Layout) -> int:
-    """Remove what killed processes left half-written; return how many files and folders that were.
-
-    Folders of processes that still run, of another command perhaps, stay.
-    """
-    removed = 0
-    for folder in layout.out.glob(".*.part"):
-        if folder.is_dir() and not _at_work(folder):
-            shutil.rmtree(folder, ignore_errors=True)
-            removed += 1
-    for place in (layout.out, layout.rows):
-        for file in place.glob(".*.part.*"):
-            with suppress(OSError):
-                file.unlink()
-                removed += 1
-    return removed
-
-
-def _at_work(folder: Path) -> bool:
-    """Return whether the process whose number is in a staging folder's name still runs."""
-    import psutil
-
-    try:
-        process = psutil.Process(int(folder.name.rsplit("-", 2)[1]))
-        # A later process may have the same number.
-        return process.create_time() < folder.stat().st_mtime + _CLOCK_S
-    except (IndexError, ValueError, OSError, psutil.Error):
-        return False

@@ -16,20 +16,21 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
-from scan2albedo.batch.catalogue import catalogue_table, write_catalogue
+from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
-from scan2albedo.batch.records import BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
+from scan2albedo.batch.records import FIXED, BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
 from scan2albedo.batch.report import BatchProgress, BatchReport
-from scan2albedo.batch.resume import Resumed, remove_leftovers, verified
+from scan2albedo.batch.resume import Resumed, verified
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError, ModelError, needs_extra
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import file_sha256, files_of_scan
-from scan2albedo.io.records import installed_versions, write_record
+from scan2albedo.io.leftovers import remove_leftovers
+from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.options import ProcessOptions
 
 CATALOGUE_INTERVAL_S = 30.0
@@ -96,12 +97,25 @@ def run_batch(
     options = ProcessOptions() if options is None else options
     tasks = _tasks(manifest, layout, options, timeout_s)
     check_writable(layout.out)
+    layout.refuse_links()
     with layout.locked():
         if layout.holds_a_batch() and not resume:
             raise BatchError(f"{out} holds a batch already; give --resume to go on, or another folder")
+        _require_a_batch(layout)
         asked = jobs or _cores()
         run = _Run(manifest, layout, options, asked, scheduler, on_progress, tasks[0].run)
         return run.report(tasks, resume)
+
+
+def _require_a_batch(layout: Layout) -> None:
+    """Raise `BatchError` for a record, or without one a catalogue, that no batch wrote."""
+    advice = "it was edited, cut short, or is none of a batch: move it away, or choose another folder"
+    if os.path.lexists(layout.record):
+        read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
+    elif os.path.lexists(layout.catalogue):
+        found = load_catalogue(layout.catalogue).column_names
+        if not set(FIXED) <= set(found):
+            raise BatchError(f"{layout.catalogue}: is no catalogue of a batch; {advice}")
 
 
 def _tasks(
@@ -203,7 +217,7 @@ class _Run:
         finally:
             with _undisturbed():
                 self.layout.end_run()
-                remove_leftovers(self.layout)
+                remove_leftovers(*self.layout.folders)
                 self.write(status)
         return BatchReport(
             self.layout.out,
@@ -216,7 +230,7 @@ class _Run:
 
     def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
-        if removed := remove_leftovers(self.layout):
+        if removed := remove_leftovers(*self.layout.folders):
             self.note(f"removed {removed} half-written files and folders of a run that was killed")
         self.resumed = verified(tasks, self.layout)
         self.rows |= self.resumed.kept
@@ -336,12 +350,13 @@ def _cores() -> int:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Let no Ctrl-C end the block."""
+    """Let neither Ctrl-C nor SIGTERM end the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

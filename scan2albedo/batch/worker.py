@@ -96,7 +96,8 @@ def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
         status, known["reason"] = "failed", f"{name}{error}"
         known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
         known |= _input(task)
-        _remove_older_result(layout.out / task.name)
+        if (layout.out / task.name / "result.json").exists():
+            known["notes"] += ("the result of an earlier run is still in its folder",)
     known["reason"] = one_line(known.get("reason", ""))
     return task.record(
         status,
@@ -113,22 +114,23 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
 
     if task.version != VERSION:
         raise BatchError(f"the worker has scan2albedo {VERSION}, the batch {task.version}; install one")
-    layout.forget(task.name)
     with _one_thread():
         from scan2albedo.pipeline.process import process
-        from scan2albedo.pipeline.result import write_result
+        from scan2albedo.pipeline.result import FILES, own_files, write_result
 
+        recorded = layout.recorded_files(task.name)
+        own_files(layout.out / task.name, recorded)  # refused before any work
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
         result = process(task.path, name=task.name, **chosen)
         if not layout.is_running(task.run):
             raise BatchError("the batch has ended; nothing is written")
         begin = time.perf_counter()
-        folder = write_result(result, layout.out, pictures=task.options.pictures)
+        folder = write_result(result, layout.out, pictures=task.options.pictures, recorded=recorded)
         files_s = time.perf_counter() - begin
     return {
         "input_sha256": result.input_sha256,
         "timings_s": {**result.timings_s, "files": files_s},
-        "files": folder_sha256(folder),
+        "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if name in FILES},
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
         "plan_ran": tuple(step.stage for step in result.plan if step.ran),
@@ -141,16 +143,6 @@ def _input(task: ScanTask) -> dict[str, str]:
     with suppress(Scan2AlbedoError):
         return {"input_sha256": input_sha256(task.path)}
     return {}
-
-
-def _remove_older_result(folder: Path) -> None:
-    """Remove the files of an earlier result, so that nobody takes them for those of this input."""
-    from scan2albedo.pipeline.result import FILES
-
-    with suppress(OSError):
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)
-        folder.rmdir()
 
 
 @lru_cache(_MODELS_KEPT)

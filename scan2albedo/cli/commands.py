@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,10 +13,13 @@ from scan2albedo.cli.applications import add_commands
 from scan2albedo.cli.common import (
     INTERRUPTED,
     SOME_FAILED,
+    TERMINATED,
     USAGE_ERROR,
     JsonOption,
     PrintableUsage,
+    Terminated,
     echo_json,
+    raise_on_interrupt,
     refuse_shared_folders,
     say,
     stop_cleanly_on_interrupt,
@@ -125,8 +127,8 @@ def batch(
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
     if timeout is not None and not timeout > 0:
         raise typer.BadParameter(f"--timeout is {timeout:g}, expected seconds above 0")
-    # The stages run in workers, so that Ctrl-C may unwind here.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # The stages run in workers, so that signals may unwind here.
+    raise_on_interrupt()
     from scan2albedo.batch import run_batch
     from scan2albedo.cli.progress import BatchLines
     from scan2albedo.io.atomic import removed_if_empty
@@ -143,12 +145,11 @@ def batch(
                 timeout_s=timeout,
                 on_progress=lines.update,
             )
-    except KeyboardInterrupt:
-        print(
-            "scan2albedo: interrupted; nothing half-written was left behind, and --resume goes on",
-            file=sys.stderr,
-        )
-        raise typer.Exit(INTERRUPTED) from None
+    except KeyboardInterrupt as stopped:
+        terminated = isinstance(stopped, Terminated)
+        what = "terminated" if terminated else "interrupted"
+        say(f"scan2albedo: {what}; nothing half-written was left behind, and --resume goes on")
+        raise typer.Exit(TERMINATED if terminated else INTERRUPTED) from None
     for line in report.summary().splitlines():
         say(line)
     if json_summary:

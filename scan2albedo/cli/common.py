@@ -1,4 +1,4 @@
-"""What the commands share: exit statuses, flags, one line an error, a clean end on Ctrl-C."""
+"""What the commands share: exit statuses, flags, one line an error, a clean end on Ctrl-C and SIGTERM."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from typer.core import TyperGroup
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import printable
-from scan2albedo.io.atomic import remove_unfinished
+from scan2albedo.io.leftovers import remove_unfinished
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text, process_options
 
-DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
+DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 Command = Callable[..., None]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
@@ -83,8 +83,24 @@ def refuse_shared_folders(scans: list[Path]) -> None:
             )
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, where Ctrl-C raises KeyboardInterrupt."""
+
+
+def raise_on_interrupt() -> None:
+    """Make Ctrl-C raise KeyboardInterrupt and SIGTERM raise `Terminated`."""
+
+    def terminated(signum: int, frame: object) -> None:
+        raise Terminated
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, terminated)
+
+
 def stop_cleanly_on_interrupt(out: Path | None) -> None:
-    """Make Ctrl-C remove half-written files in `out`, print a message, and end the process at once.
+    """Make Ctrl-C and SIGTERM remove half-written files, print a message, and end the process at once.
+
+    `out` goes as well when it was not there and is empty.
 
     Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state they
     are in; numba has crashed on that.
@@ -93,17 +109,18 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
     there = out is None or out.exists()
 
     def stop(signum: int, frame: object) -> None:
-        if out is not None:
-            remove_unfinished(out)
-            if not there:
-                with suppress(OSError):  # it holds something, or was not made yet
-                    out.rmdir()
+        remove_unfinished()
+        if out is not None and not there:
+            with suppress(OSError):  # it holds something, or was not made yet
+                out.rmdir()
         show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
-        complaint = f"{show_cursor}scan2albedo: interrupted; nothing half-written was left behind"
+        what = "terminated" if signum == signal.SIGTERM else "interrupted"
+        complaint = f"{show_cursor}scan2albedo: {what}; nothing half-written was left behind"
         print(complaint, file=sys.stderr, flush=True)
-        os._exit(INTERRUPTED)
+        os._exit(TERMINATED if signum == signal.SIGTERM else INTERRUPTED)
 
     signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
 
 
 def with_process_flags(*names: str) -> Callable[[Command], Command]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
-import secrets
-import shutil
-import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scan2albedo.errors import OutputError
+from scan2albedo.io.leftovers import finished, hidden_path, remove_leftovers
+
+_CHANGING = ".unfinished.json"
+"""Lists the files of a folder while they change."""
 
 
 @contextmanager
@@ -29,7 +31,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     ['a.txt']
     """
     target = Path(path)
-    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}.part{target.suffix}")
+    temporary = hidden_path(target, target.suffix)
     try:
         yield temporary
         os.replace(temporary, target)
@@ -40,8 +42,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             "check that the folder exists, can be written and has space left, or choose another"
         ) from error
     finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        finished(temporary)
 
 
 def make_folder(path: str | Path) -> Path:
@@ -74,10 +75,12 @@ def result_folder(
 
     An error or a kill while files are made leaves `out` as it was. An older one of the `records`, such as
     "result.json", is removed before any other file changes and the new one comes last: a folder that has a
-    record is whole. Files in `out` that are named in `obsolete` and were not made anew are removed. The
-    hidden folder is made in `staged_in`, on the file system of `out`; in `out` itself when omitted. Raises
-    OutputError, naming `out` and the cause, when it cannot be written.
+    record is whole. Files in `out` that are named in `obsolete` and were not made anew are removed. While
+    files change, `out` holds a list of them (`unfinished_files`). The hidden folder is made in `staged_in`,
+    on the file system of `out`; in `out` itself when omitted; those of killed processes go. Raises
+    OutputError, naming `out` and the cause, when it cannot be written, or a folder in it is a link.
 
+    >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
     >>> with result_folder(out, "result.json") as folder:
     ...     _ = (folder / "result.json").write_text("{}")
@@ -86,12 +89,14 @@ def result_folder(
     """
     try:
         home = make_folder(out if staged_in is None else staged_in)
-        staging = Path(tempfile.mkdtemp(prefix=f".{out.name}-{os.getpid()}-", suffix=".part", dir=home))
+        remove_leftovers(home, out)
+        staging = hidden_path(home / out.name)
         try:
+            staging.mkdir(mode=0o700)
             yield staging
             _publish(staging, make_folder(out), records, obsolete)
         finally:
-            shutil.rmtree(staging, ignore_errors=True)
+            finished(staging)
     except (OSError, OutputError) as error:
         cause = error if isinstance(error, OSError) else error.__cause__
         reason = getattr(cause, "strerror", None) or str(error)
@@ -102,31 +107,47 @@ def result_folder(
 
 
 def _publish(source: Path, target: Path, records: Collection[str], obsolete: Collection[str] = ()) -> None:
-    made = {path.name for path in source.iterdir()}
-    for name in (*made.intersection(records), *(set(obsolete) - made)):
-        if Path(name).name == name:  # a record may have been edited: nothing outside `target` is touched
-            (target / name).unlink(missing_ok=True)
-    for path in sorted(source.iterdir(), key=lambda path: (path.is_file(), path.name in records)):
+    files = sorted(source.iterdir(), key=lambda path: (path.is_file(), path.name in records))
+    made = {path.name for path in files}
+    # A record may have been edited: nothing outside `target` is touched.
+    older = {name for name in obsolete if Path(name).name == name}
+    write_text(target / _CHANGING, json.dumps(sorted(made | older)))
+    for name in (*made.intersection(records), *(older - made)):
+        (target / name).unlink(missing_ok=True)
+    for path in files:
         if path.is_dir():
-            _publish(path, make_folder(target / path.name), records)
+            _publish(path, make_folder(_no_link(target / path.name)), records)
         else:
             os.replace(path, target / path.name)
+    (target / _CHANGING).unlink()
 
 
-def remove_unfinished(out: Path) -> None:
-    """Remove the hidden folders that this process has in `out`, for an exit that unwinds nothing."""
-    for staging in out.glob(f".*-{os.getpid()}-*.part"):
-        shutil.rmtree(staging, ignore_errors=True)
+def _no_link(folder: Path) -> Path:
+    if folder.is_symlink():
+        raise OutputError(f"{folder} is a link to another folder, and links are not followed; remove it")
+    return folder
+
+
+def unfinished_files(folder: Path) -> frozenset[str]:
+    """Return the names of files that a killed process was putting into a folder, or removing from it."""
+    try:
+        listed = json.loads((folder / _CHANGING).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return frozenset()
+    names = listed if isinstance(listed, list) else []
+    return frozenset(name for name in names if isinstance(name, str))
 
 
 def check_writable(out: Path) -> None:
     """Prove that a file can be written in `out`, made if missing. Raises OutputError with the cause."""
     make_folder(out)
+    probe = hidden_path(out / "probe")
     try:
-        with tempfile.NamedTemporaryFile(dir=out, prefix=".probe-"):
-            pass
+        probe.touch(exist_ok=False)
     except OSError as error:
         raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
+    finally:
+        finished(probe)
 
 
 @contextmanager

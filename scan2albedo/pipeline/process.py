@@ -16,14 +16,16 @@ import numpy as np
 
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.face_model import chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.result import ProcessResult, write_result
+from scan2albedo.pipeline.result import ProcessResult, own_files, write_result
 from scan2albedo.registration import Registration, RegistrationOptions, register
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
@@ -92,11 +94,22 @@ def process(
     chosen = ProcessOptions(**options)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
+        own_files(Path(out) / _name(source, name))
         check_writable(Path(out))
+        remove_leftovers(Path(out))
     result = _processed(source, name, chosen, on_progress)
     if out is None:
         return result
     return replace(result, out=write_result(result, Path(out), pictures=chosen.pictures))
+
+
+def _name(source: str | Path | RawScan, name: str | None) -> str:
+    """Return the name of the scan, and of its folder."""
+    if name is not None:
+        if not is_folder_name(name):
+            raise ValueError(f"name is {name!r}, expected a name that a folder can have")
+        return name
+    return source.name if isinstance(source, RawScan) else scan_name(source)
 
 
 @dataclass

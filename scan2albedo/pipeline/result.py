@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scan2albedo.core.version import VERSION
-from scan2albedo.io.atomic import result_folder
+from scan2albedo.errors import OutputError, Scan2AlbedoError
+from scan2albedo.io.atomic import result_folder, unfinished_files
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.leftovers import is_hidden_path
 from scan2albedo.io.obj import write_obj
-from scan2albedo.io.records import installed_versions, plain_json, write_record
+from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
 from scan2albedo.io.result_records import (
     EnvironmentRecord,
     InputRecord,
@@ -32,9 +34,10 @@ if TYPE_CHECKING:
     from scan2albedo.fitting import FittedFace
     from scan2albedo.registration import Registration
 
+RESULT_FILE = "result.json"
 FILES = frozenset(
     {
-        "result.json",
+        RESULT_FILE,
         "geometry_image.npz",
         "geometry_image.exr",
         "albedo.exr",
@@ -135,15 +138,52 @@ class ProcessResult:
         return "; ".join(parts)
 
 
-def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> Path:
+def own_files(folder: Path, recorded: Collection[str] = ()) -> frozenset[str]:
+    """Return the names of the files in the folder of a result that earlier runs wrote, to replace or remove.
+
+    A run wrote those that a `result.json` lists, those of a run that was killed (`unfinished_files`) and
+    those of a batch's record, `recorded`. Raises OutputError for a folder that holds anything else and no
+    `result.json`, for a file of somebody else under a name that a result needs, and for a link.
+    """
+    if folder.is_symlink():
+        raise OutputError(f"{folder}: is a link to another folder, and links are not followed; remove it")
+    if not folder.is_dir():
+        return frozenset()
+    there = {path.name for path in folder.iterdir() if not is_hidden_path(path)}
+    own = {*recorded, *unfinished_files(folder)}
+    fault = ""
+    if (folder / RESULT_FILE).is_symlink():
+        fault = f"its {RESULT_FILE} is a link"
+    elif RESULT_FILE in there:
+        try:
+            own |= {RESULT_FILE, *read_record(folder / RESULT_FILE, ResultRecord).files}
+        except Scan2AlbedoError as error:
+            fault = str(error)
+    if there and not own:
+        raise OutputError(
+            f"{folder}: is not empty, and no run of scan2albedo wrote it ({fault or f'no {RESULT_FILE}'}); "
+            "nothing in it is touched: move it away, or choose another folder"
+        )
+    if others := sorted((there & FILES) - own):
+        raise OutputError(
+            f"{folder}: holds {others[0]}, which no run of scan2albedo wrote; move it away, or choose "
+            "another folder"
+        )
+    return frozenset(own & FILES)
+
+
+def write_result(
+    result: ProcessResult, out: Path, *, pictures: bool = True, recorded: Collection[str] = ()
+) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
     The files are made in a hidden folder beside it and then renamed into place: a run that is killed while
     they are made, or a disk that is full, leaves older results as they were and no half-file. An older
     `result.json` goes first and the new one comes last, so a folder that has one is whole. `overview.png` and
-    `error_vs_time.png` are left out without `pictures`. Raises `OutputError`.
+    `error_vs_time.png` are left out without `pictures`. Raises `OutputError`, as `own_files` does.
     """
     folder = out / result.scan.name
+    older = own_files(folder, recorded)
     image, fitted, estimate = result.geometry_image, result.fitted, result.albedo
     summary, record = result.summary(), _result_record(result)
     poses = None if result.registration is None else _registration_record(result.registration, fitted)
@@ -154,7 +194,7 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
         drawn["overview.png"] = figure_png(overview_figure(summary, panels, columns=6))
         drawn["error_vs_time.png"] = figure_png(result.trace.plot(), dpi=110)
     # An older run may have had more stages.
-    with result_folder(folder, "result.json", obsolete=FILES, staged_in=out) as staging:
+    with result_folder(folder, RESULT_FILE, obsolete=older, staged_in=out) as staging:
         for name, png in drawn.items():
             (staging / name).write_bytes(png)
         result.trace.to_csv(staging / "trace.csv")
@@ -175,8 +215,8 @@ def write_result(result: ProcessResult, out: Path, *, pictures: bool = True) -> 
                 write_obj(staging / "template.obj", fitted.template_vertices, fitted.model.template_faces)
         if poses is not None:
             write_record(staging / "registration.json", poses)
-        files = (*sorted(path.name for path in staging.iterdir()), "result.json")
-        write_record(staging / "result.json", record.model_copy(update={"files": files}))
+        files = (*sorted(path.name for path in staging.iterdir()), RESULT_FILE)
+        write_record(staging / RESULT_FILE, record.model_copy(update={"files": files}))
     return folder
 
 

@@ -72,7 +72,9 @@ def test_it_has_the_flags_of_process():
 def started(manifest, out, rows):
     """Begin a batch and return its process when it has that many rows; its lines go into a file."""
     with (manifest.parent / "stderr").open("w") as said:
-        process = subprocess.Popen([*COMMAND, manifest, "-o", out, *TINY, "--jobs", "2"], stderr=said)
+        process = subprocess.Popen(
+            [*COMMAND, manifest, "-o", out, *TINY, "--jobs", "2"], stderr=said, start_new_session=True
+        )
     deadline = time.monotonic() + 200
     while len(list(Layout.of(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
         assert process.poll() is None, (manifest.parent / "stderr").read_text()
@@ -118,22 +120,34 @@ def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_neither_workers_nor_half_files(scans_in, tmp_path):
+@pytest.mark.parametrize(
+    ("send", "number", "status", "word"),
+    [
+        (os.kill, signal.SIGINT, 130, "interrupted"),
+        (os.kill, signal.SIGTERM, 143, "terminated"),
+        (os.killpg, signal.SIGTERM, 143, "terminated"),  # to the workers as well
+    ],
+)
+def test_ctrl_c_and_sigterm_leave_neither_workers_nor_half_files(
+    scans_in, tmp_path, send, number, status, word
+):
     import psutil
 
     manifest, out = scans_in(*(f"ball{i}" for i in range(6))), tmp_path / "out"
     process = started(manifest, out, 1)
     children = psutil.Process(process.pid).children(recursive=True)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=60) == 130
+    send(process.pid, number)
+    assert process.wait(timeout=60) == status
     said = (manifest.parent / "stderr").read_text()
     assert "Traceback" not in said
-    assert len([line for line in said.splitlines() if "interrupted" in line]) == 1
+    assert len([line for line in said.splitlines() if word in line]) == 1
     _, alive = psutil.wait_procs(children, timeout=5)
     assert alive == []
     assert not list(out.rglob("*.part*"))
     assert json.loads((out / "batch.json").read_text())["status"] == "interrupted"
     assert {row["status"] for row in load_catalogue(out).to_pylist()} == {"done", "not run"}
+    assert invoke(manifest, "-o", out, *TINY, "--jobs", "1", "--resume").exit_code == 0
+    assert {row["status"] for row in load_catalogue(out).to_pylist()} == {"done"}
 
 
 @pytest.mark.slow

@@ -1,15 +1,11 @@
 """What a second run keeps, and what it does again."""
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
 
 from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.batch.layout import Layout
-from scan2albedo.batch.resume import remove_leftovers
 from scan2albedo.errors import BatchError
 from scan2albedo.pipeline.options import ProcessOptions
 
@@ -44,7 +40,8 @@ def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
     rows = {row["name"]: row for row in load_catalogue(out).to_pylist()}
     assert rows["gone"]["status"] == "failed"
     assert rows["gone"]["path_albedo_exr"] is None
-    assert not (out / "gone").exists()
+    assert "earlier run is still in its folder" in rows["gone"]["notes"]
+    assert (out / "gone" / "albedo.exr").read_text() == "gone"
     assert (out / "content" / "albedo.exr").read_text() == "content"
     assert json.loads((out / "batch.json").read_text())["kept"] == 1
 
@@ -83,20 +80,6 @@ def test_two_batches_in_one_folder_are_refused(scans_in, tmp_path):
     layout = Layout.of(tmp_path / "out")
     with layout.locked(), pytest.raises(BatchError, match="another batch works in"):
         run_batch(scans_in("a"), layout.out, options=TINY, resume=True)
-
-
-def test_leftovers_of_dead_processes_go_and_those_of_others_stay(tmp_path):
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    layout = Layout.of(tmp_path)
-    layout.begin_run("r")
-    for name in (f".a-{dead.pid}-x1.part", f".b-{os.getpid()}-x2.part"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "albedo.exr").touch()
-    (tmp_path / ".catalogue-00.part.parquet").touch()
-    (layout.rows / ".a-00.part.json").touch()
-    assert remove_leftovers(layout) == 3
-    assert [path.name for path in tmp_path.glob(".*.part*")] == [f".b-{os.getpid()}-x2.part"]
 
 
 def test_a_worker_of_an_older_run_writes_nothing(scans_in, tmp_path, no_workers):

@@ -158,7 +158,10 @@ def test_what_is_infinite_is_null_in_the_summary(capsys):
     assert json.loads(capsys.readouterr().out) == {"light_distance_mm": None, "mean_mm": None, "lights": 2}
 
 
-def test_interrupting_leaves_nothing_behind(ball, tmp_path):
+@pytest.mark.parametrize(
+    ("number", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_interrupting_leaves_nothing_behind(ball, tmp_path, number, status, word):
     process = subprocess.Popen(
         [*COMMAND, "process", str(ball), "-o", str(tmp_path), "--model", "none", "--size", "2048"],
         stderr=subprocess.PIPE,
@@ -166,10 +169,10 @@ def test_interrupting_leaves_nothing_behind(ball, tmp_path):
     )
     assert "reading" in process.stderr.readline()
     time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, complaint = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert "interrupted" in complaint
+    assert process.returncode == status
+    assert word in complaint
     assert "Traceback" not in complaint
     assert os.listdir(tmp_path) == []
 

@@ -10,12 +10,13 @@ from scan2albedo.io.atomic import (
     atomic_path,
     check_writable,
     make_folder,
-    remove_unfinished,
     removed_if_empty,
     result_folder,
+    unfinished_files,
     write_text,
 )
 from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.leftovers import remove_unfinished
 
 
 def test_a_good_block_leaves_the_file_and_nothing_else(tmp_path):
@@ -117,19 +118,42 @@ def test_folders_inside_are_published_too_and_records_come_last(tmp_path, monkey
     files = {"set.json": "s", "x.txt": "1", "frame/result.json": "r", "frame/z.txt": "1"}
     write_folder(tmp_path / "out", files, "set.json", "result.json")
     assert contents(tmp_path / "out") == files
-    assert order == ["z.txt", "result.json", "x.txt", "set.json"]
+    lists = [".unfinished.json"]
+    assert order == [*lists, *lists, "z.txt", "result.json", "x.txt", "set.json"]
 
 
 def test_an_older_record_goes_before_other_files_change(tmp_path, monkeypatch):
     write_folder(tmp_path, {"x.txt": "1", "result.json": "1"}, "result.json")
 
+    replace = os.replace
+
     def full(source, target):
-        raise OSError(28, "No space left on device")
+        if Path(target).name != ".unfinished.json":
+            raise OSError(28, "No space left on device")
+        replace(source, target)
 
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(OutputError, match=r"cannot write the results into .*: No space left on device"):
         write_folder(tmp_path, {"x.txt": "2", "result.json": "2"}, "result.json")
-    assert contents(tmp_path) == {"x.txt": "1"}
+    assert contents(tmp_path) == {"x.txt": "1", ".unfinished.json": '["result.json", "x.txt"]'}
+    assert unfinished_files(tmp_path) == {"x.txt", "result.json"}
+    monkeypatch.undo()
+    write_folder(tmp_path, {"result.json": "3"}, "result.json", obsolete=["x.txt"])
+    assert contents(tmp_path) == {"result.json": "3"}
+    assert unfinished_files(tmp_path) == frozenset()
+
+
+def test_a_link_in_a_result_folder_is_not_followed(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "frame").symlink_to(tmp_path / "mine")
+    (tmp_path / "x.txt").write_text("mine")
+    (tmp_path / "out" / "x.txt").symlink_to(tmp_path / "x.txt")
+    with pytest.raises(OutputError, match=r"out/frame is a link to another folder"):
+        write_folder(tmp_path / "out", {"frame/z.txt": "1"})
+    write_folder(tmp_path / "out", {"x.txt": "1"})
+    assert (tmp_path / "x.txt").read_text() == "mine"
+    assert list((tmp_path / "mine").iterdir()) == []
 
 
 def write_half_a_folder(out, interruption):
@@ -163,7 +187,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
 def test_an_exit_that_unwinds_nothing_can_remove_the_hidden_folder(tmp_path):
     with result_folder(tmp_path / "scan", staged_in=tmp_path) as folder:
         (folder / "x.txt").write_text("1")
-        remove_unfinished(tmp_path)
+        remove_unfinished()
         assert list(tmp_path.iterdir()) == []
         folder.mkdir()
     assert list(contents(tmp_path)) == []

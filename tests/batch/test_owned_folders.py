@@ -1,0 +1,111 @@
+"""A batch replaces and removes what batches wrote, and nothing else."""
+
+import json
+
+import pytest
+
+from scan2albedo.batch import load_catalogue, run, run_batch, worker
+from scan2albedo.batch.layout import Layout
+from scan2albedo.errors import BatchError
+from scan2albedo.pipeline.options import ProcessOptions
+
+TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
+
+
+@pytest.fixture(autouse=True)
+def _stages_in_this_process(monkeypatch):
+    monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
+
+
+def contents(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_a_folder_of_somebody_else_fails_its_scan_alone(scans_in, tmp_path):
+    out = tmp_path / "out"
+    for name, file in (("a", "albedo.png"), ("b", "result.json"), ("nofile", "template.obj")):
+        (out / name).mkdir(parents=True)
+        (out / name / file).write_text("mine")
+    (tmp_path / "mine").mkdir()
+    (out / "linked").symlink_to(tmp_path / "mine")
+    before = contents(out)
+    report = run_batch(scans_in("a", "b", "linked", "nofile", "good"), out, options=TINY)
+    assert sorted(report.failures) == ["a", "b", "linked", "nofile"]
+    assert all("no run of scan2albedo wrote it" in report.failures[name] for name in ("a", "b", "nofile"))
+    assert "is a link" in report.failures["linked"]
+    assert {name: contents(out)[name] for name in before} == before
+    assert list((tmp_path / "mine").iterdir()) == []
+
+
+def test_a_scan_that_fails_leaves_its_older_result(scans_in, tmp_path):
+    manifest, out = scans_in("a"), tmp_path / "out"
+    run_batch(manifest, out, options=TINY)
+    before = contents(out / "a")
+    (manifest.parent / "a.ply").write_text("ply\nno")
+    report = run_batch(manifest, out, options=TINY, resume=True)
+    assert list(report.failures) == ["a"]
+    assert contents(out / "a") == before
+    (row,) = load_catalogue(out).to_pylist()
+    assert (row["status"], row["folder"], row["path_albedo_exr"]) == ("failed", None, None)
+    assert "the result of an earlier run is still in its folder" in row["notes"]
+
+
+def test_an_edited_result_of_a_batch_is_made_again(scans_in, tmp_path):
+    manifest, out = scans_in("a"), tmp_path / "out"
+    run_batch(manifest, out, options=TINY)
+    (out / "a" / "result.json").write_text("{")
+    (out / "a" / "notes.txt").write_text("mine")
+    assert run_batch(manifest, out, options=TINY, resume=True).failures == {}
+    assert json.loads((out / "a" / "result.json").read_text())["name"] == "a"
+    assert (out / "a" / "notes.txt").read_text() == "mine"
+    assert run_batch(manifest, out, options=TINY, resume=True).progress.kept == 1  # notes do not count
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("batch.json", '{"mine": 1}', "batch.json: .*none of a batch"),
+        ("batch.json", "[" * 100_000, "batch.json: "),
+        ("catalogue.parquet", "mine", "is no whole catalogue"),
+    ],
+)
+def test_a_record_or_catalogue_of_somebody_else_is_refused(scans_in, tmp_path, file, text, words):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / file).write_text(text)
+    for resume in (False, True):
+        with pytest.raises(BatchError, match=words if resume else "holds a batch already"):
+            run_batch(scans_in("a"), out, options=TINY, resume=resume)
+    assert (out / file).read_text() == text
+    assert not (out / "a").exists()
+
+
+def test_links_in_the_place_of_records_are_not_followed(scans_in, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    mine.mkdir()
+    (mine / "lock").write_text("mine")
+    out.mkdir()
+    (out / ".batch").symlink_to(mine)
+    with pytest.raises(BatchError, match=r"\.batch: is a link"):
+        run_batch(scans_in("a"), out, options=TINY)
+    (out / ".batch").unlink()
+    (out / ".batch").mkdir()
+    (out / ".batch" / "lock").symlink_to(mine / "lock")
+    with pytest.raises(BatchError, match=r"lock: cannot be opened"):
+        run_batch(scans_in("a"), out, options=TINY)
+    (out / ".batch" / "lock").unlink()
+    (out / ".batch" / "running").symlink_to(mine)
+    with pytest.raises(BatchError, match=r"running: is a link"):
+        run_batch(scans_in("a"), out, options=TINY)
+    assert contents(mine) == {"lock": b"mine"}
+
+
+def test_files_that_an_edited_record_names_elsewhere_are_not_read(scans_in, tmp_path):
+    manifest, out = scans_in("a"), tmp_path / "out"
+    run_batch(manifest, out, options=TINY)
+    row = Layout.of(out).row_file("a")
+    record = json.loads(row.read_text())
+    record["files"] = {"/dev/zero": "0" * 64, **record["files"]}
+    row.write_text(json.dumps(record))
+    report = run_batch(manifest, out, options=TINY, resume=True)
+    assert (report.progress.kept, report.progress.done) == (0, 1)

@@ -1,0 +1,125 @@
+"""Results replace those of earlier runs and nothing else; a scan that fails changes nothing."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import scan2albedo as s2a
+from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.pipeline.result import write_result
+
+TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False}
+
+
+@pytest.fixture(scope="module")
+def scan():
+    sphere = trimesh.creation.icosphere(2, 90.0)
+    color = np.clip(0.5 + sphere.vertices / 200, 0, 1)
+    return s2a.RawScan(sphere.vertices, sphere.faces, vertex_color_linear=color, name="ball")
+
+
+@pytest.fixture(scope="module")
+def result(scan):
+    return s2a.process(scan, **TINY)
+
+
+def contents(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def somebody_elses(folder):
+    """Ways in which the folder of a result belongs to somebody else, with a word of the message."""
+    other = folder.parent / "other"
+    return {
+        "notes": (lambda: (folder / "notes.txt").write_text("mine"), "no result.json"),
+        "names like ours": (lambda: (folder / "albedo.png").write_text("mine"), "no result.json"),
+        "another result.json": (lambda: (folder / "result.json").write_text('{"mine": 1}'), "Field required"),
+        "no JSON": (lambda: (folder / "result.json").write_bytes(b"\xff{"), "no text file"),
+        "deep JSON": (lambda: (folder / "result.json").write_text("[" * 100_000), "result.json"),
+        "a link": (lambda: (folder.rmdir(), other.mkdir(), folder.symlink_to(other)), "is a link"),
+        "a dead link": (lambda: (folder.rmdir(), folder.symlink_to(other)), "is a link"),
+        "a folder": (lambda: (folder / "result.json").mkdir(), "result.json"),
+    }
+
+
+@pytest.mark.parametrize("whose", sorted(somebody_elses(Path())))
+def test_a_folder_of_somebody_else_is_refused_before_any_work_and_stays(tmp_path, scan, monkeypatch, whose):
+    folder = tmp_path / "out" / "ball"
+    folder.mkdir(parents=True)
+    make, words = somebody_elses(folder)[whose]
+    make()
+    before = contents(tmp_path)
+    monkeypatch.setattr("scan2albedo.pipeline.process._processed", None)  # no work is done
+    with pytest.raises(OutputError, match=f"ball.*{words}"):
+        s2a.process(scan, tmp_path / "out", **TINY)
+    assert contents(tmp_path) == before
+
+
+def test_a_result_is_replaced_and_files_beside_it_stay(tmp_path, result):
+    folder = write_result(result, tmp_path, pictures=False)
+    (folder / "notes.txt").write_text("mine")
+    (folder / "template.obj").write_text("not of the run, which had no template")
+    before = contents(folder)
+    with pytest.raises(OutputError, match=r"holds template\.obj, which no run of scan2albedo wrote"):
+        write_result(result, tmp_path, pictures=False)
+    assert contents(folder) == before
+    (folder / "template.obj").unlink()
+    write_result(replace(result, albedo=None), tmp_path, pictures=False)
+    assert not (folder / "albedo.exr").exists()
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_links_among_the_files_are_replaced_not_followed(tmp_path, result):
+    folder = write_result(result, tmp_path / "out", pictures=False)
+    (tmp_path / "mine.png").write_text("mine")
+    (folder / "albedo.png").unlink()
+    (folder / "albedo.png").symlink_to(tmp_path / "mine.png")
+    write_result(result, tmp_path / "out", pictures=False)
+    assert (tmp_path / "mine.png").read_text() == "mine"
+    assert not (folder / "albedo.png").is_symlink()
+    (folder / "result.json").rename(tmp_path / "result.json")
+    (folder / "result.json").symlink_to(tmp_path / "result.json")
+    with pytest.raises(OutputError, match=r"its result\.json is a link"):
+        write_result(result, tmp_path / "out", pictures=False)
+
+
+def test_a_run_that_was_killed_while_files_changed_is_replaced(tmp_path, result, monkeypatch):
+    folder = write_result(result, tmp_path, pictures=False)
+    replace_file = os.replace
+
+    def killed(source, target):
+        if Path(target) == folder / "albedo.png":
+            raise KeyboardInterrupt
+        replace_file(source, target)
+
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(result, tmp_path, pictures=False)
+    monkeypatch.undo()
+    assert not (folder / "result.json").exists()
+    write_result(result, tmp_path, pictures=False)
+    assert {path.name for path in folder.iterdir()} == set(
+        json.loads((folder / "result.json").read_text())["files"]
+    )
+
+
+def test_a_scan_that_fails_changes_nothing(tmp_path, result):
+    folder = write_result(result, tmp_path, pictures=False)
+    before = contents(tmp_path)
+    (tmp_path.parent / "ball.ply").write_bytes(b"ply\nno")
+    with pytest.raises(ScanError, match=r"ball\.ply"):
+        s2a.process(tmp_path.parent / "ball.ply", tmp_path, **TINY)
+    assert contents(tmp_path) == before
+    assert folder.name == "ball"
+
+
+@pytest.mark.parametrize("name", ["../ball", "a/b", "..", "", "a\nb", "x" * 201])
+def test_a_name_that_leads_elsewhere_is_refused(tmp_path, scan, name):
+    with pytest.raises(ValueError, match="expected a name that a folder can have"):
+        s2a.process(scan, tmp_path / "out", name=name, **TINY)
+    assert list(tmp_path.iterdir()) == []
