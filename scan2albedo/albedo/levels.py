@@ -268,10 +268,10 @@ def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
 
 
 def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:
-    """Return (P, C) `values` (N, C) of the cells on the P masked texels, from the four cells around each.
+    """Return (P, C) `values` (N, C) of the cells on the P masked texels, from four cells near each.
 
-    They count by their distance in space and by how their normals turn, as in `SurfaceLookup`: no value leaks
-    over a fold, or a cut of the chart.
+    Of the cells beside it in the chart, they are the closest by place and normal, as in `SurfaceLookup`: no
+    value leaks over a fold, or a cut of the chart.
     """
     mask, found = image.mask, np.empty((int(image.mask.sum()), values.shape[1]))
     texels = surface_keys(image.position[mask], image.normal[mask])
@@ -283,21 +283,27 @@ def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> Flo
 @njit(cache=True, nogil=True)
 def _from_four_cells(at, texels, factor, number, cells, values, smallest, found):  # type: ignore[no-untyped-def]
     """Fill `found` (P, C) at the texels `at` (P, 2); `texels` (P, 6) and `cells` (N, 6) are keys."""
+    squares, chosen = np.empty(4), np.empty(4, np.int64)
     for p in range(len(at)):
-        row, column = ((at[p, 0] + 0.5) / factor - 0.5, (at[p, 1] + 0.5) / factor - 0.5)
-        total = 0.0
-        found[p] = 0.0
-        for a in range(2):
-            i = min(max(int(np.floor(row)) + a, 0), number.shape[0] - 1)
-            for b in range(2):
-                j = min(max(int(np.floor(column)) + b, 0), number.shape[1] - 1)
-                cell = number[i, j]
+        row, column = at[p, 0] // factor, at[p, 1] // factor
+        squares[:], chosen[:] = np.inf, 0
+        for i in range(max(row - 1, 0), min(row + 2, number.shape[0])):
+            for j in range(max(column - 1, 0), min(column + 2, number.shape[1])):
                 square = 0.0
                 for k in range(6):
-                    square += (texels[p, k] - cells[cell, k]) ** 2
-                weight = 1 / (np.sqrt(square) + smallest) ** 2
-                total += weight
-                for c in range(values.shape[1]):
-                    found[p, c] += weight * values[cell, c]
+                    square += (texels[p, k] - cells[number[i, j], k]) ** 2
+                if square >= squares[3]:
+                    continue
+                place = 3
+                while place > 0 and square < squares[place - 1]:
+                    squares[place], chosen[place] = squares[place - 1], chosen[place - 1]
+                    place -= 1
+                squares[place], chosen[place] = square, number[i, j]
+        found[p], total = 0.0, 0.0
+        for place in range(4):
+            weight = 1 / (np.sqrt(squares[place]) + smallest) ** 2
+            total += weight
+            for c in range(values.shape[1]):
+                found[p, c] += weight * values[chosen[place], c]
         for c in range(values.shape[1]):
             found[p, c] /= total
