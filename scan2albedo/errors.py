@@ -45,6 +45,10 @@ class RegistrationError(Scan2AlbedoError):
     """No trustworthy pose was found: most often the scan holds no face."""
 
 
+class InsideOutError(RegistrationError):
+    """There is a face, but all triangles of the scan face inward (`RawScan.inside_out` turns them)."""
+
+
 class FitError(Scan2AlbedoError):
     """The model cannot be deformed onto the scan."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +131,11 @@ class RawScan:
                 f"first at {first}; repair or re-export the scan"
             )
         return array
+
+    def inside_out(self) -> RawScan:
+        """Return the scan with every triangle reversed."""
+        uv = None if self.uv is None else self.uv[:, ::-1]
+        return replace(self, faces=self.faces[:, ::-1], uv=uv)
 
     @property
     def has_color(self) -> bool:

@@ -17,7 +17,8 @@ import numpy as np
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.face_model import chosen_model
+from scan2albedo.errors import InsideOutError
+from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
@@ -160,14 +161,7 @@ def _processed(
     with _warnings_as_messages() as messages:
         if model is not None and "register" not in options.skip:
             with clock.timed("register"):
-                registration = register(
-                    scan,
-                    model,
-                    clock.share("register"),
-                    options.seed,
-                    options=_registration_options(options),
-                    on_progress=on_progress,
-                )
+                scan, registration = _registered(scan, model, clock, options, on_progress)
         if model is not None:
             pose = np.eye(4) if registration is None else registration.model_from_scan
             with clock.timed("fit"):
@@ -206,6 +200,30 @@ def _processed(
         source=file,
         messages=(*messages, *_cautions(fitted)),
     )
+
+
+def _registered(
+    scan: RawScan,
+    model: AnnotatedFaceModel,
+    clock: _Clock,
+    options: ProcessOptions,
+    on_progress: ProgressCallback | None,
+) -> tuple[RawScan, Registration]:
+    """Return the scan, its triangles reversed where they face inward, and the pose of its face."""
+
+    def registration(of: RawScan) -> Registration:
+        share, stage = clock.share("register"), _registration_options(options)
+        return register(of, model, share, options.seed, options=stage, on_progress=on_progress)
+
+    try:
+        return scan, registration(scan)
+    except InsideOutError:
+        note = (
+            f"the scan was inside out: its {len(scan.faces)} triangles were reversed. If the export was "
+            "mirrored, left and right of the face are swapped: then mirror the scan and process it again"
+        )
+        turned = replace(scan.inside_out(), notes=(*scan.notes, note))
+        return turned, registration(turned)
 
 
 def _registration_options(options: ProcessOptions) -> RegistrationOptions:

@@ -9,7 +9,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import RegistrationError
+from scan2albedo.errors import InsideOutError, RegistrationError
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.candidates import (
     CERTAINTY_NEEDED,
@@ -93,7 +93,7 @@ def _refuse_inside_out(
     other = every_candidate(turned, template, poses, options, unseen)[0]
     meter.count(unseen.evaluations)
     if other.scores.certainty > best.scores.certainty and other.is_face():
-        raise RegistrationError(_inside_out_text(scan, other))
+        raise _inside_out_error(scan, other)
 
 
 def _bulge(samples: OrientedPoints) -> float:
@@ -112,21 +112,22 @@ def _refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate)
     measured = residuals(scan.samples, template.samples, best.pose)
     near = measured.distance_mm < _NEAR_MM
     if near.any() and np.mean(measured.agreement[near] < 0) > 0.5:
-        raise RegistrationError(_inside_out_text(scan, best))
+        raise _inside_out_error(scan, best)
 
 
-def _inside_out_text(scan: PreparedScan, best: Candidate) -> str:
+def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
     name, count = scan.raw.name, len(scan.raw.faces)
     if scan.turned_faces > _MIXED_SHARE * count:
-        return (
+        return RegistrationError(
             f"{name}: {scan.turned_faces} of {count} triangles are wound against their neighbours, so "
             "that the face is inside out in part. Reverse the order of their vertices (load_scan does it; "
             "scan2albedo.geometry.mesh.turned_against_neighbours names them) and try again"
         )
-    return (
+    return InsideOutError(
         f"{name}: the scan is inside out: with its {count} triangles reversed there is a "
         f"face (certainty {best.scores.certainty:.2f}). Reverse the order of every triangle's "
-        "vertices (scan.faces[:, ::-1]) and try again"
+        "vertices (scan.inside_out()) and try again; if the export was mirrored, so that left and right are "
+        "swapped, mirror it back instead"
     )
 
 

@@ -19,6 +19,7 @@ from scan2albedo.synthetic.scenes import (
     light_at,
     with_normal_error,
 )
+from scan2albedo.synthetic.stereo_scan import StereoScanOptions, StereoTruth, stereo_scan
 from scan2albedo.synthetic.wearer import Wearer, WearerOptions, wearer
 
 __all__ = [
@@ -35,6 +36,8 @@ __all__ = [
     "RawLikeOptions",
     "RawScanOptions",
     "SceneParameters",
+    "StereoScanOptions",
+    "StereoTruth",
     "SyntheticEyeglasses",
     "SyntheticScene",
     "SyntheticTruth",
@@ -50,6 +53,7 @@ __all__ = [
     "population_scan",
     "raw_like",
     "raw_scan",
+    "stereo_scan",
     "wearer",
     "with_normal_error",
 ]

@@ -60,6 +60,15 @@ def result(case, tmp_path_factory):
     return s2a.process(case[0], tmp_path_factory.mktemp("out"), size=SIZE)
 
 
+def test_a_scan_turned_inside_out_is_turned_back_with_a_note(case, result):
+    """The same pose and picture as of the scan as it should be, and left and right are not swapped."""
+    turned = s2a.process(case[0].inside_out(), size=SIZE, skip=["albedo"])
+    assert np.array_equal(turned.scan.faces, case[0].faces)
+    assert np.array_equal(turned.registration.model_from_scan, result.registration.model_from_scan)
+    assert np.array_equal(turned.geometry_image.texture_linear, result.geometry_image.texture_linear)
+    assert any("inside out" in note and "mirrored" in note for note in turned.scan.notes)
+
+
 def test_error_against_the_truth(result, case):
     report = compare_with_truth(result, case[1])
     assert report.surface_mm < 0.2
