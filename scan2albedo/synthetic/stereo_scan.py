@@ -59,13 +59,15 @@ class StereoScanOptions:
 
 @dataclass(frozen=True)
 class StereoTruth:
-    """What is known about a scan: the pose (4, 4) of the scan in the model's frame, mm; landmarks (68, 3) in
-    the model's frame; the expression; the features that it has."""
+    """What is known about a scan."""
 
     model_from_scan: FloatArray
+    """(4, 4): true pose: maps scan points into the model's frame, mm."""
     landmarks: FloatArray
+    """(68, 3): true landmarks in the model's frame, mm; of a shut mouth, whatever it does."""
     expression: str
     features: tuple[str, ...]
+    """`expression`, `features`: what was drawn, or asked for."""
 
 
 def stereo_scan(
