@@ -202,6 +202,8 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
     for other in faces[1:]:
         _check_pair(first, other)
     mask = np.logical_and.reduce([face.mask for face in faces])
+    if all(np.array_equal(face.mask, mask) for face in faces):
+        return faces
     return tuple(_restricted(face, mask) for face in faces)
 
 
@@ -238,8 +240,6 @@ def same_mesh(a: FaceMesh, b: FaceMesh) -> bool:
 
 
 def _restricted(face: ProcessedFace, mask: np.ndarray) -> ProcessedFace:
-    if np.array_equal(face.mask, mask):
-        return face
     old = face.image
     image = replace(
         old,

@@ -27,6 +27,11 @@ _NAME_IN_FILE = {
     "skin": "skin",
 }
 _EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB"}
+_KINDS = {
+    **dict.fromkeys(("mask", "texture_valid", "inpaint"), "b"),
+    **dict.fromkeys(("format_version", "region", "camera", "occluder_faces"), "iu"),
+}
+"""Letters of the kinds of dtype that arrays of an archive have; real numbers for all others."""
 _DTYPES = {"mask": bool, "texture_valid": bool, "inpaint": bool, "region": np.uint8}
 
 
@@ -123,6 +128,10 @@ def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float
                 "its run was cut short: process the scan again, coloured and with the stage albedo"
             )
     image, albedo = read_geometry_image(files[0]), read_image_linear(files[1])
+    if not image.mask.any():
+        raise GeometryImageError(
+            f"{files[0]}: its mask is empty, it holds no surface; process the scan again"
+        )
     if albedo.shape[:2] != image.shape:
         raise GeometryImageError(
             f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}; they come from "
@@ -133,8 +142,11 @@ def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float
 
 def _read_npz(file: Path) -> dict[str, NDArray[Any]]:
     arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
-    version = int(arrays.pop("format_version", np.int64(FORMAT_VERSION)))
-    if version > FORMAT_VERSION:
+    for name, array in arrays.items():
+        if array.dtype.kind not in _KINDS.get(name, "fiu"):
+            raise GeometryImageError(f"{file}: {name} holds {array.dtype}; write it again")
+    version = arrays.pop("format_version", np.array(FORMAT_VERSION))
+    if version.ndim or version > FORMAT_VERSION:
         raise GeometryImageError(
             f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
         )

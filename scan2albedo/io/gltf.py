@@ -30,7 +30,7 @@ _JSON_START = 20
 """Of a GLB's text: behind the file's header and the first chunk's."""
 _MARK = "_"
 """Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
-_PARSER_ERRORS = (
+PARSER_ERRORS = (
     ArithmeticError,
     AssertionError,
     AttributeError,
@@ -57,7 +57,7 @@ def read_gltf(path: Path) -> ParsedMesh:
     """
     try:
         return _read_parts(path)
-    except _PARSER_ERRORS as error:
+    except PARSER_ERRORS as error:
         kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
         raise ScanError(
             f"{path.name}: cannot be read as {kind} ({cause}); "

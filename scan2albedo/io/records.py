@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,7 +21,7 @@ Content = TypeVar("Content", bound=BaseModel)
 
 
 def plain_json(value: Any) -> Any:
-    """Return a value in JSON's own types: numpy unwrapped, paths as text, NaN and infinity as null.
+    """Return a value in JSON's own types: numpy unwrapped, paths as text, what no float holds as null.
 
     >>> plain_json({"sigma": np.float64(0.3), "distance": math.inf, "size": (2, 3)})
     {'sigma': 0.3, 'distance': None, 'size': [2, 3]}
@@ -32,6 +33,8 @@ def plain_json(value: Any) -> Any:
     if isinstance(value, list | tuple | set | frozenset):
         return [plain_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
         return None
     return str(value) if isinstance(value, Path) else value
 
@@ -99,6 +102,8 @@ def read_record(
     """
     place = f"{what} {path}".lstrip()
     try:
+        if Path(path).exists() and not Path(path).is_file():
+            raise error(f"{place}: is a folder, a pipe or a device, not a file; {advice}")
         text = Path(path).read_bytes().decode("utf-8")
     except OSError as cause:
         raise error(f"{place}: cannot be read: {cause.strerror or cause}; {advice}") from cause

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
@@ -88,8 +88,13 @@ class LightRecord(Record):
             radius_deg=light.radius_deg,
         )
 
+    @model_validator(mode="after")
+    def _is_a_light(self) -> LightRecord:
+        self.light()  # ValueError for what is none
+        return self
+
     def light(self) -> PointLight:
-        """Return the light of the record; ValueError for what is none."""
+        """Return the light of the record."""
         return PointLight(
             math.radians(self.azimuth_deg),
             math.radians(self.elevation_deg),
@@ -124,6 +129,11 @@ class EnvironmentRecord(Record):
             fill=environment.fill,
             bounce=environment.bounce,
         )
+
+    @model_validator(mode="after")
+    def _is_an_environment(self) -> EnvironmentRecord:
+        self.environment()  # ValueError for what is none
+        return self
 
     def environment(self) -> EnvironmentLight:
         """Return the environment of the record."""

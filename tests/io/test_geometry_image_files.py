@@ -110,7 +110,10 @@ def test_archives_of_other_things_are_refused_by_name(tmp_path):
     with pytest.raises(GeometryImageError, match=r"b\.npz: format version 99 is newer than 1; update"):
         read_geometry_image(tmp_path / "b.npz")
     np.savez(
-        tmp_path / "c.npz", position_mm=np.zeros((2, 2, 3)), normal=np.zeros((2, 3, 3)), mask=np.zeros((2, 2))
+        tmp_path / "c.npz",
+        position_mm=np.zeros((2, 2, 3)),
+        normal=np.zeros((2, 3, 3)),
+        mask=np.zeros((2, 2), bool),
     )
     with pytest.raises(GeometryImageError, match=r"c\.npz: normal has shape \(2, 3, 3\)"):
         read_geometry_image(tmp_path / "c.npz")

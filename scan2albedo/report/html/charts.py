@@ -253,6 +253,8 @@ class StageChart:
 
 def read_trace(file: Path) -> list[TraceRow]:
     """Return the finite rows of a `trace.csv`; Scan2AlbedoError names file and line that cannot be read."""
+    if file.exists() and not file.is_file():
+        raise Scan2AlbedoError(f"{file}: is a folder, a pipe or a device, not a file")
     try:
         with file.open(encoding="utf-8", newline="") as opened:
             lines = list(csv.DictReader(opened))

@@ -181,6 +181,8 @@ def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | 
     """Return a picture file as the data URL of a JPEG at most `width` wide, and its size; None if damaged."""
     from PIL import Image
 
+    if not file.is_file():  # a pipe may never end
+        return None
     try:
         with Image.open(file) as opened:
             picture = opened.convert("RGB")

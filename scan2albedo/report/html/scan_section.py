@@ -113,8 +113,27 @@ def scan_section(
 ) -> ScanSection:
     """Return the section about the result in `folder` for the page at `page`.
 
-    What a missing or damaged file would show is left out, and the page names the file and the reason.
+    What a missing or damaged file would show is left out, and the page names the file and the reason. Raises
+    Scan2AlbedoError when figures in the record are of other kinds than those of a run.
     """
+    try:
+        return _section(folder, record, page, topologies, style, anchor, name)
+    except (TypeError, ValueError, ArithmeticError, AttributeError, LookupError) as error:
+        raise Scan2AlbedoError(
+            f"{folder / 'result.json'}: holds figures that no run wrote ({one_line(error)}); process the "
+            "scan again"
+        ) from error
+
+
+def _section(
+    folder: Path,
+    record: ResultRecord,
+    page: Path,
+    topologies: Topologies,
+    style: SectionStyle,
+    anchor: str,
+    name: str,
+) -> ScanSection:
     viewer, missing, residual = _viewer(folder, record, topologies, style)
     trace, trace_missing = _trace(folder)
     total = sum(record.timings_s.values())

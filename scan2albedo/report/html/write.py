@@ -125,15 +125,17 @@ def _write_batch(
         where = rows[k].folder
         assert where is not None
         say(f"{rows[k].name}: {len(sections) + 1} of {len(selection.rows)}")
+        anchor = f"scan-{k + 1}"
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
+            section = scan_section(
+                where, record, target, topologies, ONE_OF_MANY, anchor=anchor, name=rows[k].name
+            )
         except Scan2AlbedoError as error:
             not_shown.append((rows[k].name, one_line(error)))
             continue
-        anchors[k] = f"scan-{k + 1}"
-        sections.append(
-            scan_section(where, record, target, topologies, ONE_OF_MANY, anchor=anchors[k], name=rows[k].name)
-        )
+        anchors[k] = anchor
+        sections.append(section)
     batch = batch_section(rows, anchors, target, MOST_ROWS)
     title = folder.resolve().name or str(folder)
     page = Page(title, _now(), sections, topologies.of_key, batch, selection.reason, not_shown)

@@ -1,0 +1,159 @@
+"""Edited, swapped and hostile files in a result: every reader ends in one clear error that names the file."""
+
+import json
+import os
+import shutil
+import signal
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from scan2albedo.applications import blend_faces, load_result, relight, swap_texture
+from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.io.images import write_exr
+from scan2albedo.recognition.stored_albedo import read_albedo
+from scan2albedo.report.html import write_report
+
+
+@pytest.fixture(autouse=True)
+def _no_endless_reading():
+    def too_long(signum, frame):
+        raise TimeoutError("it reads without end")
+
+    before = signal.signal(signal.SIGALRM, too_long)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def record(text):
+    return "result.json", lambda folder: (folder / "result.json").write_bytes(text)
+
+
+def entry(*keys, value):
+    def change(folder):
+        content = json.loads((folder / "result.json").read_text())
+        place = content
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = value
+        (folder / "result.json").write_text(json.dumps(content))
+
+    return "result.json", change
+
+
+def arrays(**changes):
+    def change(folder):
+        stored = dict(np.load(folder / "geometry_image.npz"))
+        for name, value in changes.items():
+            stored[name] = value(stored[name]) if callable(value) else value
+        np.savez(folder / "geometry_image.npz", **stored)
+
+    return "geometry_image.npz", change
+
+
+def other(name, make):
+    def change(folder):
+        (folder / name).unlink()
+        make(folder / name)
+
+    return name, change
+
+
+def pickled(file):
+    np.savez(file, mask=np.array([{"a": 1}], object), position_mm=np.zeros(3), normal=np.zeros(3))
+
+
+def gltf_1(file):
+    header = json.dumps({"asset": {"version": "1.0"}}).encode().ljust(40)
+    body = len(header).to_bytes(4, "little") + b"JSON" + header
+    file.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body)
+
+
+TAMPERED = {
+    "no JSON": record(b"{hello"),
+    "bytes": record(bytes(range(256))),
+    "a list": record(b"[]"),
+    "deep JSON": record(b"[" * 100_000),
+    "a number of 100,000 digits": entry("seed", value="9" * 100_000),
+    "a wrong type": entry("plan", value={"a": 1}),
+    "no light": entry("lights", 0, "color_linear", value=[0, -1, 0]),
+    "a light of 1e308": entry("lights", 0, "color_linear", value=[1e308] * 3),
+    "no environment": entry("environment", value={"coefficients": [[1e308] * 3] * 8, "occluded": False}),
+    "a reflectance of text": entry("parameters", "sigma_rad", value="\x1b[2J"),
+    "a version of many": arrays(format_version=np.arange(3)),
+    "a version of text": arrays(format_version=np.array("one")),
+    "a mask of numbers": arrays(mask=lambda mask: mask.astype(float)),
+    "an empty mask": arrays(mask=np.zeros_like),
+    "half a mask": arrays(mask=lambda mask: mask[: len(mask) // 2]),
+    "positions of text": arrays(position_mm=lambda position: position.astype(str)),
+    "an occluder of text": arrays(occluder_vertices_mm=np.array(["a"])),
+    "indices far away": arrays(occluder_faces=lambda faces: faces + 2**40),
+    "NaN": arrays(normal=lambda normal: np.full_like(normal, np.nan)),
+    "pickled arrays": other("geometry_image.npz", pickled),
+    "a pipe": other("geometry_image.npz", os.mkfifo),
+    "another size": other("albedo.exr", lambda file: write_exr(file, np.ones((8, 8, 3)))),
+    "a picture without end": other("albedo.exr", lambda file: file.symlink_to("/dev/zero")),
+    "glTF 1": other("fitted.glb", gltf_1),
+    "a folder": other("fitted.glb", lambda file: file.mkdir()),
+}
+"""The file that is to be named, and what is done to the folder."""
+
+
+@pytest.mark.parametrize("kind", TAMPERED)
+def test_every_reader_names_the_file(stored, tmp_path, kind):
+    folder = shutil.copytree(stored, tmp_path / "out" / "rest")
+    name, change = TAMPERED[kind]
+    change(folder)
+    with pytest.raises(Scan2AlbedoError, match=name):
+        load_result(folder)
+    for read in (read_albedo, lambda out: write_report(out, tmp_path / "page.html")):
+        try:
+            read(folder)
+        except Scan2AlbedoError as error:
+            assert name in str(error)  # noqa: PT017  readers that do not need the file go on
+    write_report(folder.parent, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert name in page
+    assert "\x1b" not in page
+
+
+@pytest.mark.parametrize("name", ["trace.csv", "overview.png"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda file: file.symlink_to("/dev/zero"), os.mkdir])
+def test_a_report_reads_no_pipe_and_no_device(stored, tmp_path, name, make):
+    folder = shutil.copytree(stored, tmp_path / "rest")
+    with suppress(FileNotFoundError):
+        (folder / name).unlink()
+    make(folder / name)
+    assert write_report(folder, tmp_path / "page.html").done == 1
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["text", [1e308] * 9, {"a": [None]}, 10**400, True],
+    ids=["text", "numbers", "nested", "huge", "true"],
+)
+@pytest.mark.parametrize(
+    "keys", [("metrics", "fit", "residual_mean_mm"), ("metrics", "albedo"), ("options", "model")]
+)
+def test_figures_of_another_kind_end_in_a_page_or_a_clear_error(stored, tmp_path, keys, value):
+    folder = shutil.copytree(stored, tmp_path / "out" / "rest")
+    _, change = entry(*keys, value=value)
+    change(folder)
+    with suppress(Scan2AlbedoError):
+        write_report(folder, tmp_path / "page.html")
+    assert write_report(folder.parent, tmp_path / "page.html").scans == 1
+    with suppress(Scan2AlbedoError):
+        load_result(folder)
+
+
+def test_a_face_whose_mask_is_another_is_reduced_to_the_texels_of_both(stored, tmp_path):
+    folder = shutil.copytree(stored, tmp_path / "rest")
+    _, change = arrays(mask=lambda mask: mask & (np.arange(len(mask)) > 20)[:, None])
+    change(folder)
+    whole, part = load_result(stored), load_result(folder)
+    for made in (blend_faces(whole, part, 0.5), swap_texture(part, whole), swap_texture(whole, part)):
+        np.testing.assert_array_equal(made.mask, whole.mask & part.mask)
+        assert np.isfinite(relight(made, made.lights).texture_linear).all()
