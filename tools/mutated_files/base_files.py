@@ -1,0 +1,242 @@
+"""Small whole files of every kind that the package reads, made by its own code."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import scan2albedo as s2a
+from scan2albedo.core import GeometryImage
+from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
+from scan2albedo.io.glb import write_glb
+from scan2albedo.io.images import encode_image, write_exr
+from scan2albedo.io.skinned_glb import write_skinned_glb
+
+Reader = Callable[[Path], object]
+
+
+@dataclass(frozen=True)
+class BaseFile:
+    """Whole files of one scan, model or picture, by name; those of `damaged` are mutated, `first` is read."""
+
+    kind: str
+    first: str
+    files: dict[str, bytes]
+    damaged: tuple[str, ...]
+    read: Reader
+
+
+def ball(count: int = 12) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return vertices in mm, faces and texture coordinates of a ball of head size, cut at one meridian."""
+    u, v = np.meshgrid(np.linspace(0, 1, count + 1), np.linspace(0.05, 0.95, count))
+    azimuth, polar = 2 * np.pi * u.ravel(), np.pi * v.ravel()
+    around = np.stack([np.sin(polar) * np.sin(azimuth), -np.cos(polar), np.sin(polar) * np.cos(azimuth)], 1)
+    row, column = (i.ravel() for i in np.mgrid[: count - 1, :count])
+    start = row * (count + 1) + column
+    lower = np.stack([start, start + 1, start + count + 2], 1)
+    upper = np.stack([start, start + count + 2, start + count + 1], 1)
+    return 90 * around, np.concatenate([lower, upper]), np.stack([u.ravel(), v.ravel()], 1)
+
+
+def picture(size: int = 32) -> NDArray[np.uint8]:
+    """Return a picture (size, size, 3) of noise."""
+    return np.random.default_rng(0).integers(0, 256, (size, size, 3), dtype=np.uint8)
+
+
+def base_files() -> Iterator[BaseFile]:
+    """Yield one whole file of each kind."""
+    yield from _obj_files()
+    yield from _ply_files()
+    yield from _stl_and_off_files()
+    yield from _gltf_files()
+    yield from _pictures()
+    yield from _arrays()
+
+
+def _scan(kind: str, first: str, files: dict[str, bytes], damaged: tuple[str, ...] | None = None) -> BaseFile:
+    return BaseFile(kind, first, files, damaged or (first,), lambda path: s2a.load_scan(path, unit="mm"))
+
+
+def _lines(*rows: str) -> bytes:
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _png() -> bytes:
+    return encode_image(picture(), ".png")
+
+
+def _obj_files() -> Iterator[BaseFile]:
+    xyz, faces, uv = ball()
+    rows = ["mtllib face.mtl", *("v {:.5f} {:.5f} {:.5f}".format(*p) for p in xyz)]
+    rows += [*("vt {:.5f} {:.5f}".format(*p) for p in uv), "usemtl skin"]
+    half = len(faces) // 2
+    rows += [*("f {0}/{0} {1}/{1} {2}/{2}".format(*f) for f in faces[:half] + 1), "usemtl hair"]
+    rows += ["f {0}/{0} {1}/{1} {2}/{2}".format(*f) for f in faces[half:] - len(xyz)]
+    library = _lines(
+        "newmtl skin", "Kd 0.8 0.6 0.5", "map_Kd -s 1 1 1 face.png", "newmtl hair", "map_Kd face.png"
+    )
+    whole = {"face.obj": _lines(*rows), "face.mtl": library, "face.png": _png()}
+    yield _scan("obj", "face.obj", whole)
+    yield _scan("mtl", "face.obj", whole, ("face.mtl",))
+    quads = np.column_stack([faces[: len(faces) // 2], faces[len(faces) // 2 :, 2]]) + 1
+    rows = ["v {:.4f} {:.4f} {:.4f} 0.5 0.25 1".format(*p) for p in xyz]
+    rows += ["f {} {} {} {}".format(*f) for f in quads]
+    yield _scan("obj, colours and quads", "face.obj", {"face.obj": _lines(*rows)})
+
+
+def _ply_head(layout: str, vertices: int, faces: int, *, color: bool, corners: bool) -> list[str]:
+    head = ["ply", f"format {layout} 1.0", "comment TextureFile face.png", f"element vertex {vertices}"]
+    head += [f"property float {axis}" for axis in "xyz"]
+    head += [f"property uchar {name}" for name in ("red", "green", "blue")] if color else []
+    head += [f"element face {faces}", "property list uchar int vertex_indices"]
+    head += ["property list uchar float texcoord"] if corners else []
+    return [*head, "end_header"]
+
+
+def _ply_files() -> Iterator[BaseFile]:
+    xyz, faces, uv = ball()
+    for layout, order in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
+        vertex = np.zeros(len(xyz), [("xyz", order + "f4", 3), ("rgb", "u1", 3)])
+        vertex["xyz"], vertex["rgb"] = xyz, 128
+        rows = np.zeros(len(faces), [("n", "u1"), ("i", order + "i4", 3)])
+        rows["n"], rows["i"] = 3, faces
+        head = _lines(*_ply_head(layout, len(xyz), len(faces), color=True, corners=False))
+        yield _scan(f"ply, {layout}", "face.ply", {"face.ply": head + vertex.tobytes() + rows.tobytes()})
+    body = b"".join(np.array(p, "<f4").tobytes() for p in xyz)
+    for number, face in enumerate(faces):
+        count = 3 if number % 2 else 0  # corners without coordinates: lists of two lengths
+        body += struct.pack("<B3iB", 3, *face.tolist(), 2 * count)
+        body += uv[face[:count]].astype("<f4").tobytes()
+    head = _lines(*_ply_head("binary_little_endian", len(xyz), len(faces), color=False, corners=True))
+    yield _scan("ply, lists", "face.ply", {"face.ply": head + body, "face.png": _png()})
+    text = _ply_head("ascii", len(xyz), len(faces), color=False, corners=True)
+    text += ["{:.4f} {:.4f} {:.4f}".format(*p) for p in xyz]
+    text += ["3 {} {} {} 6 ".format(*face) + " ".join(f"{x:.4f}" for x in uv[face].ravel()) for face in faces]
+    yield _scan("ply, ascii", "face.ply", {"face.ply": _lines(*text), "face.png": _png()})
+
+
+def _stl_and_off_files() -> Iterator[BaseFile]:
+    xyz, faces, _ = ball()
+    rows = np.zeros(len(faces), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("bits", "<u2")])
+    rows["corner"] = xyz[faces]
+    yield _scan("stl", "face.stl", {"face.stl": bytes(80) + struct.pack("<I", len(faces)) + rows.tobytes()})
+    text = []
+    for corners in xyz[faces]:
+        text += ["facet normal 0 0 0", "outer loop"]
+        text += ["vertex {:.4f} {:.4f} {:.4f}".format(*p) for p in corners] + ["endloop", "endfacet"]
+    yield _scan("stl, ascii", "face.stl", {"face.stl": _lines("solid face", *text, "endsolid face")})
+    head = ["COFF", f"{len(xyz)} {len(faces)} 0"]
+    head += ["{:.4f} {:.4f} {:.4f} 200 100 50 255".format(*p) for p in xyz]
+    head += ["3 {} {} {}".format(*f) for f in faces]
+    yield _scan("off", "face.off", {"face.off": _lines(*head)})
+
+
+def _written(name: str, write: Callable[[Path], object]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / name)
+        return (Path(folder) / name).read_bytes()
+
+
+def _gltf_files() -> Iterator[BaseFile]:
+    xyz, faces, uv = ball()
+    whole = _written("face.glb", lambda path: write_glb(path, xyz, faces, uv, picture()))
+    yield _scan("glb", "face.glb", {"face.glb": whole})
+    weights = np.clip(xyz[:, :1] / 180 + 0.5, 0, 1)
+    skinned = _written(
+        "face.glb",
+        lambda path: write_skinned_glb(
+            path,
+            xyz,
+            faces,
+            [[0, 0, 0], [50, 0, 0]],
+            np.hstack([weights, 1 - weights]),
+            ["a", "b"],
+            parents=[-1, 0],
+        ),
+    )
+    yield _scan("glb, skinned", "face.glb", {"face.glb": skinned})
+    length = int.from_bytes(whole[12:16], "little")
+    tree, rest = json.loads(whole[20 : 20 + length]), whole[20 + length + 8 :]
+    tree["buffers"][0]["uri"] = "face.bin"
+    yield _scan(
+        "gltf", "face.gltf", {"face.gltf": json.dumps(tree).encode(), "face.bin": rest}, ("face.gltf",) * 2
+    )
+    tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(rest).decode()
+    yield _scan("gltf, base64", "face.gltf", {"face.gltf": json.dumps(tree).encode()})
+    yield _scan("glb, draco", "face.glb", {"face.glb": _draco(tree, xyz, faces, uv)})
+
+
+def _draco(
+    tree: dict[str, Any], xyz: NDArray[np.float64], faces: NDArray[np.int64], uv: NDArray[np.float64]
+) -> bytes:
+    import DracoPy
+
+    blob = DracoPy.encode(xyz / 1000, faces.astype(np.uint32), tex_coord=uv, preserve_order=True)
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}
+    numbers = {part["attribute_type"]: part["unique_id"] for part in DracoPy.decode(blob).attributes}
+    kinds = DracoPy.AttributeType
+    names = {"POSITION": numbers[kinds.POSITION], "TEXCOORD_0": numbers[kinds.TEX_COORD]}
+    extension = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": names}}
+    content = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_draco_mesh_compression"],
+        "extensionsRequired": ["KHR_draco_mesh_compression"],
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{**primitive, "extensions": extension}]}],
+        "accessors": [
+            {"componentType": 5126, "count": len(xyz), "type": "VEC3"},
+            {"componentType": 5126, "count": len(xyz), "type": "VEC2"},
+            {"componentType": 5125, "count": faces.size, "type": "SCALAR"},
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": len(blob)}],
+        "buffers": [{"byteLength": len(blob)}],
+    }
+    text, body = json.dumps(content).encode(), blob + b"\0" * (-len(blob) % 4)
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x4E4942) + body
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+def _pictures() -> Iterator[BaseFile]:
+    def read(path: Path) -> object:
+        return s2a.load_scan(path.with_name("face.obj"), unit="mm")
+
+    xyz, faces, uv = ball()
+    rows = ["v {:.5f} {:.5f} {:.5f}".format(*p) for p in xyz] + ["vt {:.5f} {:.5f}".format(*p) for p in uv]
+    rows += ["f {0}/{0} {1}/{1} {2}/{2}".format(*f) for f in faces + 1]
+    linear = picture().astype(np.float32) / 255
+    for extension in (".png", ".jpg", ".tif", ".bmp", ".webp", ".hdr", ".exr"):
+        name = f"face{extension}"
+        if extension == ".exr":
+            data = _written(name, lambda path: write_exr(path, linear))
+        else:
+            data = cv2.imencode(extension, linear if extension == ".hdr" else picture())[1].tobytes()
+        yield BaseFile(f"picture {extension}", name, {name: data, "face.obj": _lines(*rows)}, (name,), read)
+
+
+def _arrays() -> Iterator[BaseFile]:
+    grid = np.mgrid[:12, :12].astype(float)
+    position = np.stack([*grid, np.zeros((12, 12))], -1)
+    image = GeometryImage(
+        position, np.broadcast_to([0.0, 0, 1], (12, 12, 3)), np.ones((12, 12), bool), position / 12
+    )
+    for name, write in (("image.npz", write_geometry_image), ("image.exr", write_geometry_image_exr)):
+        data = _written(name, lambda path, write=write: write(path, image))  # type: ignore[misc]
+        yield BaseFile(f"geometry image {name[-4:]}", name, {name: data}, (name,), s2a.read_geometry_image)
+    model = s2a.AnnotatedFaceModel.from_mesh(*ball(16)[:2], control_size=60)
+    with tempfile.TemporaryDirectory() as folder:
+        model.save(Path(folder) / "model.json")
+        files = {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+    for damaged in files:
+        yield BaseFile(f"model {damaged[-5:]}", "model.json", files, (damaged,), s2a.AnnotatedFaceModel.load)
