@@ -26,6 +26,7 @@ from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.point_light import PointLight
@@ -96,6 +97,8 @@ def estimate_albedo(
     ValueError
         For an unknown `brdf`, `lights` that is neither "auto" nor 1 to 4, a zero `view_direction`, or
         roughness asked of a Lambertian surface.
+    TypeError
+        For another object than a geometry image.
 
     Warns
     -----
@@ -120,6 +123,8 @@ def estimate_albedo(
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
        modeling and relighting with application to face recognition", section 3.2.
     """
+    advice = "geometry_image(fitted, scan) and read_geometry_image(path) return one"
+    require_type(image, GeometryImage, "estimate_albedo: image", advice)
     count = _light_count(lights, brdf)
     view = _unit_view(view_direction)
     if brdf == "lambert" and options.choice("albedo.roughness"):

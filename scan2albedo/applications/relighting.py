@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, photograph
 from scan2albedo.applications.processed_face import ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
+from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
@@ -115,6 +116,8 @@ def relight(
         the origin than part of the face, or light beyond what single precision holds.
     ValueError
         For an environment of another shape.
+    TypeError
+        For other objects than a face and lights, or an environment in integers, which is no linear light.
 
     Examples
     --------
@@ -125,6 +128,13 @@ def relight(
     >>> relit.texture_linear.shape
     (32, 32, 3)
     """
+    require_type(face, ProcessedFace, "relight: face", "load_result(folder) returns one")
+    require_type(lights, Sequence, "relight: lights", "put PointLight objects into a list")
+    for lamp in lights:
+        advice = "make one with PointLight(azimuth_rad, elevation_rad)"
+        require_type(lamp, PointLight, "relight: one of lights", advice)
+    if environment_linear is not None:
+        require_linear("relight: environment_linear", environment_linear)
     alone = environment_linear is None and environment is None
     base = float(alone) if ambient is None else ambient
     _check_lights(face, lights, base)

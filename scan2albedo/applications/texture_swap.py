@@ -8,6 +8,7 @@ import numpy as np
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
+from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _MARGIN = 2
@@ -50,7 +51,11 @@ def swap_texture(
     ------
     ApplicationError
         When the faces do not share a chart.
+    TypeError
+        For other objects than processed faces, such as their folders.
     """
+    for name, face in (("a", a), ("b", b)):
+        require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
     shape, skin = on_common_chart(a, b)
     gain = _gain(skin, shape) if options.match_level else 1.0
     albedo = gain * skin.albedo_linear.astype(np.float64)

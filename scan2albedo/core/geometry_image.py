@@ -8,6 +8,7 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core.arguments import require_linear
 from scan2albedo.errors import GeometryImageError
 
 SMALLEST_SIZE = 8
@@ -57,7 +58,7 @@ class GeometryImage:
     """Position, normal, texture and annotation per texel; row 0 is v = 1 (the forehead).
 
     Raises GeometryImageError for shapes that disagree, values that are not finite inside the mask, skin
-    beyond 0 to 1, or an occluder that is no mesh.
+    beyond 0 to 1, a texture in integers, or an occluder that is no mesh.
     """
 
     position: NDArray[np.float64]
@@ -93,6 +94,11 @@ class GeometryImage:
             value = getattr(self, field)
             if value is None:
                 continue
+            if field == "texture_linear":
+                try:
+                    require_linear(field, value)
+                except TypeError as error:
+                    raise GeometryImageError(str(error)) from None
             array = np.ascontiguousarray(value)
             wanted = grid if channels is None else (*grid, channels)
             if len(grid) != 2 or array.shape != wanted:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import re
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arguments import linear_doubt, require_linear
 from scan2albedo.errors import ScanError, printable
 
 LARGEST_COORDINATE = 1e30
@@ -50,7 +52,8 @@ class RawScan:
     """A raw scan; inputs are checked and converted, never mutated.
 
     Raises ScanError for wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face
-    indices out of range, or a name that names no folder.
+    indices out of range, or a name that names no folder; TypeError for colours in integers. Warns of colours
+    that are hardly linear light, unless `notes` say so already.
     """
 
     vertices: NDArray[np.float64]
@@ -102,6 +105,8 @@ class RawScan:
         for field, dtype, shape in optional:
             value = getattr(self, field)
             if value is not None:
+                if dtype is np.float32:
+                    require_linear(f"{self.name}: {field}", value)
                 object.__setattr__(self, field, self._checked(field, value, dtype, shape))
         if self.uv is not None and (reach := float(np.abs(self.uv).max())) > _LARGEST_UV:
             raise ScanError(
@@ -113,6 +118,10 @@ class RawScan:
                 f"{self.name}: texture_linear has shape {self.texture_linear.shape}, which holds no pixel; "
                 "leave it out (None) for a scan without a texture"
             )
+        colors = {"texture": self.texture_linear, "vertex colours": self.vertex_color_linear}
+        for what, values in colors.items():
+            if values is not None and (doubt := linear_doubt(what, values)) and doubt not in self.notes:
+                warnings.warn(f"{self.name}: {doubt}", UserWarning, stacklevel=3)
 
     def _checked(self, field: str, value: object, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
         array = np.ascontiguousarray(value)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
@@ -57,7 +58,8 @@ def fit(
     Before that, pose and size s are refined over the stiff regions (`refine_similarity`), the mouth is opened
     and its corners are drawn back as the scan's are, and the face gets its proportions (`proportioned`).
 
-    Raises FitError when there is next to no scan where the model is.
+    Raises FitError when there is next to no scan where the model is; TypeError for other objects than a scan,
+    a model and a pose.
 
     Parameters
     ----------
@@ -85,8 +87,10 @@ def fit(
     .. [2] C. Mandal, H. Qin, B. Vemuri, "A Novel FEM-Based Dynamic Framework for Subdivision Surfaces",
        Computer-Aided Design 32, 2000.
     """
+    require_type(scan, RawScan, "fit: scan", "load_scan(path) returns one")
+    require_type(model, AnnotatedFaceModel, "fit: model", "AnnotatedFaceModel.default() returns one")
     chosen = options or FitOptions()
-    pose = checked_pose(reg if isinstance(reg, np.ndarray) else reg.model_from_scan)
+    pose = _pose_of(reg)
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     surface = _scan_surface(scan, model, pose, chosen)
     similarity = _refined(surface, model, chosen, meter, scan.name)
@@ -102,6 +106,18 @@ def fit(
     deformation = replace(deformation, reference=reference)
     reached = run_stages(deformation)
     return fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+
+
+def _pose_of(reg: Posed | FloatArray) -> FloatArray:
+    """Return the (4, 4) pose that a caller gave; raises TypeError for what has none."""
+    if isinstance(reg, np.ndarray):
+        return checked_pose(reg)
+    if not hasattr(reg, "model_from_scan"):
+        raise TypeError(
+            f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
+            "returns one"
+        )
+    return checked_pose(reg.model_from_scan)
 
 
 def checked_pose(model_from_scan: ArrayLike) -> FloatArray:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
@@ -92,6 +93,8 @@ def geometry_image(
     GeometryImageError
         When `size` is below 8, the fitted face holds NaN, or its chart covers no texel or leaves the unit
         square.
+    TypeError
+        For other objects than a fitted face and a scan.
 
     Notes
     -----
@@ -101,6 +104,12 @@ def geometry_image(
     ----------
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """
+    if not (hasattr(fitted, "vertices") and hasattr(fitted, "model_from_scan")):
+        raise TypeError(
+            f"geometry_image: fitted is {described(fitted)}, expected a FittedFace; fit(scan, model, pose) "
+            "returns one"
+        )
+    require_type(scan, (RawScan, type(None)), "geometry_image: scan", "load_scan(path) returns one")
     check_size(size)
     _check_fitted(fitted)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
@@ -56,6 +57,7 @@ def geometry_image_of_scan(
     GeometryImageError
         When `size` is below 8, or no chart can be made (for example, only zero-area faces).
     """
+    require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
     check_size(size)
     vertices, faces = _chartable(scan, options.max_faces)
     chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size)

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import dataclass
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace, checked_seed
+from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
@@ -66,7 +67,8 @@ def register(
 
     Warns when the face has a size that no person's has, or the scan holds a second face. Raises
     RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
-    when `seed` is no whole number of 0 or more; MissingDependencyError when Open3D cannot be loaded.
+    when `seed` is no whole number of 0 or more; TypeError for other objects than a scan and a model;
+    MissingDependencyError when Open3D cannot be loaded.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.1.1.
@@ -84,6 +86,8 @@ def register(
     on_progress : callable, optional
         Called with every trace row.
     """
+    require_type(scan, RawScan, "register: scan", "load_scan(path) returns one")
+    require_type(model, AnnotatedFaceModel, "register: model", "AnnotatedFaceModel.default() returns one")
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)
     prepared = prepared_scan(scan, options)

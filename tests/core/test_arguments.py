@@ -1,0 +1,100 @@
+"""Wrong objects, and colours that are not linear, are named where they are handed over."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.core import GeometryImage, RawScan
+from scan2albedo.errors import GeometryImageError
+
+FLAT = np.zeros((8, 8, 3))
+UPWARD = np.broadcast_to([0.0, 0, 1], (8, 8, 3))
+SCAN = RawScan(np.eye(3) * 100, [[0, 1, 2]])
+MODEL = s2a.AnnotatedFaceModel.default()
+WRONG = (None, "face.obj", Path("face.obj"), 3, np.eye(4), s2a)
+SHOWN = ("None", "the text 'face.obj'", "the path 'face.obj'", "an object of int")
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (lambda x: s2a.register(x, MODEL), "register: scan is .*, expected RawScan; load_scan"),
+        (lambda x: s2a.register(SCAN, x), "register: model is .*, expected AnnotatedFaceModel"),
+        (lambda x: s2a.fit(x, MODEL, np.eye(4)), "fit: scan is .*, expected RawScan"),
+        (lambda x: s2a.fit(SCAN, x, np.eye(4)), "fit: model is .*, expected AnnotatedFaceModel"),
+        (lambda x: s2a.geometry_image(x, SCAN), "geometry_image: fitted is .*, expected a FittedFace"),
+        (lambda x: s2a.estimate_albedo(x), "estimate_albedo: image is .*, expected GeometryImage"),
+        (lambda x: s2a.applications.relight(x), "relight: face is .*, expected ProcessedFace; load_result"),
+        (lambda x: s2a.applications.swap_texture(x, x), "swap_texture: a is .*, expected ProcessedFace"),
+    ],
+)
+def test_other_objects_are_named_with_what_was_expected(call, expected, wrong):
+    with pytest.raises(TypeError, match=expected):
+        call(wrong)
+
+
+@pytest.mark.parametrize(("wrong", "shown"), list(zip(WRONG, SHOWN, strict=False)))
+def test_messages_say_what_was_given(wrong, shown):
+    with pytest.raises(TypeError, match=f"register: scan is {shown}, "):
+        s2a.register(wrong, MODEL)
+
+
+@pytest.mark.parametrize("wrong", [None, 3, np.eye(4), MODEL, ["a.obj"]])
+def test_process_and_load_scan_take_paths(wrong):
+    with pytest.raises(TypeError, match=r"process: source is .*, expected str or .*Path.* or RawScan"):
+        s2a.process(wrong)
+    with pytest.raises(TypeError, match=r"load_scan: path is .*give the path of a scan's file"):
+        s2a.load_scan(wrong)
+
+
+def test_a_pose_is_a_registration_or_an_array():
+    with pytest.raises(TypeError, match=r"fit: reg is None, expected a Registration or a \(4, 4\) array"):
+        s2a.fit(SCAN, MODEL, None)
+
+
+def test_lights_are_a_list_of_lights():
+    face = s2a.applications.ProcessedFace.of(
+        "flat", GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool)), np.ones((8, 8, 3), np.float32)
+    )
+    light = s2a.PointLight(0.0, 0.0)
+    with pytest.raises(TypeError, match="relight: lights is an object of PointLight, expected Sequence"):
+        s2a.applications.relight(face, light)
+    with pytest.raises(TypeError, match="relight: one of lights is an object of tuple, expected PointLight"):
+        s2a.applications.relight(face, [(0, 0)])
+    with pytest.raises(TypeError, match="environment_linear holds uint8, expected floats of linear light"):
+        s2a.applications.relight(face, environment_linear=np.full((4, 8, 3), 200, np.uint8))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64, bool])
+def test_colours_in_integers_are_no_linear_light(dtype):
+    texture, color = np.ones((4, 4, 3), dtype), np.ones((3, 3), dtype)
+    with pytest.raises(TypeError, match=r"texture_linear holds .*, expected floats of linear light"):
+        RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=texture)
+    with pytest.raises(TypeError, match="vertex_color_linear holds "):
+        RawScan(np.eye(3), [[0, 1, 2]], vertex_color_linear=color)
+    with pytest.raises(GeometryImageError, match=r"texture_linear holds .*decode_srgb_integers"):
+        GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool), np.ones((8, 8, 3), dtype))
+
+
+def test_values_up_to_255_are_told_and_highlights_are_not():
+    pixels = np.random.default_rng(0).uniform(0, 255, (6, 6, 3))
+    with pytest.warns(UserWarning, match=r"scan: texture has a median of 1\d\d and reaches 2\d\d"):
+        RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=pixels)
+    with pytest.warns(UserWarning, match="vertex colours has a median"):
+        RawScan(np.eye(3), [[0, 1, 2]], vertex_color_linear=np.full((3, 3), 200.0))
+    shiny = np.full((6, 6, 3), 0.4)
+    shiny[0] = 90.0
+    RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=shiny)
+
+
+def test_a_file_of_values_up_to_255_has_a_note(tmp_path):
+    from scan2albedo.io.images import write_exr
+    from tests.io.meshes import quarters, write_square_obj
+
+    path = write_square_obj(tmp_path, texture="face.png")
+    (tmp_path / "face.png").unlink()
+    write_exr(tmp_path / "face.exr", 10 + quarters().astype(np.float32))
+    assert any("display white: are these sRGB values" in note for note in s2a.load_scan(path).notes)
