@@ -37,6 +37,10 @@ class ScanError(Scan2AlbedoError):
     """A scan file or a `RawScan` cannot be used."""
 
 
+class TooLargeError(ScanError):
+    """A file declares or holds more than is read of one; nothing of that size was made room for."""
+
+
 class ModelError(Scan2AlbedoError):
     """A face model file or template mesh cannot be used."""
 
@@ -135,6 +139,29 @@ def import_open3d() -> ModuleType:
             "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
         ) from error
     return open3d
+
+
+@contextmanager
+def memory_errors_named(name: str) -> Iterator[None]:
+    """Turn a MemoryError, a RecursionError or an OverflowError of the block into one that names its scan.
+
+    Raises
+    ------
+    TooLargeError
+        When one of them leaves the block.
+    """
+    try:
+        yield
+    except MemoryError as error:
+        raise TooLargeError(
+            f"{name}: needs more memory than there is ({one_line(error) or 'out of memory'}); give the scan "
+            "fewer triangles, its texture fewer pixels, or ask for fewer texels"
+        ) from error
+    except (RecursionError, OverflowError) as error:
+        raise TooLargeError(
+            f"{name}: is too deep, or holds too large numbers ({type(error).__name__}: {one_line(error)}); "
+            "export the scan again"
+        ) from error
 
 
 def one_line(error: BaseException | str) -> str:

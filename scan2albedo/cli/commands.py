@@ -33,6 +33,9 @@ from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.pipeline.options import ProcessOptions
 
+BARE_ERRORS = (ValueError, MemoryError, OverflowError, RecursionError)
+"""What the library raises of options that it refuses, and of work that is too large for the machine."""
+
 app = typer.Typer(
     cls=PrintableUsage,
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
@@ -81,7 +84,7 @@ def process(
             progress.say(f"{name}: reading {path}")
             try:
                 result = run(path, out=out, on_progress=progress.update, **chosen)
-            except (Scan2AlbedoError, ValueError) as error:
+            except (Scan2AlbedoError, *BARE_ERRORS) as error:
                 failures += 1
                 for warning in getattr(error, "__notes__", ()):
                     progress.say(f"{name}: {one_line(warning)}")
@@ -244,6 +247,10 @@ def main() -> None:
         app()
     except Scan2AlbedoError as error:
         print(f"scan2albedo: error: {one_line(error)}", file=sys.stderr)
+        sys.exit(USAGE_ERROR)
+    except BARE_ERRORS as error:
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        print(f"scan2albedo: error: {reason.removesuffix(': ')}", file=sys.stderr)
         sys.exit(USAGE_ERROR)
 
 

@@ -23,6 +23,7 @@ IMPORT_NAMES = {
 """Libraries that every installation needs, with the name that each is imported by."""
 EXTRA_IMPORT_NAMES = {
     "dask": ("cluster", "distributed"),
+    "DracoPy": ("draco", "DracoPy"),
     "Jinja2": ("report", "jinja2"),
     "loky": ("batch", "loky"),
     "psutil": ("batch", "psutil"),

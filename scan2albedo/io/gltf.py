@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import base64
 import io
-import json
 import logging
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote_to_bytes
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ScanError
+from scan2albedo.io import limits
 from scan2albedo.io.color import decode_srgb_integers
-from scan2albedo.io.glb import glb_bytes
+from scan2albedo.io.gltf_file import MARK, GltfFile
+from scan2albedo.io.gltf_limits import require_readable
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.repair import require_valid_indices
 
@@ -26,10 +24,8 @@ if TYPE_CHECKING:
     import trimesh
 
 
-_JSON_START = 20
-"""Of a GLB's text: behind the file's header and the first chunk's."""
-_MARK = "_"
-"""Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
+_BLOCK = 1 << 16
+"""Vertices whose transforms are blended at once."""
 PARSER_ERRORS = (
     ArithmeticError,
     AssertionError,
@@ -68,9 +64,10 @@ def read_gltf(path: Path) -> ParsedMesh:
 def _read_parts(path: Path) -> ParsedMesh:
     import trimesh
 
-    file = _GltfFile.read(path)
+    file = GltfFile.read(path)
+    require_readable(path.name, file.tree, file.picture)
     skinned = bool(file.tree.get("skins"))
-    scene = _load_scene(path, file.with_marked_skins() if skinned else None)
+    scene = _load_scene(file, file.with_marked_skins() if skinned else file.data)
     # trimesh drops base colour textures that it cannot read without a word.
     textured = {
         declared.get("name", "material")
@@ -78,12 +75,13 @@ def _read_parts(path: Path) -> ParsedMesh:
         if "baseColorTexture" in declared.get("pbrMetallicRoughness", {})
     }
     materials: dict[int, Material] = {}
+    pictures: dict[int, NDArray[np.float32]] = {}
     parts = []
     for node in scene.graph.nodes_geometry:
         transform, geometry = scene.graph[node]
         mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
-            part = _part(mesh, materials, path.name)
+            part = _part(mesh, materials, pictures, path.name)
             by_joints = _skinning_transforms(file, scene, node, mesh) if skinned else None
             parts.append(_placed(part, np.asarray(transform, np.float64) if by_joints is None else by_joints))
     lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
@@ -94,8 +92,8 @@ def _read_parts(path: Path) -> ParsedMesh:
     return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
 
 
-def _load_scene(path: Path, data: bytes | None) -> trimesh.Scene:
-    """Load a file, or `data` in its place, through trimesh; its warnings become errors.
+def _load_scene(file: GltfFile, data: bytes) -> trimesh.Scene:
+    """Load the bytes of a file through trimesh; its warnings become errors.
 
     It only warns of a compression that it cannot decode, and goes on with zeros.
     """
@@ -104,17 +102,12 @@ def _load_scene(path: Path, data: bytes | None) -> trimesh.Scene:
     warned = _Warnings()
     logging.getLogger("trimesh").addHandler(warned)
     try:
-        if data is None:
-            scene = trimesh.load_scene(path, process=False)
-        else:
-            resolver = trimesh.resolvers.FilePathResolver(str(path))
-            scene = trimesh.load_scene(
-                io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=resolver, process=False
-            )
+        kind = "glb" if file.binary else "gltf"
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=file, process=False)  # type: ignore[arg-type]
     finally:
         logging.getLogger("trimesh").removeHandler(warned)
     if warned.messages:
-        raise ScanError(f"{path.name}: {warned.messages[0]}; export it again without compression")
+        raise ScanError(f"{file.path.name}: {warned.messages[0]}; export it again without compression")
     return scene
 
 
@@ -129,17 +122,28 @@ class _Warnings(logging.Handler):
         self.messages.append(record.getMessage())
 
 
-def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], name: str) -> ParsedMesh:
-    """Return one mesh with the index of its material, which is added to `materials` when it is new."""
+def _part(
+    mesh: trimesh.Trimesh,
+    materials: dict[int, Material],
+    pictures: dict[int, NDArray[np.float32]],
+    name: str,
+) -> ParsedMesh:
+    """Return one mesh with the index of its material, which is added to `materials` when it is new.
+
+    So are its pictures to `pictures`: materials that share one decode it once.
+    """
     visual: Any = mesh.visual
     source = getattr(visual, "material", None)
     if id(source) not in materials:
-        materials[id(source)] = _material(source)
+        limits.require_at_most(name, "materials", 1 + len(materials), limits.MATERIALS, "join its materials")
+        materials[id(source)] = _material(source, pictures, name)
     faces = np.asarray(mesh.faces, np.int64)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
     require_valid_indices(faces, len(mesh.vertices), name)
     uv = getattr(visual, "uv", None)
-    colors = visual.vertex_colors if visual.kind == "vertex" else visual.vertex_attributes.get("color")
+    # A mesh without material and colours has no attributes either.
+    others = getattr(visual, "vertex_attributes", {})
+    colors = visual.vertex_colors if visual.kind == "vertex" else others.get("color")
     return ParsedMesh(
         vertices=np.asarray(mesh.vertices, np.float64),
         faces=faces,
@@ -149,7 +153,7 @@ def _part(mesh: trimesh.Trimesh, materials: dict[int, Material], name: str) -> P
     )
 
 
-def _material(material: Any) -> Material:
+def _material(material: Any, pictures: dict[int, NDArray[np.float32]], place: str) -> Material:
     factor = getattr(material, "baseColorFactor", None)
     color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0]
     base = (float(color[0]), float(color[1]), float(color[2]))
@@ -157,11 +161,14 @@ def _material(material: Any) -> Material:
     name = str(getattr(material, "name", None) or "material")
     if image is None:
         return Material(name, None, base)
-    try:
-        pixels = np.asarray(image.convert("RGB"), np.uint8)
-    except (OSError, SyntaxError, ValueError):
-        return Material(name, None, base)
-    texture = decode_srgb_integers(pixels)
+    if id(image) not in pictures:
+        pixels, advice = image.size[0] * image.size[1], "save it with fewer pixels"
+        limits.require_at_most(f"a texture of {place}", "pixels", pixels, limits.PIXELS, advice)
+        try:
+            pictures[id(image)] = decode_srgb_integers(np.asarray(image.convert("RGB"), np.uint8))
+        except (OSError, SyntaxError, ValueError):
+            return Material(name, None, base)
+    texture = pictures[id(image)]
     return Material(name, texture if (color == 1).all() else texture * color, base)
 
 
@@ -216,63 +223,8 @@ def _joined_colors(parts: list[ParsedMesh], materials: tuple[Material, ...]) -> 
     return np.concatenate(colors)
 
 
-@dataclass(frozen=True)
-class _GltfFile:
-    """The JSON `tree` of a file, and the bytes `rest` that follow it in a GLB."""
-
-    path: Path
-    tree: dict[str, Any]
-    rest: bytes
-    binary: bool
-
-    @classmethod
-    def read(cls, path: Path) -> _GltfFile:
-        """Read a GLB or glTF file."""
-        data = path.read_bytes()
-        if data[:4] != b"glTF":
-            return cls(path, json.loads(data.decode("utf-8", "replace")), b"", False)
-        end = _JSON_START + int.from_bytes(data[12:16], "little")
-        return cls(path, json.loads(data[_JSON_START:end].decode("utf-8", "replace")), data[end:], True)
-
-    def with_marked_skins(self) -> bytes:
-        """Return the file's bytes with nodes named by number and skin attributes marked for trimesh."""
-        tree = json.loads(json.dumps(self.tree))
-        for number, node in enumerate(tree.get("nodes", [])):
-            node["name"] = str(number)
-        for mesh in tree.get("meshes", []):
-            for primitive in mesh["primitives"]:
-                primitive["attributes"] = {
-                    _MARK + name if name.startswith(("JOINTS_", "WEIGHTS_")) else name: accessor
-                    for name, accessor in primitive["attributes"].items()
-                }
-        return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
-
-    def inverse_binds(self, skin: int) -> FloatArray:
-        """Return (J, 4, 4) inverse bind matrices of a skin; identities where it has none."""
-        entry = self.tree["skins"][skin]
-        count = len(entry["joints"])
-        if "inverseBindMatrices" not in entry:
-            return np.tile(np.eye(4), (count, 1, 1))
-        accessor = self.tree["accessors"][entry["inverseBindMatrices"]]
-        if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
-            raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
-        view = self.tree["bufferViews"][accessor["bufferView"]]
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        stored = np.frombuffer(self._buffer(view["buffer"]), "<f4", 16 * count, start)
-        return stored.reshape(count, 4, 4).transpose(0, 2, 1).astype(np.float64)
-
-    def _buffer(self, number: int) -> bytes:
-        uri = self.tree["buffers"][number].get("uri")
-        if uri is None:
-            return self.rest[8:]  # behind the second chunk's header
-        if uri.startswith("data:"):
-            head, _, body = uri.partition(",")
-            return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
-        return (self.path.parent / unquote_to_bytes(uri).decode()).read_bytes()
-
-
 def _skinning_transforms(
-    file: _GltfFile, scene: trimesh.Scene, frame: str, mesh: trimesh.Trimesh
+    file: GltfFile, scene: trimesh.Scene, frame: str, mesh: trimesh.Trimesh
 ) -> FloatArray | None:
     """Return the transforms (V, 4, 4) of a mesh's vertices by their joints; None for a mesh without a skin.
 
@@ -281,14 +233,18 @@ def _skinning_transforms(
     """
     attributes = {name: np.asarray(values) for name, values in mesh.vertex_attributes.items()}
     skin = file.tree["nodes"][int(frame.partition("_")[0])].get("skin")
-    sets = sum(name.startswith(f"{_MARK}JOINTS_") for name in attributes)
+    sets = sum(name.startswith(f"{MARK}JOINTS_") for name in attributes)
     if skin is None or sets == 0:
         return None
-    joints = np.concatenate([attributes[f"{_MARK}JOINTS_{n}"] for n in range(sets)], 1).astype(np.int64)
-    weights = np.concatenate([attributes[f"{_MARK}WEIGHTS_{n}"] for n in range(sets)], 1).astype(np.float64)
+    joints = np.concatenate([attributes[f"{MARK}JOINTS_{n}"] for n in range(sets)], 1).astype(np.int64)
+    weights = np.concatenate([attributes[f"{MARK}WEIGHTS_{n}"] for n in range(sets)], 1).astype(np.float64)
     total = weights.sum(1, keepdims=True)
     if not (total > 0).all():
         raise ValueError("a vertex of a skinned mesh has no weights")
     places = np.array([scene.graph[str(joint)][0] for joint in file.tree["skins"][skin]["joints"]])
     transforms = places @ file.inverse_binds(skin)
-    return np.einsum("vj,vjab->vab", weights / total, transforms[joints])
+    blended = np.empty((len(joints), 4, 4))
+    for start in range(0, len(joints), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        blended[rows] = np.einsum("vj,vjab->vab", weights[rows] / total[rows], transforms[joints[rows]])
+    return blended

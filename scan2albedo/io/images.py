@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import cast
 
@@ -9,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
+from scan2albedo.io.image_headers import require_small_picture
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
@@ -22,7 +25,8 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
     The content decides which of `SUPPORTED_IMAGES` it is, not the extension. Integer samples (8 or 16 bit)
     are sRGB and are decoded; float samples (EXR, HDR, float TIFF) are linear already. Grey is repeated over
     three channels, alpha is dropped. An EXIF orientation is ignored: texture coordinates refer to the pixels
-    as stored. Raises ScanError, naming the file, when it is missing, unreadable, damaged or holds NaN.
+    as stored. Raises ScanError, naming the file, when it is missing, unreadable, damaged or holds NaN;
+    TooLargeError, before anything is decoded, when its header declares more than `limits.PIXELS`.
     """
     samples = read_image_values(path)
     if samples.dtype in (np.uint8, np.uint16):
@@ -35,14 +39,14 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
 def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
     """Read the samples of an image as they are stored, (H, W, 3) RGB, nothing decoded; floats may be NaN.
 
-    Raises ScanError when the file is missing, unreadable or damaged; the message names it.
+    Raises ScanError when the file is missing, unreadable or damaged, TooLargeError when it is too large to be
+    read; the message names it.
     """
     file = Path(path)
     try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise ScanError(f"image {file} cannot be read: {error.strerror or error}") from error
-    pixels = _exr_rgb(file) if data[:4] == _EXR_MAGIC else _decode_pixels(data, file)
+        pixels = _exr_rgb(file) if _is_exr(file) else _decode_pixels(limits.read_bytes(file), file)
+    except (OSError, ValueError) as error:
+        raise ScanError(f"image {file} cannot be read: {getattr(error, 'strerror', '') or error}") from error
     if pixels.dtype in (np.uint8, np.uint16):
         return cast("NDArray[np.uint8]", pixels)
     if pixels.dtype.kind != "f":
@@ -50,12 +54,19 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
     return np.ascontiguousarray(pixels, np.float32)
 
 
+def _is_exr(file: Path) -> bool:
+    limits.require_file(file, sys.maxsize)
+    with file.open("rb") as opened:
+        return opened.read(len(_EXR_MAGIC)) == _EXR_MAGIC
+
+
 def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:
-    """Return stored samples as (H, W, 3) RGB."""
+    """Return stored samples as (H, W, 3) RGB; nothing is decoded whose size is not known before."""
     import cv2
 
+    known = require_small_picture(data, file) is not None
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if known else None
     except cv2.error as error:
         raise ScanError(f"image {file} cannot be decoded: {error.err}; re-export it") from error
     if pixels is None:
@@ -81,15 +92,32 @@ def _exr_rgb(file: Path) -> NDArray[np.float32]:
 def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
     """Return every channel of the first part of an EXR file as (H, W) float32, by its full name.
 
-    Raises ScanError when the file is missing or no complete EXR.
+    Raises ScanError when the file is missing or no complete EXR, TooLargeError when its parts together have
+    more samples than are read.
     """
     import OpenEXR
 
     try:
+        _require_small_exr(Path(path))
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {k: np.array(c.pixels, np.float32) for k, c in file.channels().items()}
-    except (RuntimeError, ValueError, TypeError) as error:
+    except (LookupError, OSError, RuntimeError, ValueError, TypeError) as error:
         raise ScanError(f"image {path} is missing or no complete EXR file ({error})") from error
+
+
+def _require_small_exr(path: Path) -> None:
+    """Raise TooLargeError for what the headers of all parts declare: every part is decoded."""
+    import OpenEXR
+
+    samples = 0
+    with OpenEXR.File(str(path), header_only=True) as file:
+        for part in file.parts:
+            low, high = (np.asarray(corner, np.int64) for corner in part.header["dataWindow"])
+            width, height = np.maximum(high - low + 1, 0).tolist()
+            samples += width * height * len(part.header["channels"])
+    most = max(limits.PICTURE_BYTES, limits.GROWTH * path.stat().st_size)
+    advice = "save it with fewer pixels"
+    limits.require_at_most(f"image {path}", "bytes of pixels", 4 * samples, most, advice)
 
 
 def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:

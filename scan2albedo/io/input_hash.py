@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
-import stat
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, TooLargeError
+from scan2albedo.io import limits
 from scan2albedo.io.images import SUPPORTED_IMAGES
-from scan2albedo.io.mtl import MaterialText, find_beside, library_names, parse_mtl
+from scan2albedo.io.limits import parse_json
+from scan2albedo.io.mtl import MaterialText, decoded, find_beside, library_names, parse_mtl
 
 if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
@@ -28,7 +28,7 @@ def input_sha256(source: str | Path | RawScan) -> str:
         return _arrays_sha256(source)
     digest = hashlib.sha256()
     try:
-        require_regular(Path(source))
+        limits.require_regular(Path(source))
         for file in files_of_scan(Path(source)):
             digest.update(f"{file.stat().st_size}:".encode())
             with file.open("rb") as opened:
@@ -37,13 +37,6 @@ def input_sha256(source: str | Path | RawScan) -> str:
     except OSError as error:
         raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
     return digest.hexdigest()
-
-
-def require_regular(file: Path) -> None:
-    """Raise ScanError for a pipe, a device or a socket, which may never end; OSError for a missing file."""
-    mode = file.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise ScanError(f"{file}: is a pipe or a device, not a file; give the file that holds the scan")
 
 
 def file_sha256(path: Path) -> str:
@@ -56,7 +49,10 @@ def files_of_scan(path: Path) -> tuple[Path, ...]:
     """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
     referred = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf}.get(path.suffix.lower())
     # A pipe or a device may never end.
-    names = referred(path) if referred and path.is_file() else []
+    try:
+        names = referred(path) if referred and path.is_file() else []
+    except TooLargeError:
+        names = []  # load_scan says so
     found = [find_beside(path.parent, name) for name in names]
     return (path, *dict.fromkeys(file for file in found if file is not None))
 
@@ -64,25 +60,30 @@ def files_of_scan(path: Path) -> tuple[Path, ...]:
 def _of_obj(path: Path) -> list[str]:
     names: list[str] = []
     materials: dict[str, MaterialText] = {}
-    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", path.read_bytes(), re.MULTILINE):
-        for library in library_names(match.decode("utf-8", "replace").strip(), path.parent):
+    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", limits.read_bytes(path), re.MULTILINE):
+        for library in library_names(decoded(match).strip(), path.parent):
             names.append(library)
             file = find_beside(path.parent, library)
-            materials |= {} if file is None else parse_mtl(file.read_text("utf-8", "replace"))
-    if not materials:  # then load_scan takes an image of the same name
-        return names + [path.stem + extension for extension in SUPPORTED_IMAGES]
-    return names + [m.texture_file for m in materials.values() if m.texture_file is not None]
+            data = b"" if file is None else limits.read_bytes(file, limits.LIBRARY_BYTES)
+            materials |= parse_mtl(decoded(data))
+    textures = [m.texture_file for m in materials.values() if m.texture_file is not None]
+    if all(find_beside(path.parent, name) is None for name in textures):
+        names += [path.stem + extension for extension in SUPPORTED_IMAGES]  # load_scan takes one of these
+    return names + textures
 
 
 def _of_ply(path: Path) -> list[str]:
     with path.open("rb") as file:
         header = file.read(1 << 16).split(b"end_header", maxsplit=1)[0].decode("latin-1")
-    return re.findall(r"^comment\s+TextureFile\s+(.+?)\s*$", header, re.MULTILINE | re.IGNORECASE)
+    names = re.findall(r"^comment\s+TextureFile\s+(.+?)\s*$", header, re.MULTILINE | re.IGNORECASE)
+    if all(find_beside(path.parent, name) is None for name in names):
+        names += [path.stem + extension for extension in SUPPORTED_IMAGES]  # load_scan takes one of these
+    return names
 
 
 def _of_gltf(path: Path) -> list[str]:
     try:
-        tree = json.loads(path.read_bytes())
+        tree = parse_json(path.name, limits.read_bytes(path))
         entries = [*tree.get("buffers", ()), *tree.get("images", ())]
         uris = [entry.get("uri", "") for entry in entries]
     except (ValueError, AttributeError, TypeError, RecursionError):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from importlib import import_module
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scan2albedo.errors import ScanError
-from scan2albedo.io.input_hash import require_regular
+from scan2albedo.core.arguments import linear_doubt, require_type
+from scan2albedo.errors import ScanError, memory_errors_named
+from scan2albedo.io import limits
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,8 +38,10 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
     Its `notes` name the unit, every repair, missing textures and the number of loose components.
 
     Raises ScanError when the file is missing, of an unsupported kind, damaged, without faces, of a size that
-    is no head in any unit, or so far from the origin that rounding destroys its shape; the message names the
-    file, what is wrong and what to do. Raises ValueError for an unknown unit.
+    is no head in any unit, or so far from the origin that rounding destroys its shape; TooLargeError when it
+    declares or holds more than `io/limits.py` allows; MissingDependencyError when it is compressed and the
+    library that decodes it is missing. The message names the file, what is wrong and what to do. Raises
+    ValueError for an unknown unit.
 
     Parameters
     ----------
@@ -67,13 +71,20 @@ def load_scan_with(
     `decide_unit` maps the repaired mesh, in file units, and its (V,) component labels to (factor to
     millimetres, note).
     """
+    require_type(path, (str, PathLike), "load_scan: path", "give the path of a scan's file")
+    with memory_errors_named(Path(path).name):
+        return _loaded(Path(path), decide_unit, name)
+
+
+def _loaded(
+    file: Path, decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]], name: str | None
+) -> RawScan:
     from scan2albedo.core.raw_scan import RawScan, scan_name
     from scan2albedo.geometry.mesh import vertex_components
     from scan2albedo.io.repair import repair, require_usable
     from scan2albedo.io.texture_atlas import pack_texture
     from scan2albedo.io.units import largest_extent, rounding_note
 
-    file = Path(path)
     parsed = read_mesh_file(file)
     require_usable(parsed, file.name)
     mesh = repair(parsed)
@@ -83,9 +94,12 @@ def load_scan_with(
     factor, unit_note = decide_unit(mesh, components)
     rounding = rounding_note(mesh.vertices, largest_extent(mesh.vertices, components), factor, file.name)
     packed = pack_texture(mesh)
-    notes = [unit_note, *([rounding] if rounding else []), *mesh.notes, *packed.notes]
+    notes = [unit_note, rounding, *mesh.notes, *packed.notes]
     if (count := int(components.max()) + 1) > 1:
         notes.append(f"{count} loose components, all kept")
+    colors = {"texture": packed.texture_linear, "vertex colours": mesh.vertex_color_linear}
+    notes += [linear_doubt(what, values) for what, values in colors.items() if values is not None]
+    notes = [note for note in notes if note]
     if packed.texture_linear is None and mesh.vertex_color_linear is None:
         notes.append("no texture or vertex colours: geometry only")
     return RawScan(
@@ -113,14 +127,16 @@ def read_mesh_file(file: Path) -> ParsedMesh:
             f"save the scan as one of {', '.join(SUPPORTED_SCANS)}"
         )
     try:
-        require_regular(file)
-        size = file.stat().st_size
+        size = limits.require_file(file, advice="decimate it")
         with file.open("rb"):
             pass
         if size == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
         module, function = _READERS[extension]
-        mesh: ParsedMesh = getattr(import_module(f"scan2albedo.io.{module}"), function)(file)
-    except OSError as error:
-        raise ScanError(f"{file}: cannot be read: {error.strerror or error}; check the path") from error
+        with memory_errors_named(file.name):
+            mesh: ParsedMesh = getattr(import_module(f"scan2albedo.io.{module}"), function)(file)
+    except (OSError, ValueError) as error:
+        raise ScanError(
+            f"{file}: cannot be read: {getattr(error, 'strerror', '') or error}; check the path"
+        ) from error
     return mesh

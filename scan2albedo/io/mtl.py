@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import codecs
 import re
-from dataclasses import dataclass
+import unicodedata
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from scan2albedo.errors import ScanError
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.errors import ScanError, TooLargeError
+from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.image_headers import require_small_picture
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_image_linear
 from scan2albedo.io.parsed_mesh import Material
 
@@ -15,6 +22,9 @@ _OPTION = re.compile(
     r"-(?:(?:blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type)\s+\S+"
     r"|mm\s+\S+\s+\S+|[ost](?:\s+[-+]?[\d.]+(?:[eE][-+]?\d+)?){1,3})\s+"
 )
+
+_CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
+"""Of file names in OBJ and MTL files that are no UTF-8; the file that exists decides which it is."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +36,13 @@ class MaterialText:
     texture_file: str | None = None
 
 
+def decoded(data: bytes) -> str:
+    """Return text of an OBJ or MTL file; bytes that are no UTF-8 are kept as surrogates."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace")
+    return data.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
+
+
 def parse_mtl(text: str) -> dict[str, MaterialText]:
     """Return the materials of an MTL text by name; `map_Kd` options are skipped, spaces in names kept.
 
@@ -35,6 +52,8 @@ def parse_mtl(text: str) -> dict[str, MaterialText]:
     materials: dict[str, MaterialText] = {}
     name = None
     for raw in text.splitlines():
+        if len(raw) > limits.NAME_BYTES:
+            continue
         keyword, _, rest = raw.strip().partition(" ") if "\t" not in raw else raw.strip().partition("\t")
         keyword, rest = keyword.lower(), rest.strip()
         if keyword == "newmtl":
@@ -66,19 +85,37 @@ def _file_name(text: str) -> str:
 def find_beside(folder: Path, name: str) -> Path | None:
     """Find a file that a scan refers to, in any case, by its path as written or by its name beside the scan.
 
-    MTL files often hold absolute or Windows paths of another machine, and names in another case.
+    MTL files often hold absolute or Windows paths of another machine, and names in another case, code page or
+    Unicode form.
     """
-    relative = Path(name.replace("\\", "/"))
-    for candidate in (folder / relative, folder / relative.name):
-        if candidate.is_file():
-            return candidate
-    for place in {folder / relative.parent: None, folder: None}:
-        if place.is_dir():
-            wanted = relative.name.casefold()
-            found = sorted(p for p in place.iterdir() if p.name.casefold() == wanted and p.is_file())
-            if found:
-                return found[0]
+    for spelling in _spellings(name):
+        relative = Path(spelling.replace("\\", "/"))
+        try:
+            for candidate in (folder / relative, folder / relative.name):
+                if candidate.is_file():
+                    return candidate
+            for place in {folder / relative.parent: None, folder: None}:
+                if place.is_dir():
+                    wanted = _folded(relative.name)
+                    found = sorted(p for p in place.iterdir() if _folded(p.name) == wanted and p.is_file())
+                    if found:
+                        return found[0]
+        except OSError:  # a name longer than names may be, a folder that may not be read
+            continue
     return None
+
+
+def _spellings(name: str) -> list[str]:
+    """Return a name as it stands; one that is no UTF-8 also as other code pages read it."""
+    names = [name]
+    if any("\udc80" <= letter <= "\udcff" for letter in name):
+        data = name.encode("utf-8", "surrogateescape")
+        names += [data.decode(page, "replace") for page in _CODE_PAGES]
+    return names
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def library_names(words: str, folder: Path) -> list[str]:
@@ -86,26 +123,63 @@ def library_names(words: str, folder: Path) -> list[str]:
     return [words] if not words or find_beside(folder, words) else words.split()
 
 
-def texture_by_name(scan: Path) -> Material | None:
-    """Return a material with the image that lies beside a scan under the scan's own name, if there is one."""
-    for extension in SUPPORTED_IMAGES:
-        file = find_beside(scan.parent, scan.stem + extension)
-        if file is not None:
-            material, _ = load_material(MaterialText(file.name, texture_file=file.name), scan.parent)
-            return material if material.texture_linear is not None else None
-    return None
+@dataclass
+class ScanPictures:
+    """The pictures beside a scan: each is read once, and together they have at most `limits.PIXELS`."""
 
+    folder: Path
+    pixels: int = 0
+    read: dict[Path, NDArray[np.float32] | ScanError] = field(default_factory=dict)
 
-def load_material(material: MaterialText, folder: Path) -> tuple[Material, str | None]:
-    """Return a material with its texture read, and a note when the texture is missing or damaged."""
-    red, green, blue = (float(c) for c in srgb_to_linear(material.diffuse_srgb))
-    plain = Material(material.name, None, (red, green, blue))
-    if material.texture_file is None:
-        return plain, None
-    file = find_beside(folder, material.texture_file)
-    if file is None:
-        return plain, f"texture {material.texture_file} is missing beside the scan: went on without it"
-    try:
-        return Material(material.name, read_image_linear(file), plain.base_color_linear), None
-    except ScanError as error:
-        return plain, f"{error}: went on without it"
+    def material(self, text: MaterialText) -> tuple[Material, str | None]:
+        """Return a material with its texture read, and a note when the texture is missing or damaged.
+
+        Raises TooLargeError when the picture, or all pictures together, have too many pixels.
+        """
+        red, green, blue = (float(c) for c in srgb_to_linear(text.diffuse_srgb))
+        plain = Material(text.name, None, (red, green, blue))
+        if text.texture_file is None:
+            return plain, None
+        file = find_beside(self.folder, text.texture_file)
+        if file is None:
+            return plain, f"texture {text.texture_file} is missing beside the scan: went on without it"
+        picture = self._picture(file)
+        if isinstance(picture, ScanError):
+            return plain, f"{picture}: went on without it"
+        return Material(plain.name, picture, plain.base_color_linear), None
+
+    def named_like(self, scan: Path) -> Material | None:
+        """Return a material with the image that has the scan's own name, if there is one."""
+        for extension in SUPPORTED_IMAGES:
+            file = find_beside(self.folder, scan.stem + extension)
+            if file is not None:
+                material, _ = self.material(MaterialText(file.name, texture_file=file.name))
+                return material if material.texture_linear is not None else None
+        return None
+
+    def _picture(self, file: Path) -> NDArray[np.float32] | ScanError:
+        file = file.resolve()
+        if file not in self.read:
+            self.read[file] = self._new_picture(file)
+        return self.read[file]
+
+    def _new_picture(self, file: Path) -> NDArray[np.float32] | ScanError:
+        try:
+            size = require_small_picture(limits.read_bytes(file), file)
+            self._count(0 if size is None else size.pixels)
+            picture = read_image_linear(file)
+            if size is None:
+                self._count(picture.shape[0] * picture.shape[1])
+            return picture
+        except TooLargeError:
+            raise
+        except OSError as error:
+            return ScanError(f"image {file.name} cannot be read: {error.strerror or error}")
+        except ScanError as error:
+            return error
+
+    def _count(self, pixels: int) -> None:
+        self.pixels += pixels
+        advice = "save its textures with fewer pixels"
+        place = f"the textures of the scan in {self.folder}"
+        limits.require_at_most(place, "pixels", self.pixels, limits.PIXELS, advice)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
+import sys
 import tokenize
 import zipfile
 import zlib
@@ -15,7 +17,8 @@ from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from scan2albedo.errors import Scan2AlbedoError, one_line
+from scan2albedo.errors import Scan2AlbedoError, ScanError, one_line
+from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.records import Content, parse_record
 
@@ -74,16 +77,39 @@ def read_npz(
     """
     try:
         # A stream of our own: NumPy leaves the file open where it is damaged.
+        size = limits.require_file(Path(path), sys.maxsize)
         with Path(path).open("rb") as stream:
             stored = np.load(stream, allow_pickle=False)
             if not isinstance(stored, NpzFile):
                 raise ValueError("it holds a single array, no archive of them")
             with stored:
                 there = [name for name in optional if name in stored.files]
-                return {name: stored[name] for name in (stored.files if names is None else (*names, *there))}
-    except (OSError, *_DAMAGE) as cause:
+                wanted = stored.files if names is None else (*names, *there)
+                _require_small(stored, wanted, most=max(limits.ARRAY_BYTES, limits.GROWTH * size))
+                return {name: stored[name] for name in wanted}
+    except (OSError, ScanError, *_DAMAGE) as cause:
         reason = one_line(cause)
         raise error(f"{what} {path} cannot be read ({reason}); {advice}") from cause
+
+
+def _require_small(stored: NpzFile, names: Collection[str], most: int) -> None:
+    """Raise ValueError when arrays declare more bytes than `most`, or than their members hold."""
+    assert stored.zip is not None
+    entries = {entry.filename.removesuffix(".npy"): entry for entry in stored.zip.infolist()}
+    total = 0
+    for name in names:
+        with stored.zip.open(entries[name]) as member:
+            version = np.lib.format.read_magic(member)
+            # NumPy reads headers of versions 2 and 3 alike.
+            first = version == (1, 0)
+            read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(member)
+            needed = math.prod(shape) * dtype.itemsize
+        if needed > entries[name].file_size:
+            raise ValueError(f"{name} declares {needed:,} bytes and holds {entries[name].file_size:,}")
+        total += needed
+    if total > most:
+        raise ValueError(f"its arrays have {total:,} bytes, more than the {most:,} that are read")
 
 
 def write_npz_record(

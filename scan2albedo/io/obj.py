@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,17 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
+from scan2albedo.io import limits
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.mtl import (
     MaterialText,
+    ScanPictures,
+    decoded,
     find_beside,
     library_names,
-    load_material,
     parse_mtl,
-    texture_by_name,
 )
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
 
@@ -27,10 +29,12 @@ class _Lines:
     """The lines of an OBJ file by kind, with the byte ranges of their bodies."""
 
     def __init__(self, data: bytes, name: str) -> None:
+        data = data.removeprefix(codecs.BOM_UTF8)
         if b"\\\n" in data or b"\\\r\n" in data:
             data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
         if b"\n" not in data:
             data = data.replace(b"\r", b"\n")
+        limits.require_at_most(name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
         self.name = name
         self.text = np.frombuffer(data, np.uint8)
         begins, self.ends = tables.line_ranges(self.text)
@@ -43,11 +47,22 @@ class _Lines:
     def words(self, line: int) -> str:
         """Return the text after the keyword."""
         body = self.text[self.starts[line] : self.ends[line]].tobytes()
-        return body.decode("utf-8", "replace").strip()
+        return decoded(body).strip()
 
-    def numbers(self, kind: int, width: int, least: int) -> tuple[FloatArray, IntArray]:
+    def names(self, kind: int) -> list[str]:
+        """Return the text of all lines of a kind, which are names."""
+        lines = self.of(kind)
+        limits.require_at_most(self.name, "lines of names", len(lines), limits.NAME_LINES, "export it again")
+        self.raise_for(
+            lines[self.ends[lines] - self.starts[lines] > limits.NAME_BYTES],
+            f"expected a name of at most {limits.NAME_BYTES} bytes",
+        )
+        return [self.words(int(line)) for line in lines]
+
+    def numbers(self, kind: int, width: int, least: int, most: int) -> tuple[FloatArray, IntArray]:
         """Return (values (N, width), number of tokens (N,)) of the lines of a kind."""
         lines = self.of(kind)
+        limits.require_at_most(self.name, "vertices", len(lines), most, "decimate it")
         values, counts = tables.parse_float_lines(self.text, self.starts[lines], self.ends[lines], width)
         self.raise_for(lines[counts < least], f"expected at least {least} numbers")
         return values, counts
@@ -55,9 +70,10 @@ class _Lines:
     def raise_for(self, lines: IntArray, expected: str) -> None:
         """Raise a `ScanError` for the first of the given lines, if there is any."""
         if len(lines):
-            shown = self.words(int(lines[0]))[:40]
+            start, end = int(self.starts[lines[0]]), int(self.ends[lines[0]])
+            beginning = decoded(self.text[start : min(end, start + 50)].tobytes()).strip()[:40]
             raise ScanError(
-                f"{self.name}: line {lines[0] + 1} holds '{shown}', {expected}; "
+                f"{self.name}: line {lines[0] + 1} holds '{beginning}', {expected}; "
                 "the file is damaged or truncated: export it again"
             )
 
@@ -66,19 +82,24 @@ def read_obj(path: Path) -> ParsedMesh:
     """Read an OBJ file with its materials.
 
     Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after the
-    position) are sRGB. Only `map_Kd` and `Kd` of the materials are used; without any material an image of the
-    same name is taken for the texture. Raises ScanError, naming file and line, when a line is damaged or an
-    index points outside the file.
+    position) are sRGB. Only `map_Kd` and `Kd` of the materials are used; where the material library, or every
+    texture that it names, is missing, an image of the scan's own name is taken for the texture. Raises
+    ScanError, naming file and line, when a line is damaged or an index points outside the file; TooLargeError
+    for more than is read.
     """
-    lines = _Lines(path.read_bytes(), path.name)
-    positions, tokens = lines.numbers(tables.VERTEX, 6, least=3)
-    coordinates, _ = lines.numbers(tables.TEXTURE_COORDINATE, 2, least=1)
+    lines = _Lines(limits.read_bytes(path, advice="decimate it"), path.name)
+    positions, tokens = lines.numbers(tables.VERTEX, 6, least=3, most=limits.VERTICES)
+    coordinates, _ = lines.numbers(tables.TEXTURE_COORDINATE, 2, least=1, most=limits.TEXT_LINES)
     corners, counts = _read_corners(lines, len(positions), len(coordinates))
     triangles, face_of_triangle = fan_triangles(counts)
-    material, materials, notes = _materials(lines, path.parent)
+    pictures = ScanPictures(path.parent)
+    material, materials, notes = _materials(lines, pictures)
     uv = _corner_uv(coordinates, corners[:, 1], triangles)
-    if uv is not None and not materials and (found := texture_by_name(path)) is not None:
-        materials, notes = (found,), (*notes, f"texture {found.name} was found by the scan's name")
+    lost = not materials or any(note.startswith("texture ") for note in notes)
+    lost = lost and uv is not None and all(m.texture_linear is None for m in materials)
+    if lost and (found := pictures.named_like(path)) is not None:
+        material, materials = None, (found,)
+        notes = (*notes, f"texture {found.name} was found by the scan's name")
     return ParsedMesh(
         vertices=np.ascontiguousarray(positions[:, :3]),
         faces=corners[triangles, 0],
@@ -103,6 +124,8 @@ def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntA
     starts, ends = lines.starts[rows], lines.ends[rows]
     counts = tables.count_tokens(lines.text, starts, ends)
     lines.raise_for(rows[counts < 3], "expected at least 3 corners")
+    triangles = int(counts.sum()) - 2 * len(counts)
+    limits.require_at_most(lines.name, "triangles", triangles, limits.TRIANGLES, "decimate it")
     corners, bad = tables.parse_corners(lines.text, starts, counts)
     lines.raise_for(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
     line_of_corner = np.repeat(rows, counts)
@@ -137,38 +160,48 @@ def _vertex_colors(positions: FloatArray, tokens: IntArray) -> NDArray[np.float3
     return srgb_to_linear(srgb / 255 if srgb.max() > 1 else srgb).astype(np.float32)
 
 
-def _materials(lines: _Lines, folder: Path) -> tuple[IntArray | None, tuple[Material, ...], tuple[str, ...]]:
+def _materials(
+    lines: _Lines, pictures: ScanPictures
+) -> tuple[IntArray | None, tuple[Material, ...], tuple[str, ...]]:
     """Return (material index of each polygon or None, materials used, notes)."""
     notes: list[str] = []
-    known: dict[str, MaterialText] = {}
-    for line in lines.of(tables.MATERIAL_LIBRARY):
-        known |= _library(lines.words(int(line)), folder, notes)
-    uses, faces = lines.of(tables.USE_MATERIAL), lines.of(tables.FACE)
+    known = _libraries(lines, pictures.folder, notes)
     if not known:
         return None, (), tuple(notes)
-    names = [lines.words(int(line)) for line in uses]
+    uses, faces = lines.of(tables.USE_MATERIAL), lines.of(tables.FACE)
+    names = lines.names(tables.USE_MATERIAL)
     current = np.searchsorted(uses, faces) - 1
     if not names:
         names, current = [next(iter(known))], np.zeros(len(faces), np.int64)
     order = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    limits.require_at_most(lines.name, "materials", len(order), limits.MATERIALS, "join its materials")
     number = np.array([order[name] for name in names], np.int64)
     index = np.where(current < 0, -1, number[np.maximum(current, 0)])
     materials = []
     for name in order:
         if name not in known:
             notes.append(f"material {name} is not in the material library: went on without it")
-        material, note = load_material(known.get(name, MaterialText(name)), folder)
+        material, note = pictures.material(known.get(name, MaterialText(name)))
         materials.append(material)
         notes += [note] if note else []
     return index, tuple(materials), tuple(dict.fromkeys(notes))
 
 
-def _library(words: str, folder: Path, notes: list[str]) -> dict[str, MaterialText]:
+def _libraries(lines: _Lines, folder: Path, notes: list[str]) -> dict[str, MaterialText]:
+    """Return the materials of all libraries that the file names, by name."""
     known: dict[str, MaterialText] = {}
-    for name in library_names(words, folder):
+    words = list(dict.fromkeys(lines.names(tables.MATERIAL_LIBRARY)))
+    limits.require_at_most(lines.name, "material libraries", len(words), limits.MATERIALS, "join them")
+    total = 0
+    for name in (name for line in words for name in library_names(line, folder)):
         file = find_beside(folder, name)
         if file is None:
-            notes.append(f"material library {name} is missing beside the scan: went on without textures")
-        else:
-            known |= parse_mtl(file.read_text("utf-8", "replace"))
+            found = "is missing beside the scan: went on without textures"
+            notes.append(f"material library {name} {found}")
+            continue
+        data = limits.read_bytes(file, limits.LIBRARY_BYTES, "export the scan again")
+        total += len(data)
+        place = f"the material libraries of {lines.name}"
+        limits.require_at_most(place, "bytes", total, limits.LIBRARY_BYTES, "export the scan again")
+        known |= parse_mtl(decoded(data))
     return known

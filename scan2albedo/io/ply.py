@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
+from scan2albedo.io import limits
 from scan2albedo.io.color import decode_srgb_integers, srgb_to_linear
-from scan2albedo.io.mtl import MaterialText, load_material
+from scan2albedo.io.mtl import MaterialText, ScanPictures
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
-from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines, walk_rows
+from scan2albedo.io.text_tables import NumberLines, NumberTable, number_lines, walk_rows
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -88,13 +89,16 @@ def read_ply(path: Path) -> ParsedMesh:
     if (index.counts < 3).any():
         short = int(np.flatnonzero(index.counts < 3)[0])
         raise ScanError(f"{path.name}: face {short} has {index.counts[short]} corners, expected at least 3")
+    triangles = len(index.items) - 2 * len(index.counts)
+    limits.require_at_most(path.name, "triangles", triangles, limits.TRIANGLES, "decimate it")
     corners, polygon = fan_triangles(index.counts)
     faces = index.items.astype(np.int64)[corners]
-    materials, notes = _textures(file.texture_files, path.parent)
+    uv = _corner_uv(vertex, face, index, faces, corners)
+    materials, notes = _textures(file.texture_files, path, has_uv=uv is not None)
     return ParsedMesh(
         vertices=vertices,
         faces=faces,
-        uv=_corner_uv(vertex, face, index, faces, corners),
+        uv=uv,
         material=_texture_of_face(face, polygon, len(materials)),
         materials=materials,
         vertex_color_linear=_vertex_colors(vertex),
@@ -102,9 +106,18 @@ def read_ply(path: Path) -> ParsedMesh:
     )
 
 
-def _textures(names: tuple[str, ...], folder: Path) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    loaded = [load_material(MaterialText(name, texture_file=name), folder) for name in names]
-    return tuple(m for m, _ in loaded), tuple(note for _, note in loaded if note)
+def _textures(
+    names: tuple[str, ...], path: Path, *, has_uv: bool
+) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+    """Return materials and notes; where no picture of the header is there, one of the scan's own name is."""
+    limits.require_at_most(path.name, "textures", len(names), limits.MATERIALS, "join them into one")
+    pictures = ScanPictures(path.parent)
+    loaded = [pictures.material(MaterialText(name, texture_file=name)) for name in names]
+    materials, notes = tuple(m for m, _ in loaded), tuple(note for _, note in loaded if note)
+    lost = has_uv and all(m.texture_linear is None for m in materials)
+    if lost and (found := pictures.named_like(path)) is not None:
+        return (found,), (*notes, f"texture {found.name} was found by the scan's name")
+    return materials, notes
 
 
 def _texture_of_face(face: Columns, polygon: IntArray, count: int) -> IntArray | None:
@@ -151,14 +164,20 @@ def _linear(colors: NDArray[Any]) -> NDArray[np.float32]:
 
 def _read_elements(path: Path) -> _PlyFile:
     """Read all elements; ScanError, naming the file, for a damaged header or a body cut short."""
-    data = path.read_bytes()
+    data = limits.read_bytes(path, advice="decimate it")
     end = _HEADER_END.search(data[: 1 << 20])
     if not data.lstrip()[:3].lower() == b"ply" or end is None:
         raise _damaged(path, "it has no complete PLY header")
     lines = data[: end.start()].decode("latin-1").splitlines()
     order, elements = _parse_header(path, lines)
+    for element in elements:
+        if element.count <= len(data):  # else it is cut short, which is told below
+            most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
+            limits.require_at_most(path.name, f"rows of {element.name}", element.count, most, "decimate it")
+        count, what = len(element.properties), f"properties of {element.name}"
+        limits.require_at_most(path.name, what, count, limits.PROPERTIES, "export it again")
     if order is None:
-        columns = _ascii_columns(path, data[end.end() :], elements)
+        columns = _ascii_columns(path, number_lines(data, end.end(), path.name), elements)
     else:
         columns = _binary_columns(path, np.frombuffer(data, np.uint8, offset=end.end()), elements, order)
     found = (re.match(r"comment\s+TextureFile\s+(.+)", line, re.IGNORECASE) for line in lines)
@@ -198,44 +217,39 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str | None, list[_Eleme
     return order, elements
 
 
-def _ascii_columns(path: Path, body: bytes, elements: list[_Element]) -> dict[str, Columns]:
-    text = np.frombuffer(body, np.uint8)
-    starts, ends = line_ranges(text)
-    counts = count_tokens(text, starts, ends)
-    starts, ends, counts = starts[counts > 0], ends[counts > 0], counts[counts > 0]
+def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> dict[str, Columns]:
     columns: dict[str, Columns] = {}
     row = 0
     for element in elements:
         rows = slice(row, row + element.count)
         row += element.count
-        if len(starts[rows]) < element.count:
+        if len(lines.counts[rows]) < element.count:
             raise _damaged(path, f"it declares {element.count} {element.name} rows, but ends before that")
-        width = int(counts[rows].max()) if element.count else 0
-        table, read = parse_float_lines(text, starts[rows], ends[rows], width)
-        if (read < 0).any():
-            raise _damaged(path, f"{element.name} {int(np.flatnonzero(read < 0)[0])} is not made of numbers")
-        columns[element.name] = _columns_of_table(path, element, table, read)
+        table = lines.table(rows)
+        if table.bad >= 0:
+            raise _damaged(path, f"{element.name} {table.bad} is not made of numbers")
+        columns[element.name] = _columns_of_table(path, element, table)
     return columns
 
 
-def _columns_of_table(path: Path, element: _Element, table: FloatArray, read: IntArray) -> Columns:
-    """Split rows of numbers (N, width) into properties; a list takes its count and its entries."""
+def _columns_of_table(path: Path, element: _Element, table: NumberTable) -> Columns:
+    """Split rows of numbers into properties; a list takes its count and its entries."""
     columns: Columns = {}
     column = np.zeros(element.count, np.int64)
-    rows = np.arange(element.count)
     for prop in element.properties:
-        if (column >= read).any():
-            raise _damaged(path, f"{element.name} {int(np.flatnonzero(column >= read)[0])} is cut short")
-        values = table[rows, column]
+        if (column >= table.counts).any():
+            raise _damaged(
+                path, f"{element.name} {int(np.flatnonzero(column >= table.counts)[0])} is cut short"
+            )
+        values = table.values[table.first + column]
         column = column + 1
         if prop.count_type is None:
             columns[prop.name] = _converted(path, element, prop, values)
             continue
-        if not ((values >= 0) & (column + values <= read)).all():  # NaN is neither
+        if not ((values >= 0) & (column + values <= table.counts)).all():  # NaN is neither
             raise _damaged(path, f"a list {prop.name} of {element.name} is cut short")
         counts = values.astype(np.int64)
-        inside = np.arange(table.shape[1]) - column[:, None]
-        items = table[(inside >= 0) & (inside < counts[:, None])]
+        items = table.ranges(column, counts)
         columns[prop.name] = _ListColumn(counts, _converted(path, element, prop, items))
         column = column + counts
     return columns
@@ -260,8 +274,11 @@ def _binary_columns(
     position = 0
     for element in elements:
         result = _uniform_rows(body[position:], element, order)
-        # A row has a byte at least, so a count beyond the file's size is not worth making room for.
-        if result is None and element.count <= len(body):
+        # A property of a row has a byte at least: a count beyond the file is not worth making room for.
+        cells = element.count * len(element.properties)
+        if result is None and cells <= len(body):
+            what = f"properties of {element.name} with lists of several lengths"
+            limits.require_at_most(path.name, what, cells, limits.TABLE_CELLS, "decimate it")
             result = _ragged_rows(body[position:], element, order)
         if result is None:
             raise _damaged(path, f"it declares {element.count} {element.name} rows, but ends before that")
@@ -282,9 +299,11 @@ def _uniform_rows(body: NDArray[np.uint8], element: _Element, order: str) -> tup
             if start + count_type.itemsize > len(body):
                 return None
             lengths[prop.name] = int(body[start : start + count_type.itemsize].view(count_type)[0])
+            if not 0 <= lengths[prop.name] * prop.item_type.itemsize <= len(body):
+                return None
     row_type = _row_type(element, order, lengths)
     size = row_type.itemsize * element.count
-    if min(lengths.values(), default=0) < 0 or size > len(body):
+    if size > len(body):
         return None
     rows = body[:size].view(row_type)
     if any((rows[f"#{name}"] != length).any() for name, length in lengths.items()):

@@ -14,10 +14,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
+from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.parsed_mesh import ParsedMesh, cut_note, fan_triangles
-from scan2albedo.io.text_tables import count_tokens, line_ranges, parse_float_lines, split_keywords
+from scan2albedo.io.text_tables import (
+    NumberTable,
+    line_ranges,
+    number_lines,
+    parse_float_lines,
+    split_keywords,
+)
 
 _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
 
@@ -31,15 +39,19 @@ def read_stl(path: Path) -> ParsedMesh:
     """Read a binary or ASCII STL file. Raises ScanError, naming it, when it is damaged, cut or empty."""
     from trimesh.exchange.stl import load_stl_ascii, load_stl_binary
 
-    data = path.read_bytes()
+    data = limits.read_bytes(path, advice="decimate it")
     declared = int.from_bytes(data[80:84], "little")
     needed = _STL_HEADER_BYTES + _STL_TRIANGLE_BYTES * declared
     try:
         if len(data) == needed:
+            limits.require_at_most(path.name, "triangles", declared, limits.TRIANGLES, "decimate it")
             loaded = load_stl_binary(BytesIO(data))
         elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
+            limits.require_at_most(path.name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
             if (corners := _undamaged_corners(data)) is not None:
                 return ParsedMesh(corners, np.arange(len(corners)).reshape(-1, 3))
+            advice = "save it as binary STL"
+            limits.require_at_most(path.name, "bytes", len(data), limits.SLOW_TEXT_BYTES, advice)
             with warnings.catch_warnings():
                 warnings.simplefilter("error", DeprecationWarning)  # of text that is no numbers
                 loaded = load_stl_ascii(StringIO(data.decode("utf-8", "replace")))
@@ -74,55 +86,60 @@ def _undamaged_corners(data: bytes) -> NDArray[np.float64] | None:
 
 def read_off(path: Path) -> ParsedMesh:
     """Read an ASCII OFF file. Raises ScanError, naming it, when it is damaged, binary or cut short."""
-    data = path.read_bytes()
+    data = limits.read_bytes(path, advice="decimate it")
     header = _HEADER.match(data)
     if header is None or header[0].endswith(b"BINARY"):
         raise _damaged(
             path, "it does not begin with OFF" if header is None else "binary OFF is not supported"
         )
-    text = np.frombuffer(data, np.uint8, offset=header.end())
-    starts, ends = line_ranges(text)
-    counts = count_tokens(text, starts, ends)
-    starts, ends, counts = starts[counts > 0], ends[counts > 0], counts[counts > 0]
-    table, read = parse_float_lines(text, starts, ends, int(counts.max(initial=0)))
-    if len(read) == 0 or read[0] < 2 or (read < 0).any():
+    lines = number_lines(data, header.end(), path.name)
+    head = lines.table(slice(1))
+    if len(head.counts) == 0 or head.counts[0] < 2 or head.bad >= 0:
         raise _damaged(path, "a line is not made of numbers")
-    if not np.isfinite(table[0, :2]).all():
+    if not np.isfinite(head.values[:2]).all():
         raise _damaged(path, "its counts are not numbers")
-    vertex_count, face_count = int(table[0, 0]), int(table[0, 1])
-    if vertex_count < 0 or face_count < 0 or len(table) < 1 + vertex_count + face_count:
+    vertex_count, face_count = int(head.values[0]), int(head.values[1])
+    if vertex_count < 0 or face_count < 0 or len(lines.counts) < 1 + vertex_count + face_count:
         raise _damaged(
             path, f"it declares {vertex_count} vertices and {face_count} faces, but ends before that"
         )
-    vertices = table[1 : 1 + vertex_count]
-    if vertex_count and read[1 : 1 + vertex_count].min() < 3:
+    limits.require_at_most(path.name, "vertices", vertex_count, limits.VERTICES, "decimate it")
+    vertices = lines.table(slice(1, 1 + vertex_count))
+    rows = lines.table(slice(1 + vertex_count, 1 + vertex_count + face_count))
+    if vertices.bad >= 0 or rows.bad >= 0:
+        raise _damaged(path, "a line is not made of numbers")
+    if vertex_count and vertices.counts.min() < 3:
         raise _damaged(path, "a vertex has fewer than 3 coordinates")
-    rows = slice(1 + vertex_count, 1 + vertex_count + face_count)
-    faces, notes = _faces(path, table[rows], read[rows])
-    colors = _colors(vertices[:, 3:], bool(header[2]) and not (header[1] or header[3]))
-    return ParsedMesh(vertices[:, :3].copy(), faces, vertex_color_linear=colors, notes=notes)
+    faces, notes = _faces(path, rows)
+    declared = bool(header[2]) and not (header[1] or header[3])
+    xyz = vertices.values[vertices.first[:, None] + np.arange(3)]
+    return ParsedMesh(xyz, faces, vertex_color_linear=_colors(vertices) if declared else None, notes=notes)
 
 
 def _damaged(path: Path, what: str, kind: str = "ASCII OFF") -> ScanError:
     return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no {kind}: export it again")
 
 
-def _faces(
-    path: Path, rows: NDArray[np.float64], read: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    if len(rows) == 0:
+def _faces(path: Path, rows: NumberTable) -> tuple[IntArray, tuple[str, ...]]:
+    if len(rows.counts) == 0:
         return np.zeros((0, 3), np.int64), ()
-    if not ((rows[:, 0] >= 3) & (rows[:, 0] + 1 <= read)).all():  # NaN is neither
+    declared = rows.values[rows.first]
+    if not ((declared >= 3) & (declared + 1 <= rows.counts)).all():  # NaN is neither
         raise _damaged(path, "a face has fewer than 3 corners, or fewer than it declares")
-    counts = rows[:, 0].astype(np.int64)
-    corners = rows[:, 1:][np.arange(rows.shape[1] - 1) < counts[:, None]]
+    counts = declared.astype(np.int64)
+    triangles = int(counts.sum()) - 2 * len(counts)
+    limits.require_at_most(path.name, "triangles", triangles, limits.TRIANGLES, "decimate it")
+    corners = rows.ranges(np.ones(len(counts), np.int64), counts)
     index = np.where(np.abs(corners) < _LARGEST_INDEX, corners, -1).astype(np.int64)
     return index[fan_triangles(counts).corners], cut_note(counts)
 
 
-def _colors(values: NDArray[np.float64], declared: bool) -> NDArray[np.float32] | None:
-    """Return linear colours from sRGB in [0, 1] or [0, 255]."""
-    if not declared or values.shape[1] < 3 or not np.isfinite(values[:, :3]).all():
+def _colors(vertices: NumberTable) -> NDArray[np.float32] | None:
+    """Return linear colours from sRGB in [0, 1] or [0, 255], behind the coordinates."""
+    if len(vertices.counts) == 0 or vertices.counts.min() < 6:
         return None
-    srgb = values[:, :3].clip(0)
+    values: FloatArray = vertices.values[vertices.first[:, None] + np.arange(3, 6)]
+    if not np.isfinite(values).all():
+        return None
+    srgb = values.clip(0)
     return srgb_to_linear(srgb / 255 if srgb.max(initial=0) > 1 else srgb).astype(np.float32)

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.io import limits
 
 OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY = range(6)
 """Kinds of the lines of OBJ files."""
@@ -165,6 +171,29 @@ def parse_float_lines(text, starts, ends, width):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
+def parse_tokens(text, starts, ends, counts):  # type: ignore[no-untyped-def]
+    """Return (the numbers of all lines, one after the other, and the first line not made of numbers or -1).
+
+    `counts` (N,) are the tokens of each line as `count_tokens` returns them.
+    """
+    values = np.empty(counts.sum())
+    row = 0
+    for line in range(starts.size):
+        position = starts[line]
+        for _ in range(counts[line]):
+            while _is_blank(text[position]):
+                position += 1
+            begin = position
+            while position < ends[line] and not _is_blank(text[position]):
+                position += 1
+            values[row], is_number = _parse_float(text, begin, position)
+            if not is_number:
+                return values, line
+            row += 1
+    return values, -1
+
+
+@njit(cache=True, nogil=True)
 def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
     """Return (N,) number of blank-separated tokens of each line before a comment."""
     counts = np.zeros(starts.size, np.int64)
@@ -242,3 +271,46 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
             if position > body.size or position < 0:
                 return offsets, counts, -1
     return offsets, counts, position
+
+
+class NumberLines(NamedTuple):
+    """The lines of a text that hold anything, and how many words each has."""
+
+    text: NDArray[np.uint8]
+    starts: IntArray
+    ends: IntArray
+    counts: IntArray
+
+    def table(self, rows: slice) -> NumberTable:
+        """Return the numbers of some of the lines."""
+        counts = self.counts[rows]
+        values, bad = parse_tokens(self.text, self.starts[rows], self.ends[rows], counts)
+        return NumberTable(values, np.cumsum(counts) - counts, counts, int(bad))
+
+
+class NumberTable(NamedTuple):
+    """The numbers of lines of any length, in as much memory as they need."""
+
+    values: FloatArray
+    """The numbers of all lines, one after the other."""
+    first: IntArray
+    """(N,) where in `values` each line begins."""
+    counts: IntArray
+    """(N,) numbers of each line."""
+    bad: int
+    """The first line that is not made of numbers, -1 for none; numbers from there on are not set."""
+
+    def ranges(self, begin: IntArray, counts: IntArray) -> FloatArray:
+        """Return `counts` (N,) numbers from place `begin` (N,) in each line, line after line."""
+        before = np.cumsum(counts) - counts
+        return self.values[np.arange(int(counts.sum())) + np.repeat(self.first + begin - before, counts)]
+
+
+def number_lines(data: bytes, start: int, name: str) -> NumberLines:
+    """Return the lines of `data` from `start` on that hold a word; raises TooLargeError for too many."""
+    limits.require_at_most(name, "lines", data.count(b"\n", start), limits.TEXT_LINES, "decimate it")
+    text = np.frombuffer(data, np.uint8, offset=start)
+    starts, ends = line_ranges(text)
+    counts = count_tokens(text, starts, ends)
+    filled = counts > 0
+    return NumberLines(text, starts[filled], ends[filled], counts[filled])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 
 Image = NDArray[np.float32]
@@ -17,7 +18,8 @@ GUTTER = 2
 """Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
 
 _SOLID_SIZE = 4
-_MAX_REPEATED_TEXELS = 8192 * 8192
+_LARGEST_ATLAS = limits.PIXELS * 5 // 4
+"""Pixels: pictures of all sizes and their gutters leave gaps."""
 
 
 @dataclass(frozen=True)
@@ -45,20 +47,28 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     material = np.zeros(len(mesh.faces), np.int64) if mesh.material is None else mesh.material
     textured = np.array([m.texture_linear is not None for m in mesh.materials] + [False])
     mapped = has_uv & textured[material]
+    material_of_picture = np.array([*_first_with_same_picture(mesh.materials), -1])
     if not mapped.any():
         return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
-    tiles, tile, uv, notes = _tiles(mesh, np.where(mapped, material, -1))
+    tiles, tile, uv, notes = _tiles(mesh, np.where(mapped, material_of_picture[material], -1))
     if len(tiles) == 1:
         return PackedTexture(uv, tiles[0], notes)
     texture, boxes = _lay_out(tiles)
     if not mapped.all():
         notes = (*notes, f"faces without texture, given their material's colour: {int((~mapped).sum())}")
-    if textured.sum() > 1:
+    pictures = len(np.unique(material_of_picture[textured]))
+    if pictures > 1:
         notes = (
             *notes,
-            f"packed {int(textured.sum())} textures into one of {texture.shape[1]}x{texture.shape[0]}",
+            f"packed {pictures} textures into one of {texture.shape[1]}x{texture.shape[0]}",
         )
     return PackedTexture(_into_boxes(uv, boxes[tile], texture.shape), texture, notes)
+
+
+def _first_with_same_picture(materials: tuple[Material, ...]) -> list[int]:
+    """Return for each material the first one that shares its texture."""
+    first: dict[int, int] = {}
+    return [first.setdefault(id(m.texture_linear), i) for i, m in enumerate(materials)]
 
 
 def _tiles(
@@ -71,30 +81,40 @@ def _tiles(
     material = np.full(len(uv), -1) if mesh.material is None else mesh.material
     tiles: list[Image] = []
     notes: list[str] = []
-    for index in np.unique(texture_of_face[texture_of_face >= 0]):
+    used = np.unique(texture_of_face[texture_of_face >= 0])
+    pictures = [mesh.materials[index].texture_linear for index in used]
+    left = limits.PIXELS - sum(p.shape[0] * p.shape[1] for p in pictures if p is not None)
+    for index in used:
         faces = np.flatnonzero(texture_of_face == index)
         texture = mesh.materials[index].texture_linear
         assert texture is not None
-        uv[faces], repeated, note = _inside_unit_square(mesh.uv[faces], texture)
+        texels = texture.shape[0] * texture.shape[1]
+        uv[faces], repeated, note = _inside_unit_square(mesh.uv[faces], texture, left + texels)
+        left -= repeated.shape[0] * repeated.shape[1] - texels
         tile[faces] = len(tiles)
         tiles.append(repeated)
         notes += [f"{mesh.materials[index].name}: {note}"] if note else []
-    for index in np.unique(material[tile < 0]):
-        tile[(tile < 0) & (material == index)] = len(tiles)
+    plain = np.flatnonzero(tile < 0)
+    colors, color_of_face = np.unique(material[plain], return_inverse=True)
+    tile[plain] = len(tiles) + color_of_face
+    for index in colors:
         color = mesh.materials[index].base_color_linear if index >= 0 else Material("").base_color_linear
         tiles.append(np.full((_SOLID_SIZE, _SOLID_SIZE, 3), color, np.float32))
     return tiles, tile, uv, tuple(notes)
 
 
-def _inside_unit_square(uv: FloatArray, texture: Image) -> tuple[FloatArray, Image, str]:
-    """Return (uv in [0, 1] (F, 3, 2), the texture repeated as often as they need, note)."""
+def _inside_unit_square(uv: FloatArray, texture: Image, most: int) -> tuple[FloatArray, Image, str]:
+    """Return (uv in [0, 1] (F, 3, 2), the texture repeated as often as they need, note).
+
+    A texture that would have more texels than `most` is not repeated.
+    """
     texel = 1.0 / np.array([texture.shape[1], texture.shape[0]])
     if (uv >= -texel).all() and (uv <= 1 + texel).all():
         return np.clip(uv, 0.0, 1.0), texture, ""
     moved = in_first_period(uv, texture.shape)
     # As floats: absurd coordinates overflow any integer.
     columns, rows = (float(n) for n in np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel), 1))
-    if columns * rows * texture.shape[0] * texture.shape[1] > _MAX_REPEATED_TEXELS:
+    if columns * rows * texture.shape[0] * texture.shape[1] > most:
         far = int((moved > 1 + texel).any(axis=(1, 2)).sum())
         note = f"texture coordinates of {far} faces span {columns:.4g}x{rows:.4g} repeats: clamped to one"
         return np.clip(moved, 0.0, 1.0), texture, note
@@ -122,6 +142,9 @@ def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
             left, top, shelf = 0, top + shelf, 0
         boxes[i] = (left + GUTTER, top + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
         left, shelf = left + sizes[i][0], max(shelf, sizes[i][1])
+    pixels = (top + shelf) * int((boxes[:, 0] + boxes[:, 2]).max() + GUTTER)
+    advice = "save its textures as one picture"
+    limits.require_at_most("the texture of the scan's materials", "pixels", pixels, _LARGEST_ATLAS, advice)
     atlas = np.zeros((top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3), np.float32)
     for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]

@@ -16,8 +16,9 @@ import numpy as np
 
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core.arguments import require_type
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.errors import InsideOutError
+from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
@@ -77,7 +78,8 @@ def process(
 
     Raises Scan2AlbedoError with one clear message when the scan cannot be read, holds no face, cannot be
     fitted, or the results cannot be written; earlier warnings of the stages are in its notes (`__notes__`).
-    Raises ValueError for options that `ProcessOptions` refuses.
+    Raises ValueError for options that `ProcessOptions` refuses, TypeError for another source than a path or a
+    `RawScan`.
 
     Parameters
     ----------
@@ -92,16 +94,21 @@ def process(
     **options
         The fields of `ProcessOptions`, such as ``size=1024``, ``budget=20`` or ``skip=["albedo"]``.
     """
+    advice = "give the path of a scan, or what load_scan(path) returns"
+    require_type(source, (str, Path, RawScan), "process: source", advice)
+    if out is not None:
+        require_type(out, (str, Path), "process: out", "give the folder for the results")
     chosen = ProcessOptions(**options)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
         own_files(Path(out) / _name(source, name))
         check_writable(Path(out))
         remove_leftovers(Path(out))
-    result = _processed(source, name, chosen, on_progress)
-    if out is None:
-        return result
-    return replace(result, out=write_result(result, Path(out), pictures=chosen.pictures))
+    with memory_errors_named(_name(source, name)):
+        result = _processed(source, name, chosen, on_progress)
+        if out is None:
+            return result
+        return replace(result, out=write_result(result, Path(out), pictures=chosen.pictures))
 
 
 def _name(source: str | Path | RawScan, name: str | None) -> str:

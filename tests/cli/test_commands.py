@@ -20,6 +20,7 @@ from scan2albedo.cli import doctor
 from scan2albedo.cli.commands import app
 from scan2albedo.cli.common import echo_json
 from scan2albedo.pipeline import validation
+from tests.io.meshes import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
 
@@ -222,3 +223,37 @@ def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
     finding = doctor._library("open3d", "open3d")
     assert "libgl1" in finding.remedy
     assert "libGL.so.1" in finding.detail
+
+
+@pytest.mark.parametrize("error", [MemoryError, RecursionError, OverflowError])
+def test_a_scan_that_is_too_large_does_not_stop_the_next(tmp_path, monkeypatch, error):
+    taken = []
+
+    def too_large(scan, *_, **__):
+        taken.append(scan.name)
+        raise error
+
+    monkeypatch.setattr("scan2albedo.pipeline.process.register", too_large)
+    for name in ("first", "second"):
+        write_square_obj(tmp_path, name=name, texture=f"{name}.png")
+    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    failed = invoke("process", tmp_path / "first.obj", tmp_path / "second.obj", "-o", tmp_path / "out")
+    assert failed.exit_code == 2
+    assert taken == ["first", "second"]
+    for name in taken:
+        assert f"error: {name}: " in failed.stderr
+    assert "Traceback" not in failed.stderr
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ValueError("no such light"), RecursionError("too deep")])
+def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
+    def fail():
+        raise error
+
+    monkeypatch.setattr(cli, "app", fail)
+    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    with pytest.raises(SystemExit, match="2"):
+        cli.main()
+    shown = capsys.readouterr().err
+    assert shown.startswith(f"scan2albedo: error: {type(error).__name__}")
+    assert shown.count("\n") == 1

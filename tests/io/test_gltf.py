@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import MissingDependencyError, ScanError
 from scan2albedo.io import load_scan
 from scan2albedo.io.glb import write_glb
 from tests.io.meshes import (
@@ -120,6 +120,61 @@ def test_a_wrong_index_is_refused_by_name(tmp_path):
     path.write_bytes(glb_bytes(tree, broken))
     with pytest.raises(ScanError, match=r"a\.glb: a face refers to vertex 77, but there are 4"):
         load_scan(path)
+
+
+def test_a_mesh_without_material_and_colours(tmp_path):
+    tree, binary = square_gltf(None)
+    del tree["meshes"][0]["primitives"][0]["material"], tree["materials"]
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    np.testing.assert_array_equal(load_scan(tmp_path / "a.glb").vertices, SQUARE_MM)
+
+
+def draco_square(path):
+    """Write the square as Draco holds it, beside its picture; returns the tree."""
+    DracoPy = pytest.importorskip("DracoPy")
+    tree, binary = square_gltf(png_bytes(quarters()))
+    uv = np.column_stack([SQUARE_UV[:, 0], 1 - SQUARE_UV[:, 1]])
+    blob = DracoPy.encode(
+        SQUARE_MM, SQUARE_FACES.astype(np.uint32), tex_coord=uv, preserve_order=True, quantization_bits=14
+    )
+    numbers = {part["attribute_type"]: part["unique_id"] for part in DracoPy.decode(blob).attributes}
+    for accessor in tree["accessors"]:
+        del accessor["bufferView"]
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(blob)})
+    kinds = DracoPy.AttributeType
+    names = {"POSITION": numbers[kinds.POSITION], "TEXCOORD_0": numbers[kinds.TEX_COORD]}
+    compressed = {"bufferView": len(tree["bufferViews"]) - 1, "attributes": names}
+    tree["meshes"][0]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": compressed}
+    tree["extensionsUsed"] = tree["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    tree["buffers"] = [{"byteLength": len(binary + blob)}]
+    path.write_bytes(glb_bytes(tree, binary + blob))
+
+
+def test_draco_is_decoded(tmp_path):
+    draco_square(tmp_path / "a.glb")
+    scan = load_scan(tmp_path / "a.glb", unit="mm")
+    np.testing.assert_allclose(scan.vertices, SQUARE_MM, atol=0.01)
+    for position, color in zip(scan.vertices, CORNER_LINEAR, strict=True):
+        np.testing.assert_allclose(color_near_corner(scan, position), color, atol=1e-6)
+
+
+def test_draco_without_its_decoder_names_what_to_install(tmp_path, monkeypatch):
+    draco_square(tmp_path / "a.glb")
+    monkeypatch.setattr("scan2albedo.io.gltf_limits.find_spec", lambda name: None)
+    with pytest.raises(
+        MissingDependencyError, match=r"a\.glb: .* pip install 'scan2albedo\[draco\]', or export"
+    ):
+        load_scan(tmp_path / "a.glb")
+
+
+def test_compression_that_nothing_decodes_is_named(tmp_path):
+    tree, binary = square_gltf(None)
+    tree["extensionsRequired"] = ["EXT_meshopt_compression"]
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    with pytest.raises(
+        ScanError, match=r"EXT_meshopt_compression, .*export a\.glb again without compression"
+    ):
+        load_scan(tmp_path / "a.glb")
 
 
 def test_compressed_meshes_are_refused_not_read_as_zeros(tmp_path):

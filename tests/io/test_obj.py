@@ -1,8 +1,11 @@
+import unicodedata
+
 import numpy as np
 import pytest
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.mtl import parse_mtl
 from scan2albedo.io.obj import read_obj, write_obj
 from tests.io.meshes import (
@@ -230,3 +233,73 @@ def test_a_mesh_comes_back_to_the_last_bit(tmp_path):
     np.testing.assert_array_equal(scan.faces, faces)
     with pytest.raises(OutputError, match="nowhere"):
         write_obj(tmp_path / "nowhere" / "a.obj", vertices, faces)
+
+
+@pytest.mark.parametrize("library", [None, "", "newmtl skin\nmap_Kd lost.png\n"])
+def test_a_picture_of_the_scans_own_name_stands_in_for_what_is_missing(tmp_path, library):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.mtl").unlink()
+    if library is not None:
+        (tmp_path / "face.mtl").write_text(library)
+    scan = load_scan(path)
+    assert_corner_colors(scan)
+    assert "texture face.png was found by the scan's name" in scan.notes
+    before = input_sha256(path)
+    write_image(tmp_path / "face.png", quarters(16))
+    assert input_sha256(path) != before
+
+
+def test_a_plain_material_needs_no_picture(tmp_path):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.mtl").write_text("newmtl skin\nKd 1 0 0\n")
+    assert load_scan(path).texture_linear is None
+
+
+def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
+    from scan2albedo.io import mtl
+
+    path = write_square_obj(tmp_path)
+    text = path.read_text().splitlines()
+    path.write_text("\n".join([*text[:-1], "usemtl other", text[-1]]))
+    (tmp_path / "face.mtl").write_text(
+        "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd -clamp on ./face.png\n"
+    )
+    taken = []
+    read = mtl.read_image_linear
+    monkeypatch.setattr(mtl, "read_image_linear", lambda file: (taken.append(file), read(file))[1])
+    scan = load_scan(path)
+    assert len(taken) == 1
+    assert scan.texture_linear.shape == (8, 8, 3)
+    assert not any("packed" in note for note in scan.notes)
+    assert_corner_colors(scan)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-8-sig"])
+def test_names_of_other_scripts_in_obj_and_mtl(tmp_path, encoding):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.mtl").rename(tmp_path / "Jürgen.mtl")
+    (tmp_path / "face.png").rename(tmp_path / "Gesicht é.png")
+    path.write_bytes(path.read_text().replace("face.mtl", "Jürgen.mtl").encode(encoding))
+    library = "newmtl skin\nmap_Kd Gesicht é.png\n"
+    (tmp_path / "Jürgen.mtl").write_bytes(library.encode(encoding))
+    assert_corner_colors(load_scan(path))
+
+
+def test_names_in_another_unicode_form_and_other_code_pages(tmp_path):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.png").rename(tmp_path / unicodedata.normalize("NFD", "Gesichté.png"))
+    library = tmp_path / "face.mtl"
+    library.write_text("newmtl skin\nmap_Kd Gesichté.png\n")
+    assert_corner_colors(load_scan(path))
+    next(tmp_path.glob("Gesicht*")).rename(tmp_path / "顔.png")
+    for encoding in ("cp932", "gbk"):
+        library.write_bytes("newmtl skin\nmap_Kd 顔.png\n".encode(encoding))
+        assert_corner_colors(load_scan(path))
+
+
+def test_a_name_that_nothing_decodes_is_told_and_printable(tmp_path):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.png").unlink()
+    (tmp_path / "face.mtl").write_bytes(b"newmtl skin\nmap_Kd lost\xff\xfe.png\n")
+    (note,) = [note for note in load_scan(path).notes if "missing" in note]
+    assert note.isprintable()

@@ -228,3 +228,20 @@ def test_trimesh_reads_the_same(tmp_path):
         scan = load_scan(path)
         np.testing.assert_array_equal(scan.faces, mesh.faces)
         np.testing.assert_allclose(scan.vertices, mesh.vertices, rtol=1e-6, atol=1e-5)
+
+
+def test_a_picture_of_the_scans_own_name_stands_in_for_what_is_missing(tmp_path):
+    corners = [
+        [*row, ("u1", [6]), ("f4", SQUARE_UV[f].ravel().tolist())]
+        for row, f in zip(triangles(), SQUARE_FACES, strict=True)
+    ]
+    path = ply(
+        tmp_path / "a.ply",
+        "binary_little_endian",
+        {"vertex": (XYZ, positions()), "face": ([*INDICES, "list uchar float texcoord"], corners)},
+        comments=["TextureFile lost.png"],
+    )
+    write_image(tmp_path / "a.png", quarters())
+    scan = load_scan(path)
+    assert_corner_colors(scan)
+    assert "texture a.png was found by the scan's name" in scan.notes

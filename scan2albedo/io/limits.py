@@ -1,0 +1,93 @@
+"""How much of a file is read; what declares or holds more is refused before any work.
+
+Within these limits a scan is read in about 2 GB of memory and 20 seconds. What a scan needs lies far below: a
+head of 0.1 mm resolution has five million triangles, and a geometry image of it at most 16384 x 16384 texels.
+"""
+
+from __future__ import annotations
+
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+from scan2albedo.errors import ScanError, TooLargeError
+
+FILE_BYTES = 1 << 29
+"""Of a scan, a picture, or a binary buffer that a scan refers to."""
+TEXT_LINES = 1 << 24
+"""Of a mesh written as text."""
+SLOW_TEXT_BYTES = 1 << 27
+"""Of text STL files with several solids, or damage; their reader makes strings of all words."""
+VERTICES = 1 << 23
+TRIANGLES = 1 << 23
+"""Of all instances together, and of what polygons are cut into."""
+PROPERTIES = 1 << 10
+"""Of an element of a PLY file."""
+TABLE_CELLS = 1 << 26
+"""Rows times properties of a binary PLY element whose lists differ in length."""
+PIXELS = 1 << 26
+"""Of a picture, and of all pictures of a scan together: 8192 x 8192."""
+PICTURE_BYTES = 3 << 28
+"""Of a picture's samples: three 32-bit floats for each of `PIXELS`."""
+LIBRARY_BYTES = 1 << 24
+"""Of the MTL files of a scan together, where a material takes some 200 bytes."""
+NAME_BYTES = 1 << 12
+"""Of the name of a material or file, with its options: paths are shorter."""
+NAME_LINES = 1 << 21
+"""Lines of an OBJ file that name a material."""
+MATERIALS = 1 << 10
+"""Of a scan, which are laid side by side in one texture."""
+NODES = 1 << 12
+"""Of a glTF scene, each counted as often as it is reached; also of the parts that all its meshes have."""
+NODE_DEPTH = 1 << 8
+JSON_VALUES = 1 << 22
+"""Of the JSON of a glTF file."""
+ARRAY_BYTES = 3 << 29
+"""Of the arrays of an NPZ file together: a geometry image of 4096 x 4096 texels has 1.3 GB."""
+GROWTH = 16
+"""Arrays and EXR pictures of more bytes than that are read from files that are large themselves: masks shrink
+more, measured numbers less. What a file of zeros declares may be a thousand times its size."""
+
+
+def require_at_most(name: str, what: str, count: float, limit: int, advice: str) -> None:
+    """Raise TooLargeError, naming the file, when `count` of something is above its limit.
+
+    >>> require_at_most("a.obj", "lines of text", 30, 20, "decimate it")
+    Traceback (most recent call last):
+        ...
+    scan2albedo.errors.TooLargeError: a.obj: 30 lines of text are more than the 20 that are read; decimate it
+    """
+    if count > limit:
+        raise TooLargeError(f"{name}: {count:,} {what} are more than the {limit:,} that are read; {advice}")
+
+
+def parse_json(name: str, text: bytes) -> Any:
+    """Return what JSON text holds; raises ValueError, RecursionError, and TooLargeError for too many values.
+
+    Text inside quotes counts too, but no more than its commas and brackets: base64 has none.
+    """
+    values = 1 + text.count(b",") + text.count(b"[") + text.count(b"{")
+    require_at_most(name, "JSON values", values, JSON_VALUES, "decimate or simplify the scene")
+    return json.loads(text.decode("utf-8", "replace"))
+
+
+def require_regular(file: Path) -> None:
+    """Raise ScanError for a pipe, a device or a socket, which may never end; OSError for a missing file."""
+    mode = file.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise ScanError(f"{file}: is a pipe or a device, not a file; give the file that holds the scan")
+
+
+def require_file(file: Path, limit: int = FILE_BYTES, advice: str = "make it smaller") -> int:
+    """Return the bytes of a file; raises as `require_regular`, and TooLargeError for more than `limit`."""
+    require_regular(file)
+    size = file.stat().st_size
+    require_at_most(file.name, "bytes", size, limit, advice)
+    return size
+
+
+def read_bytes(file: Path, limit: int = FILE_BYTES, advice: str = "make it smaller") -> bytes:
+    """Return the content of a file; raises as `require_file` does."""
+    require_file(file, limit, advice)
+    return file.read_bytes()

@@ -1,0 +1,356 @@
+"""What a file declares is judged before room is made for it: one clear error, in little memory and time."""
+
+import json
+import struct
+import time
+import zipfile
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.errors import GeometryImageError, ScanError, TooLargeError
+from scan2albedo.io import limits, load_scan
+from scan2albedo.io.image_headers import picture_size
+from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr
+from scan2albedo.io.input_hash import input_sha256
+from tests.io.meshes import glb_bytes, quarters, square_gltf, write_image, write_square_obj
+
+
+def _memory_bytes(field):
+    return 1024 * int(Path("/proc/self/status").read_text().split(f"{field}:")[1].split()[0])
+
+
+@pytest.fixture(autouse=True)
+def _small_and_soon():
+    Path("/proc/self/clear_refs").write_text("5")
+    before, start = _memory_bytes("VmRSS"), time.process_time()
+    yield
+    assert _memory_bytes("VmHWM") - before < 1e9
+    assert time.process_time() - start < 20
+
+
+def png_of(width, height):
+    """Return a PNG that declares a size and holds next to nothing."""
+
+    def chunk(kind, body):
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + parts
+
+
+def declaring(extension, side):
+    """Return a whole picture of 16 x 16 pixels whose header declares `side` x `side`."""
+    picture = quarters(16)
+    if extension == ".hdr":
+        data = cv2.imencode(".hdr", picture.astype(np.float32))[1].tobytes()
+        return data.replace(b"-Y 16 +X 16", b"-Y %d +X %d" % (side, side))
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, 1] if extension == ".tif" else []
+    data = bytearray(cv2.imencode(extension, picture, options)[1].tobytes())
+    if extension == ".png":
+        return png_of(side, side)
+    if extension == ".bmp":
+        data[18:26] = struct.pack("<ii", side, -side)
+    elif extension == ".jpg":
+        place = data.index(b"\xff\xc0") + 5
+        data[place : place + 4] = struct.pack(">HH", side, side)
+    elif extension == ".webp":
+        assert data[12:16] == b"VP8L"
+        data[21:25] = struct.pack("<I", side - 1 | side - 1 << 14)
+    else:
+        for tag in (256, 257):
+            place = data.index(struct.pack("<HHIH", tag, 3, 1, 16))
+            data[place : place + 12] = struct.pack("<HHII", tag, 4, 1, side)
+    return bytes(data)
+
+
+PICTURES = {".png": 60000, ".jpg": 65000, ".bmp": 60000, ".webp": 16000, ".tif": 60000, ".hdr": 60000}
+
+
+@pytest.mark.parametrize("extension", PICTURES)
+def test_pictures_are_judged_by_their_header(tmp_path, extension):
+    side = PICTURES[extension]
+    whole = cv2.imencode(extension, quarters(16).astype(np.float32 if extension == ".hdr" else np.uint8))[1]
+    assert picture_size(whole.tobytes()).pixels == 256
+    (tmp_path / "big.png").write_bytes(declaring(extension, side))
+    with pytest.raises(TooLargeError, match=rf"image .*big\.png: {side * side:,} pixels are more than the "):
+        read_image_linear(tmp_path / "big.png")
+
+
+@pytest.mark.parametrize("size", [(4, 3), (3, 4)])
+@pytest.mark.parametrize("extension", [".png", ".jpg", ".bmp", ".webp", ".tif", ".hdr"])
+def test_sizes_of_headers_are_those_of_the_pixels(extension, size):
+    picture = np.zeros((*size, 3), np.float32 if extension == ".hdr" else np.uint8)
+    assert picture_size(cv2.imencode(extension, picture)[1].tobytes()).pixels == 12
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("big", [False, True])
+def test_tiff_headers_of_both_orders_and_sizes(order, big):
+    mark = (b"II" if order == "<" else b"MM") + struct.pack(order + "H", 43 if big else 42)
+    word, count = ("Q", "Q") if big else ("I", "H")
+    head = mark + (struct.pack(order + "HHQ", 8, 0, 16) if big else struct.pack(order + "I", 8))
+    entries = ((256, 4, 70_000), (257, 4, 50_000), (277, 3, 4), (258, 3, 32))
+    body = b""
+    for tag, kind, value in entries:
+        packed = struct.pack(order + "HH" + word, tag, kind, 1)
+        inline = struct.pack(order + ("H" if kind == 3 else "I"), value)
+        body += packed + inline.ljust(struct.calcsize(word), b"\0")
+    size = picture_size(head + struct.pack(order + count, len(entries)) + body)
+    assert size == (3_500_000_000, 16 * 3_500_000_000)
+
+
+def test_exr_windows_are_judged_before_the_pixels(tmp_path):
+    write_exr(tmp_path / "a.exr", np.zeros((4, 4, 3)))
+    data = (tmp_path / "a.exr").read_bytes()
+    window = data.index(b"dataWindow") + len(b"dataWindow\0box2i\0") + 4
+    changed = data[:window] + struct.pack("<iiii", 0, 0, 59_999, 59_999) + data[window + 16 :]
+    (tmp_path / "a.exr").write_bytes(changed)
+    for read in (read_exr_channels, read_image_linear):
+        with pytest.raises(ScanError, match=r"a\.exr"):
+            read(tmp_path / "a.exr")
+
+
+def test_pictures_of_unknown_headers_are_not_decoded(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"P6 60000 60000 255\n" + bytes(100))
+    with pytest.raises(ScanError, match="damaged, truncated or unknown"):
+        read_image_linear(tmp_path / "a.png")
+
+
+def test_a_texture_that_is_too_large_is_an_error_not_a_scan_without_colour(tmp_path):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.png").write_bytes(png_of(50_000, 50_000))
+    with pytest.raises(TooLargeError, match=r"face\.png: 2,500,000,000 pixels"):
+        load_scan(path)
+
+
+def two_textures(folder, first, second):
+    path = write_square_obj(folder)
+    text = path.read_text().splitlines()
+    path.write_text("\n".join([*text[:-1], "usemtl other", text[-1]]))
+    (folder / "face.mtl").write_text(f"newmtl skin\nmap_Kd {first}\nnewmtl other\nmap_Kd {second}\n")
+    write_image(folder / "other.png", quarters())
+    return path
+
+
+def test_pixels_of_all_materials_count_together_and_shared_pictures_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "PIXELS", 100)  # each picture has 64
+    with pytest.raises(TooLargeError, match=r"the textures of the scan in .*: 128 pixels"):
+        load_scan(two_textures(tmp_path, "face.png", "other.png"))
+    scan = load_scan(two_textures(tmp_path, "face.png", "FACE.png"))
+    assert scan.texture_linear.shape == (8, 8, 3)
+
+
+def long_line_off(rows):
+    corners = " ".join(map(str, range(rows)))
+    lines = [f"{i % 317} {i // 317} {i % 7}" for i in range(rows)]
+    return "\n".join(["OFF", f"{rows} 1 0", *lines, f"{rows} {corners}"])
+
+
+def long_line_ply(rows):
+    head = ["ply", "format ascii 1.0", f"element vertex {rows}", *(f"property float {a}" for a in "xyz")]
+    head += ["element face 1", "property list int int vertex_indices", "end_header"]
+    return "\n".join([*head, *long_line_off(rows).splitlines()[2:]])
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.off", long_line_off), ("a.ply", long_line_ply)])
+def test_one_long_line_makes_no_table_of_all_rows(tmp_path, name, text):
+    rows = 60_000  # a table of all rows would have 29 GB
+    (tmp_path / name).write_text(text(rows))
+    assert len(load_scan(tmp_path / name, "mm").faces) > rows / 2
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", "v 0 0 0\n" * 30),
+        ("a.off", "OFF\n1 0 0\n" + "0 0 0\n" * 30),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n" + "0\n" * 30),
+        ("a.stl", "solid\n" + "vertex 0 0 0\n" * 30 + "endsolid\n"),
+    ],
+)
+def test_lines_of_text_are_counted_first(tmp_path, monkeypatch, name, text):
+    monkeypatch.setattr(limits, "TEXT_LINES", 20)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(TooLargeError, match=rf"a\.{name[2:]}: 3\d lines are more than the 20 that are read"):
+        load_scan(tmp_path / name)
+
+
+@pytest.mark.parametrize("extension", [".obj", ".ply", ".stl", ".off", ".glb", ".gltf"])
+def test_files_are_judged_by_their_size(tmp_path, extension):
+    path = tmp_path / f"a{extension}"
+    with path.open("wb") as file:
+        file.truncate(limits.FILE_BYTES + 1)  # sparse: it takes no room
+    with pytest.raises(TooLargeError, match=r": 536,870,913 bytes are more than the 536,870,912 that"):
+        load_scan(path)
+
+
+def binary_ply(head, body):
+    return "\n".join(["ply", "format binary_little_endian 1.0", *head, "end_header\n"]).encode() + body
+
+
+LISTS = ["element face 2", "property list uint int vertex_indices"]
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "message"),
+    [
+        (LISTS, struct.pack("<I", 0xFFFFFFFF) + bytes(64), "it declares 2 face rows, but ends before"),
+        (LISTS, struct.pack("<IiiiI", 3, 0, 1, 2, 0x7FFFFFFF) + bytes(64), "it declares 2 face rows"),
+        (["element face 4000000000", LISTS[1]], bytes(64), "it declares 4000000000 face rows"),
+        (
+            ["element vertex 1", *(f"property float x{i}" for i in range(2000))],
+            bytes(8000),
+            "2,000 properties of vertex are more than the 1,024",
+        ),
+    ],
+)
+def test_counts_of_ply_files_make_no_room(tmp_path, head, body, message):
+    vertex = ["element vertex 0", *(f"property float {axis}" for axis in "xyz")]
+    (tmp_path / "a.ply").write_bytes(binary_ply([*([] if "vertex" in head[0] else vertex), *head], body))
+    with pytest.raises(ScanError, match=message):
+        load_scan(tmp_path / "a.ply")
+
+
+def test_material_libraries_and_names_are_limited(tmp_path, monkeypatch):
+    path = write_square_obj(tmp_path)
+    text = path.read_text()
+    path.write_text(text.replace("usemtl skin", "usemtl " + "x" * 10_000))
+    with pytest.raises(ScanError, match=r"line 11 holds 'x{40}', expected a name of at most 4096 bytes"):
+        load_scan(path)
+    monkeypatch.setattr(limits, "MATERIALS", 50)
+    path.write_text(text + "".join(f"usemtl m{i}\n" for i in range(60)))
+    with pytest.raises(TooLargeError, match=r"face\.obj: 61 materials"):
+        load_scan(path)
+    path.write_text("mtllib face.mtl\nmtllib face.mtl\n" + text)
+    assert load_scan(path).has_color
+    monkeypatch.setattr(limits, "LIBRARY_BYTES", 20)
+    with pytest.raises(TooLargeError, match=r"face\.mtl: 43 bytes"):
+        load_scan(path)
+    assert len(input_sha256(path)) == 64
+
+
+def test_options_of_a_picture_that_never_end_take_no_time(tmp_path):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.mtl").write_text("newmtl skin\nmap_Kd " + "-cc x " * 1_000_000 + "face.png\n")
+    load_scan(path)
+
+
+def gltf(folder, change):
+    tree, binary = square_gltf(None)
+    change(tree)
+    (folder / "a.glb").write_bytes(glb_bytes(tree, binary))
+    return folder / "a.glb"
+
+
+def doubling(tree):
+    tree["nodes"] = [{"children": [i + 1, i + 1]} for i in range(40)] + [{"mesh": 0}]
+
+
+def circle(tree):
+    tree["nodes"] = [{"children": [1], "mesh": 0}, {"children": [0]}]
+
+
+def chain(tree):
+    tree["nodes"] = [{"children": [i + 1]} for i in range(300)] + [{"mesh": 0}]
+
+
+def repeated(tree):
+    tree["nodes"] = [{"mesh": 0} for _ in range(3000)]
+    tree["scenes"][0]["nodes"] = list(range(3000))
+    tree["meshes"][0]["primitives"] *= 2
+
+
+def placeholder(tree):
+    tree["accessors"][1] = {"componentType": 5126, "count": 10**9, "type": "VEC3"}
+
+
+def minus(tree):
+    tree["accessors"][1]["count"] = -4
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (doubling, ".* nodes"),
+        (circle, "257 nodes below each other"),
+        (chain, "257 nodes below each other"),
+        (repeated, "6,000 primitives of all its meshes"),
+        (placeholder, "12,000,.* bytes of arrays"),
+        (minus, "cannot be read as GLB .*an accessor has -4 elements"),
+    ],
+)
+def test_scenes_are_judged_before_they_are_made(tmp_path, change, message):
+    with pytest.raises(ScanError, match=rf"a\.glb: {message}"):
+        load_scan(gltf(tmp_path, change))
+
+
+def test_vertices_of_all_instances_count(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "VERTICES", 10)
+
+    def three(tree):
+        tree["nodes"] = [{"mesh": 0}] * 3
+        tree["scenes"][0]["nodes"] = [0, 1, 2]
+
+    with pytest.raises(TooLargeError, match=r"a\.glb: 12 vertices of all its meshes"):
+        load_scan(gltf(tmp_path, three))
+
+
+def test_pictures_in_scenes_are_judged_by_their_header(tmp_path):
+    tree, binary = square_gltf(png_of(40_000, 40_000))
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    with pytest.raises(TooLargeError, match=r"image 0 of a\.glb: 1,600,000,000 pixels"):
+        load_scan(tmp_path / "a.glb")
+
+
+def test_values_of_json_are_counted_and_depth_is_no_crash(tmp_path, monkeypatch):
+    (tmp_path / "a.gltf").write_text('{"nodes": ' + "[" * 100_000)
+    with pytest.raises(ScanError, match=r"a\.gltf: "):
+        load_scan(tmp_path / "a.gltf")
+    monkeypatch.setattr(limits, "JSON_VALUES", 10)
+    (tmp_path / "a.gltf").write_text(json.dumps({"nodes": [{}] * 20}))
+    with pytest.raises(TooLargeError, match=r"a\.gltf: 42 JSON values"):
+        load_scan(tmp_path / "a.gltf")
+
+
+def npz(path, header, body=b""):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        text = header.encode() + b" " * 20 + b"\n"
+        archive.writestr("mask.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + body)
+    return path
+
+
+def test_arrays_are_judged_by_their_header(tmp_path, monkeypatch):
+    head = "{'descr': '<f8', 'fortran_order': False, 'shape': (%d, 1000000), }"
+    with pytest.raises(GeometryImageError, match="mask declares 80,000,000,000 bytes and holds"):
+        s2a.read_geometry_image(npz(tmp_path / "a.npz", head % 10_000))
+    monkeypatch.setattr(limits, "ARRAY_BYTES", 1_000_000)
+    with pytest.raises(GeometryImageError, match="its arrays have 16,000,000 bytes, more than the 1,000,000"):
+        s2a.read_geometry_image(npz(tmp_path / "a.npz", head % 2, bytes(16_000_000)))
+    pickled = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
+    with pytest.raises(GeometryImageError, match=r"a\.npz cannot be read"):
+        s2a.read_geometry_image(npz(tmp_path / "a.npz", pickled, b"cos\nsystem\n."))
+
+
+@pytest.mark.parametrize("error", [MemoryError, RecursionError, OverflowError])
+def test_errors_of_too_large_scans_name_the_scan(tmp_path, monkeypatch, error):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr("scan2albedo.io.repair.repair", fail)
+    with pytest.raises(TooLargeError, match=r"face\.obj: (needs more memory than there is|is too deep)"):
+        load_scan(write_square_obj(tmp_path))
+
+
+def test_a_texture_of_many_repeats_is_not_laid_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "PIXELS", 64 * 4)
+    path = write_square_obj(tmp_path)
+    path.write_text(path.read_text().replace("vt 1.0 1.0", "vt 9.0 9.0"))
+    scan = load_scan(path)
+    assert scan.texture_linear.shape == (8, 8, 3)
+    assert any("clamped to one" in note for note in scan.notes)
