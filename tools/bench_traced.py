@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
 from benchmarks.traced_set import (
+    DIMMEST,
     VARIABLE,
     AlbedoScore,
     InventedOutlines,
@@ -61,9 +62,12 @@ def slow_peers(image: s2a.GeometryImage) -> dict[str, FloatArray]:
     """Return albedos (H, W, 3) by name: of the paper's objective, and of inverse rendering on V."""
     assert image.texture_linear is not None
     texture = np.asarray(image.texture_linear, np.float64)
-    rendered = mitsuba_inverse(image, 1, RENDERED).albedo_value / np.maximum(texture.max(2), 1e-9)
+    rendered = mitsuba_inverse(image, 1, RENDERED).albedo_value
+    light = np.where(rendered > 0, texture.max(2) / np.maximum(rendered, 1e-9), 0.0)
+    # As much darkness as the other peers may divide by.
+    light = np.maximum(light, DIMMEST * np.median(light[image.mask]))
     paper = s2a.estimate_albedo(image, seed=0, options=PAPER).albedo_linear.astype(np.float64)
-    return {"paper's": paper, "Mitsuba": texture * rendered[..., None]}
+    return {"paper's": paper, "Mitsuba": texture / light[..., None]}
 
 
 def scored(

@@ -39,7 +39,7 @@ _OFFSET_MM = 0.3
 _DIRECTIONS = 256
 _FARTHEST_MM = 2.0
 _DARKEST, _UNLIT = 0.01, 0.03
-_DIMMEST = 0.1
+DIMMEST = 0.1
 """Peers divide by no less: the light of a fit may come near 0, or below."""
 
 
@@ -289,11 +289,11 @@ def simple_peers(image: s2a.GeometryImage) -> dict[str, FloatArray]:
 
     def fitted(basis: FloatArray) -> FloatArray:
         lights = np.stack([robust_light(basis, channel) for channel in texture.T], 1)
-        return divided(np.maximum(lights / np.median(lights, axis=0), _DIMMEST))
+        return divided(np.maximum(lights / np.median(lights, axis=0), DIMMEST))
 
     return {
         "as is": divided(np.ones((len(texture), 1))),
-        "AO": divided(np.maximum(light.open_part, _DIMMEST)[:, None]),
+        "AO": divided(np.maximum(light.open_part, DIMMEST)[:, None]),
         "SH": fitted(light.plain),
         "SH+shadows": fitted(light.shadowed),
     }
