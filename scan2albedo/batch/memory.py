@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.images import SUPPORTED_IMAGES
 from scan2albedo.io.input_hash import files_of_scan
 
@@ -42,13 +43,19 @@ class JobLimit:
         )
 
 
-def job_limit(asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0) -> JobLimit:
+def job_limit(
+    asked: int,
+    scans: Iterable[Path],
+    size: int,
+    running_mb: float = 0.0,
+    textures: str | Path | None = None,
+) -> JobLimit:
     """Return how many of the jobs asked for fit into the available memory.
 
     The largest of the `scans` counts, `size` is the geometry images' height and width, and `running_mb` the
-    measured peak of a worker, when it is higher than the estimate.
+    measured peak of a worker, when it is higher than the estimate. `textures` is as in `load_scan`.
     """
-    largest = max((_scan_mb(path) for path in scans), default=0.0)
+    largest = max((_scan_mb(path, textures) for path in scans), default=0.0)
     worker = max(_BASE_MB + size * size * _TEXEL_BYTES / MB + largest, running_mb)
     available = available_mb()
     fitting = int((1 - _KEPT_FREE) * available / worker)
@@ -66,11 +73,11 @@ def available_mb() -> float:
     return max(available, 0.0) / MB
 
 
-def _scan_mb(path: Path) -> float:
+def _scan_mb(path: Path, textures: str | Path | None) -> float:
     """Return the memory that a scan adds, from the sizes of its files and textures; 0 where it is missing."""
     total = 0.0
-    with suppress(OSError, ValueError):
-        for file in files_of_scan(path):
+    with suppress(OSError, ValueError, Scan2AlbedoError):
+        for file in files_of_scan(path, textures):
             pixels = _pixels(file) if file.suffix.lower() in SUPPORTED_IMAGES else 0
             total += pixels * _PIXEL_BYTES if pixels else file.stat().st_size * _MESH_BYTES_PER_BYTE
     return total / MB

@@ -56,7 +56,7 @@ def _looked_at(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, 
     if row.options_sha256 != task.options_sha256:
         return None, "with other options"
     try:
-        if row.input_sha256 != input_sha256(task.path):
+        if row.input_sha256 != input_sha256(task.path, task.options.textures):
             return None, "with a changed scan"
     except Scan2AlbedoError:
         return None, "without their scan"

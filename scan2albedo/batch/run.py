@@ -127,6 +127,8 @@ def _tasks(
         raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
     if options.model not in ("default", "none"):
         options = replace(options, model=str(Path(options.model).absolute()))
+    if options.textures is not None:
+        options = replace(options, textures=str(Path(options.textures).absolute()))
     for scan in manifest.scans:
         chosen = scan.options(options, manifest.folder)
         model = str(chosen.model)
@@ -169,6 +171,7 @@ def _options_sha256(options: ProcessOptions, model_hash: str | None) -> str:
     hashed = {"version": VERSION, "model_sha256": model_hash, **options.plain()}
     if options.model not in ("default", "none"):
         hashed["model"] = Path(str(options.model)).name  # its place does not count
+    del hashed["textures"]  # those that a scan uses are part of the input
     return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
 
 
@@ -255,6 +258,7 @@ class _Run:
             [Path(task.path) for task in tasks],
             max(task.options.texels for task in tasks),
             max((peak for peak in peaks if peak is not None), default=0.0),
+            tasks[0].options.textures,
         )
         if note := limit.note(asked):
             self.note(note)

@@ -141,7 +141,7 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
 
 def _input(task: ScanTask) -> dict[str, str]:
     with suppress(Scan2AlbedoError):
-        return {"input_sha256": input_sha256(task.path)}
+        return {"input_sha256": input_sha256(task.path, task.options.textures)}
     return {}
 
 

@@ -43,7 +43,7 @@ PARSER_ERRORS = (
 """What trimesh's parser was seen to raise, or may raise, on damaged files."""
 
 
-def read_gltf(path: Path) -> ParsedMesh:
+def read_gltf(path: Path, textures: Path | None = None) -> ParsedMesh:
     """Read a GLB or glTF file: scene transforms applied, all meshes joined, base colours as materials.
 
     Skinned meshes come as their joints hold them in the file, without animation.
@@ -52,7 +52,7 @@ def read_gltf(path: Path) -> ParsedMesh:
     3.9.2). Raises ScanError when the file is damaged; the message names it.
     """
     try:
-        return _read_parts(path)
+        return _read_parts(path, textures)
     except PARSER_ERRORS as error:
         kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
         raise ScanError(
@@ -61,10 +61,10 @@ def read_gltf(path: Path) -> ParsedMesh:
         ) from error
 
 
-def _read_parts(path: Path) -> ParsedMesh:
+def _read_parts(path: Path, textures: Path | None) -> ParsedMesh:
     import trimesh
 
-    file = GltfFile.read(path)
+    file = GltfFile.read(path, textures)
     require_readable(path.name, file.tree, file.picture)
     skinned = bool(file.tree.get("skins"))
     scene = _load_scene(file, file.with_marked_skins() if skinned else file.data)

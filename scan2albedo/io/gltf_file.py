@@ -14,7 +14,7 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io import limits
 from scan2albedo.io.glb import glb_bytes
-from scan2albedo.io.mtl import find_beside
+from scan2albedo.io.scan_folder import ScanFolder
 
 MARK = "_"
 """Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
@@ -31,22 +31,25 @@ class GltfFile:
     tree: dict[str, Any]
     rest: bytes
     binary: bool
+    folder: ScanFolder
     bytes_referred: int = 0
 
     @classmethod
-    def read(cls, path: Path) -> GltfFile:
+    def read(cls, path: Path, textures: Path | None = None) -> GltfFile:
         """Read a GLB or glTF file."""
+        folder = ScanFolder(path.parent, textures)
         data = limits.read_bytes(path, advice="decimate it")
         if data[:4] != b"glTF":
-            return cls(path, data, limits.parse_json(path.name, data), b"", False)
+            return cls(path, data, limits.parse_json(path.name, data), b"", False, folder)
         end = _JSON_START + int.from_bytes(data[12:16], "little")
-        return cls(path, data, limits.parse_json(path.name, data[_JSON_START:end]), data[end:], True)
+        return cls(path, data, limits.parse_json(path.name, data[_JSON_START:end]), data[end:], True, folder)
 
     def referred(self, uri: str) -> bytes:
-        """Return the content of a file inside the scan's folder; raises FileNotFoundError for any other."""
-        file = find_beside(self.path.parent, unquote(uri))
-        if file is None or not file.resolve().is_relative_to(self.path.parent.resolve()):
-            raise FileNotFoundError(f"{unquote(uri)} is not in the scan's folder")
+        """Return the content of a file that the scan may refer to; raises FileNotFoundError for any other."""
+        name = unquote(uri)
+        file = self.folder.find(name)
+        if file is None:
+            raise FileNotFoundError(f"{name} {self.folder.why_missing(name)}")
         content = limits.read_bytes(file)
         self.bytes_referred += len(content)
         place = f"what {self.path.name} refers to"

@@ -29,10 +29,13 @@ _READERS = {
     ".stl": ("stl_off", "read_stl"),
     ".off": ("stl_off", "read_off"),
 }
+_TEXTURED = (".obj", ".ply", ".glb", ".gltf")
 SUPPORTED_SCANS = tuple(_READERS)
 
 
-def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) -> RawScan:
+def load_scan(
+    path: str | Path, unit: str = "auto", *, name: str | None = None, textures: str | Path | None = None
+) -> RawScan:
     """Return a scan from a file: harmless damage repaired, in millimetres and linear colour.
 
     Its `notes` name the unit, every repair, missing textures and the number of loose components.
@@ -51,13 +54,16 @@ def load_scan(path: str | Path, unit: str = "auto", *, name: str | None = None) 
         What one unit of the file is; "auto" decides from the size of a head.
     name : str, optional
         Name of the scan in messages and output folders; the file's stem when omitted.
+    textures : path, optional
+        Folder from which materials and textures may be read beside the scan's own; files elsewhere are not,
+        whatever the scan names and wherever links lead.
     """
     from scan2albedo.io.units import millimetres_per_unit
 
     def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
         return millimetres_per_unit(mesh.vertices, components, unit, Path(path).name)
 
-    return load_scan_with(path, decide, name=name)
+    return load_scan_with(path, decide, name=name, textures=textures)
 
 
 def load_scan_with(
@@ -65,6 +71,7 @@ def load_scan_with(
     decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]],
     *,
     name: str | None = None,
+    textures: str | Path | None = None,
 ) -> RawScan:
     """Load a scan as `load_scan` does, of something whose size is not a head's.
 
@@ -73,11 +80,15 @@ def load_scan_with(
     """
     require_type(path, (str, PathLike), "load_scan: path", "give the path of a scan's file")
     with memory_errors_named(Path(path).name):
-        return _loaded(Path(path), decide_unit, name)
+        parsed = read_mesh_file(Path(path), None if textures is None else Path(textures))
+        return _loaded(parsed, Path(path), decide_unit, name)
 
 
 def _loaded(
-    file: Path, decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]], name: str | None
+    parsed: ParsedMesh,
+    file: Path,
+    decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]],
+    name: str | None,
 ) -> RawScan:
     from scan2albedo.core.raw_scan import RawScan, scan_name
     from scan2albedo.geometry.mesh import vertex_components
@@ -85,7 +96,6 @@ def _loaded(
     from scan2albedo.io.texture_atlas import pack_texture
     from scan2albedo.io.units import largest_extent, rounding_note
 
-    parsed = read_mesh_file(file)
     require_usable(parsed, file.name)
     mesh = repair(parsed)
     if len(mesh.faces) == 0:
@@ -113,9 +123,10 @@ def _loaded(
     )
 
 
-def read_mesh_file(file: Path) -> ParsedMesh:
+def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     """Return the mesh of a file: vertices in its own order and unit, nothing repaired.
 
+    Materials and textures come from its folder, and from `textures` where given (`ScanFolder`).
     Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """
     if os.path.isdir(file):  # false, where Path.is_dir raises, for names that are too long
@@ -134,7 +145,8 @@ def read_mesh_file(file: Path) -> ParsedMesh:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
         module, function = _READERS[extension]
         with memory_errors_named(file.name):
-            mesh: ParsedMesh = getattr(import_module(f"scan2albedo.io.{module}"), function)(file)
+            read = getattr(import_module(f"scan2albedo.io.{module}"), function)
+            mesh: ParsedMesh = read(file, textures) if extension in _TEXTURED else read(file)
     except (OSError, ValueError) as error:
         raise ScanError(
             f"{file}: cannot be read: {getattr(error, 'strerror', '') or error}; check the path"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import re
-import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,14 +16,12 @@ from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.image_headers import require_small_picture
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_image_linear
 from scan2albedo.io.parsed_mesh import Material
+from scan2albedo.io.scan_folder import ScanFolder
 
 _OPTION = re.compile(
     r"-(?:(?:blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type)\s+\S+"
     r"|mm\s+\S+\s+\S+|[ost](?:\s+[-+]?[\d.]+(?:[eE][-+]?\d+)?){1,3})\s+"
 )
-
-_CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
-"""Of file names in OBJ and MTL files that are no UTF-8; the file that exists decides which it is."""
 
 
 @dataclass(frozen=True)
@@ -82,52 +79,11 @@ def _file_name(text: str) -> str:
     return text.strip().strip('"')
 
 
-def find_beside(folder: Path, name: str) -> Path | None:
-    """Find a file that a scan refers to, in any case, by its path as written or by its name beside the scan.
-
-    MTL files often hold absolute or Windows paths of another machine, and names in another case, code page or
-    Unicode form.
-    """
-    for spelling in _spellings(name):
-        relative = Path(spelling.replace("\\", "/"))
-        try:
-            for candidate in (folder / relative, folder / relative.name):
-                if candidate.is_file():
-                    return candidate
-            for place in {folder / relative.parent: None, folder: None}:
-                if place.is_dir():
-                    wanted = _folded(relative.name)
-                    found = sorted(p for p in place.iterdir() if _folded(p.name) == wanted and p.is_file())
-                    if found:
-                        return found[0]
-        except OSError:  # a name longer than names may be, a folder that may not be read
-            continue
-    return None
-
-
-def _spellings(name: str) -> list[str]:
-    """Return a name as it stands; one that is no UTF-8 also as other code pages read it."""
-    names = [name]
-    if any("\udc80" <= letter <= "\udcff" for letter in name):
-        data = name.encode("utf-8", "surrogateescape")
-        names += [data.decode(page, "replace") for page in _CODE_PAGES]
-    return names
-
-
-def _folded(name: str) -> str:
-    return unicodedata.normalize("NFC", name).casefold()
-
-
-def library_names(words: str, folder: Path) -> list[str]:
-    """Return the files of one `mtllib` line: one name with spaces when there is such a file, else several."""
-    return [words] if not words or find_beside(folder, words) else words.split()
-
-
 @dataclass
 class ScanPictures:
     """The pictures beside a scan: each is read once, and together they have at most `limits.PIXELS`."""
 
-    folder: Path
+    folder: ScanFolder
     pixels: int = 0
     read: dict[Path, NDArray[np.float32] | ScanError] = field(default_factory=dict)
 
@@ -140,9 +96,10 @@ class ScanPictures:
         plain = Material(text.name, None, (red, green, blue))
         if text.texture_file is None:
             return plain, None
-        file = find_beside(self.folder, text.texture_file)
+        file = self.folder.find(text.texture_file)
         if file is None:
-            return plain, f"texture {text.texture_file} is missing beside the scan: went on without it"
+            missing = self.folder.why_missing(text.texture_file)
+            return plain, f"texture {text.texture_file} {missing}: went on without it"
         picture = self._picture(file)
         if isinstance(picture, ScanError):
             return plain, f"{picture}: went on without it"
@@ -151,7 +108,7 @@ class ScanPictures:
     def named_like(self, scan: Path) -> Material | None:
         """Return a material with the image that has the scan's own name, if there is one."""
         for extension in SUPPORTED_IMAGES:
-            file = find_beside(self.folder, scan.stem + extension)
+            file = self.folder.find(scan.stem + extension)
             if file is not None:
                 material, _ = self.material(MaterialText(file.name, texture_file=file.name))
                 return material if material.texture_linear is not None else None
@@ -181,5 +138,5 @@ class ScanPictures:
     def _count(self, pixels: int) -> None:
         self.pixels += pixels
         advice = "save its textures with fewer pixels"
-        place = f"the textures of the scan in {self.folder}"
+        place = f"the textures of the scan in {self.folder.path}"
         limits.require_at_most(place, "pixels", self.pixels, limits.PIXELS, advice)

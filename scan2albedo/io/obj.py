@@ -18,11 +18,10 @@ from scan2albedo.io.mtl import (
     MaterialText,
     ScanPictures,
     decoded,
-    find_beside,
-    library_names,
     parse_mtl,
 )
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
+from scan2albedo.io.scan_folder import ScanFolder
 
 
 class _Lines:
@@ -78,7 +77,7 @@ class _Lines:
             )
 
 
-def read_obj(path: Path) -> ParsedMesh:
+def read_obj(path: Path, textures: Path | None = None) -> ParsedMesh:
     """Read an OBJ file with its materials.
 
     Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after the
@@ -92,7 +91,7 @@ def read_obj(path: Path) -> ParsedMesh:
     coordinates, _ = lines.numbers(tables.TEXTURE_COORDINATE, 2, least=1, most=limits.TEXT_LINES)
     corners, counts = _read_corners(lines, len(positions), len(coordinates))
     triangles, face_of_triangle = fan_triangles(counts)
-    pictures = ScanPictures(path.parent)
+    pictures = ScanPictures(ScanFolder(path.parent, textures))
     material, materials, notes = _materials(lines, pictures)
     uv = _corner_uv(coordinates, corners[:, 1], triangles)
     lost = not materials or any(note.startswith("texture ") for note in notes)
@@ -187,17 +186,16 @@ def _materials(
     return index, tuple(materials), tuple(dict.fromkeys(notes))
 
 
-def _libraries(lines: _Lines, folder: Path, notes: list[str]) -> dict[str, MaterialText]:
+def _libraries(lines: _Lines, folder: ScanFolder, notes: list[str]) -> dict[str, MaterialText]:
     """Return the materials of all libraries that the file names, by name."""
     known: dict[str, MaterialText] = {}
     words = list(dict.fromkeys(lines.names(tables.MATERIAL_LIBRARY)))
     limits.require_at_most(lines.name, "material libraries", len(words), limits.MATERIALS, "join them")
     total = 0
-    for name in (name for line in words for name in library_names(line, folder)):
-        file = find_beside(folder, name)
+    for name in (name for line in words for name in folder.library_names(line)):
+        file = folder.find(name)
         if file is None:
-            found = "is missing beside the scan: went on without textures"
-            notes.append(f"material library {name} {found}")
+            notes.append(f"material library {name} {folder.why_missing(name)}: went on without textures")
             continue
         data = limits.read_bytes(file, limits.LIBRARY_BYTES, "export the scan again")
         total += len(data)

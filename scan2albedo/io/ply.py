@@ -16,6 +16,7 @@ from scan2albedo.io import limits
 from scan2albedo.io.color import decode_srgb_integers, srgb_to_linear
 from scan2albedo.io.mtl import MaterialText, ScanPictures
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
+from scan2albedo.io.scan_folder import ScanFolder
 from scan2albedo.io.text_tables import NumberLines, NumberTable, number_lines, walk_rows
 
 _TYPES = {
@@ -67,7 +68,7 @@ class _PlyFile:
     texture_files: tuple[str, ...]
 
 
-def read_ply(path: Path) -> ParsedMesh:
+def read_ply(path: Path, textures: Path | None = None) -> ParsedMesh:
     """Read a PLY file.
 
     Vertex colours are sRGB, 8 or 16 bits or floats in [0, 1]. Texture coordinates stand with the corners (the
@@ -94,7 +95,8 @@ def read_ply(path: Path) -> ParsedMesh:
     corners, polygon = fan_triangles(index.counts)
     faces = index.items.astype(np.int64)[corners]
     uv = _corner_uv(vertex, face, index, faces, corners)
-    materials, notes = _textures(file.texture_files, path, has_uv=uv is not None)
+    folder = ScanFolder(path.parent, textures)
+    materials, notes = _textures(file.texture_files, path, folder, has_uv=uv is not None)
     return ParsedMesh(
         vertices=vertices,
         faces=faces,
@@ -107,11 +109,11 @@ def read_ply(path: Path) -> ParsedMesh:
 
 
 def _textures(
-    names: tuple[str, ...], path: Path, *, has_uv: bool
+    names: tuple[str, ...], path: Path, folder: ScanFolder, *, has_uv: bool
 ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
     """Return materials and notes; where no picture of the header is there, one of the scan's own name is."""
     limits.require_at_most(path.name, "textures", len(names), limits.MATERIALS, "join them into one")
-    pictures = ScanPictures(path.parent)
+    pictures = ScanPictures(folder)
     loaded = [pictures.material(MaterialText(name, texture_file=name)) for name in names]
     materials, notes = tuple(m for m, _ in loaded), tuple(note for _, note in loaded if note)
     lost = has_uv and all(m.texture_linear is None for m in materials)

@@ -86,10 +86,16 @@ class ProcessOptions:
     shadow's outline to rectify, a saturated texel to inpaint)."""
     pictures: bool = _option(True, bool, "Draw overview.png and error_vs_time.png among the files.")
     """Whether these are drawn."""
+    textures: str | Path | None = _option(
+        None, str | None, "Folder from which textures may be read beside the scan's own.", metavar="DIR"
+    )
+    """Folder from which materials and textures may be read beside the scan's own; see `load_scan`."""
 
     def __post_init__(self) -> None:
         if self.model is None or isinstance(self.model, Path):
             object.__setattr__(self, "model", str(self.model or "default"))
+        if isinstance(self.textures, Path):
+            object.__setattr__(self, "textures", str(self.textures))
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))

@@ -158,9 +158,9 @@ def _processed(
     file = None if isinstance(source, RawScan) else Path(source)
     with clock.timed("load"):
         # Hashed before it is read: a file that changes meanwhile is stale at once.
-        sha256 = input_sha256(file) if file is not None and os.path.isfile(file) else None
+        sha256 = input_sha256(file, options.textures) if file is not None and os.path.isfile(file) else None
         if not isinstance(source, RawScan):
-            scan = load_scan(source, unit=options.unit, name=name)
+            scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         else:
             scan = source if name is None else replace(source, name=name)
         model = chosen_model(options.model)

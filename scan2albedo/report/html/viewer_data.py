@@ -59,7 +59,7 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
     try:
         if not file.is_file():
             return Residual(None, f"{file} is no longer there to be measured")
-        if input_sha256(file) != record.input.sha256:
+        if input_sha256(file, _textures(record)) != record.input.sha256:
             return Residual(None, f"{file} is no longer the scan that was processed")
         pose = read_record(folder / "registration.json", RegistrationRecord).fitted_from_scan
         if pose is None:
@@ -69,6 +69,11 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
         return Residual(None, one_line(error))
     mean = float(np.nanmean(distance)) if np.isfinite(distance).any() else float("nan")
     return Residual(distance, f"measured again against {file.name}: {mean:.3f} mm in the mean")
+
+
+def _textures(record: ResultRecord) -> str | None:
+    textures = record.options.get("textures")
+    return str(textures) if textures is not None else None
 
 
 def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMesh) -> FloatArray:

@@ -1,0 +1,88 @@
+"""Which files a scan may refer to, and how they are found: one rule for MTL, PLY and glTF."""
+
+from __future__ import annotations
+
+import os
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from scan2albedo.errors import ScanError
+
+_CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
+"""Of file names in OBJ and MTL files that are no UTF-8; the file that exists decides which it is."""
+
+
+@dataclass(frozen=True)
+class ScanFolder:
+    """The files that a scan may refer to: those in its folder and, where given, in the folder `textures`.
+
+    Links are resolved: one that leads elsewhere is no file of these folders. Raises ScanError when `textures`
+    is no folder.
+    """
+
+    path: Path
+    textures: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.textures is not None and not os.path.isdir(self.textures):
+            raise ScanError(f"{self.textures}: is no folder; give the folder that holds the textures")
+
+    def find(self, name: str) -> Path | None:
+        """Return a file by its path as written, or by its name alone, in any case; None when there is none.
+
+        MTL files often hold absolute or Windows paths of another machine, and names in another case, code
+        page or Unicode form.
+        """
+        for spelling in _spellings(name):
+            relative = Path(spelling.replace("\\", "/"))
+            try:
+                found = next(self._found(relative), None)
+            except (OSError, ValueError):  # a name that no file may have, a folder that may not be read
+                continue
+            if found is not None:
+                return found
+        return None
+
+    def library_names(self, words: str) -> list[str]:
+        """Return the files of a `mtllib` line: one name with spaces if there is such a file, else several."""
+        return [words] if not words or self.find(words) else words.split()
+
+    def why_missing(self, name: str) -> str:
+        """Return why `find` returns None, as the end of a sentence."""
+        if os.path.isfile(self.path / name.replace("\\", "/")):
+            return "lies outside the scan's folder, and only --textures (in Python: textures) allows another"
+        return "is missing beside the scan"
+
+    def _found(self, relative: Path) -> Iterator[Path]:
+        for home in (self.path, self.textures):
+            if home is None:
+                continue
+            places = [place for place in {home / relative.parent: None, home: None} if self._allows(place)]
+            for place in places:
+                if (place / relative.name).is_file() and self._allows(place / relative.name):
+                    yield place / relative.name
+            for place in places:
+                wanted = _folded(relative.name)
+                for file in sorted(place.iterdir()) if place.is_dir() else ():
+                    if _folded(file.name) == wanted and file.is_file() and self._allows(file):
+                        yield file
+
+    def _allows(self, path: Path) -> bool:
+        homes = (self.path, self.textures)
+        real = path.resolve()
+        return any(home is not None and real.is_relative_to(home.resolve()) for home in homes)
+
+
+def _spellings(name: str) -> list[str]:
+    """Return a name as it stands; one that is no UTF-8 also as other code pages read it."""
+    names = [name]
+    if any("\udc80" <= letter <= "\udcff" for letter in name):
+        data = name.encode("utf-8", "surrogateescape")
+        names += [data.decode(page, "replace") for page in _CODE_PAGES]
+    return names
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()

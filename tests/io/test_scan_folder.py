@@ -1,0 +1,133 @@
+"""A scan's materials and textures come from its own folder, and from one more where the user says so."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from scan2albedo import load_scan
+from scan2albedo.errors import ScanError
+from scan2albedo.io.input_hash import files_of_scan, input_sha256
+from scan2albedo.io.scan_folder import ScanFolder
+from tests.io.meshes import quarters, square_gltf, write_image, write_square_obj
+
+OUTSIDE = "lies outside the scan's folder, and only --textures"
+
+
+def ply(folder, texture):
+    lines = ["ply", "format ascii 1.0", f"comment TextureFile {texture}", "element vertex 3"]
+    lines += [f"property float {name}" for name in "xyzst"]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    lines += ["0 0 0 0 0", "100 0 0 1 0", "0 100 0 0 1", "3 0 1 2"]
+    (folder / "face.ply").write_text("\n".join(lines) + "\n")
+    return folder / "face.ply"
+
+
+def gltf(folder, texture):
+    tree, binary = square_gltf(None)
+    (folder / "face.bin").write_bytes(binary)
+    tree["buffers"][0]["uri"] = "face.bin"
+    tree["images"] = [{"uri": texture}]
+    tree["textures"] = [{"source": 0}]
+    material = {"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    tree["materials"] = [material]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
+    (folder / "face.gltf").write_text(json.dumps(tree))
+    return folder / "face.gltf"
+
+
+def obj(folder, texture):
+    path = write_square_obj(folder)
+    (folder / "face.png").unlink()
+    (folder / "face.mtl").write_text(f"newmtl skin\nmap_Kd {texture}\n")
+    return path
+
+
+@pytest.fixture
+def places(tmp_path):
+    """The scan's folder, and another with a texture."""
+    scan, other = tmp_path / "scan", tmp_path / "other"
+    scan.mkdir()
+    (other / "deep").mkdir(parents=True)
+    write_image(other / "secret.png", quarters())
+    write_image(other / "deep" / "secret.png", quarters())
+    return scan, other
+
+
+@pytest.mark.parametrize("written", [obj, ply, gltf])
+@pytest.mark.parametrize("way", ["absolute", "upward", "a link", "a linked folder"])
+def test_a_texture_elsewhere_is_not_read_unless_its_folder_is_given(places, written, way):
+    scan, other = places
+    named = {"absolute": f"{other}/secret.png", "upward": "../other/secret.png", "a link": "linked.png"}
+    path = written(scan, named.get(way, "linked/secret.png"))
+    (scan / "linked.png").symlink_to(other / "secret.png")
+    (scan / "linked").symlink_to(other)
+    loaded = load_scan(path)
+    assert loaded.texture_linear is None
+    assert any(OUTSIDE in note or "is missing, damaged" in note for note in loaded.notes)
+    assert not [file for file in files_of_scan(path) if file.suffix == ".png"]
+    allowed = load_scan(path, textures=other)
+    assert allowed.texture_linear.shape == (8, 8, 3)
+    assert [file.name for file in files_of_scan(path, other)][-1].endswith(".png")
+    assert input_sha256(path) != input_sha256(path, other)
+    assert load_scan(path, textures=other / "deep").texture_linear is not None or way.startswith("a link")
+
+
+@pytest.mark.parametrize("name", ["../other/face.mtl", "linked.mtl"])
+def test_a_material_library_elsewhere_is_not_read_either(places, name):
+    scan, other = places
+    path = write_square_obj(scan)
+    shutil.move(scan / "face.mtl", other / "face.mtl")
+    (scan / "face.png").rename(scan / "skin.png")
+    (other / "face.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    (scan / "linked.mtl").symlink_to(other / "face.mtl")
+    path.write_text(path.read_text().replace("face.mtl", name))
+    loaded = load_scan(path)
+    assert loaded.texture_linear is None
+    assert any(f"material library {name} {OUTSIDE}" in note for note in loaded.notes)
+    assert load_scan(path, textures=other).texture_linear is not None
+
+
+def test_links_inside_the_folder_and_a_folder_that_is_a_link_are_no_fault(places):
+    scan, other = places
+    path = obj(scan, "linked.png")
+    write_image(scan / "face1.png", quarters())
+    (scan / "linked.png").symlink_to("face1.png")
+    (other / "scan").symlink_to(scan)
+    for file in (path, other / "scan" / path.name):
+        assert load_scan(file).texture_linear is not None
+
+
+def test_a_folder_of_textures_that_is_none_is_named(places):
+    scan, other = places
+    path = obj(scan, "secret.png")
+    with pytest.raises(ScanError, match=r"secret\.png: is no folder"):
+        load_scan(path, textures=other / "secret.png")
+    assert load_scan(path, textures=str(other)).texture_linear is not None
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\0b", "..", "", "/", "C:\\", "/dev/zero", "../" * 2000 + "x"])
+def test_names_that_no_file_has_find_nothing(places, name):
+    assert ScanFolder(places[0]).find(name) is None
+    assert ScanFolder(places[0]).why_missing(name) == "is missing beside the scan"
+
+
+def test_the_command_takes_the_folder(places, tmp_path):
+    from typer.testing import CliRunner
+
+    from scan2albedo.cli.commands import app
+
+    scan, other = places
+    path = obj(scan, "../other/secret.png")
+    arguments = ["process", path, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--no-pictures"]
+    for more, seen in (((), False), (("--textures", other), True)):
+        done = CliRunner().invoke(app, [str(word) for word in (*arguments, *more)])
+        assert done.exit_code == 0, done.output
+        assert (OUTSIDE in done.stderr) is not seen
+        assert (tmp_path / "out" / "face" / "albedo.exr").exists() is seen
+    record = json.loads((tmp_path / "out" / "face" / "result.json").read_text())
+    assert record["options"]["textures"] == str(other)
+    np.testing.assert_equal(record["input"]["sha256"], input_sha256(path, other))
