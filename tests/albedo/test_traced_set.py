@@ -12,7 +12,7 @@ CEILINGS = {
     "sky": 0.25,
     "softboxes6": 0.25,
     "softboxes2": 0.3,
-    "softbox_side": 0.2,
+    "softbox_side": 0.25,
     "window": 0.25,
     "ring": 0.2,
     "lamp_room": 0.25,
