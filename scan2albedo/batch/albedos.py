@@ -44,11 +44,12 @@ def load_albedos(
         When an albedo is damaged.
     """
     table = load_catalogue(out)
+    columns = ("name", "model", "status", "path_albedo_exr")
+    if missing := [name for name in columns if name not in table.column_names]:
+        raise BatchError(f"{out}: its catalogue has no column {missing[0]}; `batch --resume` makes it anew")
     folder = Path(out) if Path(out).is_dir() else Path(out).parent
     wanted = [
-        row
-        for row in table.select(["name", "model", "status", "path_albedo_exr"]).to_pylist()
-        if row["status"] == "done" and row["path_albedo_exr"]
+        row for row in table.select(columns).to_pylist() if row["status"] == "done" and row["path_albedo_exr"]
     ]
     if not wanted:
         raise BatchError(f"{folder}: no scan of this batch has an albedo; see the reasons in its catalogue")
@@ -60,7 +61,7 @@ def load_albedos(
     albedos: list[NDArray[np.float32]] = []
     masks: list[NDArray[np.bool_]] = []
     for row in wanted:
-        albedo, seen = _stored(folder / row["path_albedo_exr"])
+        albedo, seen = _stored(_inside(folder, str(row["path_albedo_exr"])))
         if size is not None and albedo.shape[:2] != (size, size):
             albedo, seen = _resized(albedo, seen, size)
         if albedos and albedo.shape != albedos[0].shape:
@@ -71,6 +72,16 @@ def load_albedos(
         albedos.append(albedo)
         masks.append(seen)
     return [row["name"] for row in wanted], np.stack(albedos), np.stack(masks)
+
+
+def _inside(folder: Path, path: str) -> Path:
+    """Return a file of a scan's folder in the batch; BatchError for a path that leads elsewhere."""
+    if ".." in Path(path).parts or len(Path(path).parts) != 2 or (folder / path).parent.is_symlink():
+        raise BatchError(
+            f"{folder}: its catalogue names {path!r}, which is no file of a scan in it; "
+            "`batch --resume` makes it anew"
+        )
+    return folder / path
 
 
 def _stored(file: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

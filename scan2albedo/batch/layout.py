@@ -113,9 +113,12 @@ class Layout:
 
     def started_at(self, name: str) -> float | None:
         """Return when processing of a scan began, None when it is not in progress."""
+        mark = self.running / name
         try:
-            return float(json.loads((self.running / name).read_text(encoding="utf-8"))["started_at"])
-        except (OSError, ValueError, KeyError, TypeError):
+            if not mark.is_file():  # a pipe may never end
+                return None
+            return float(json.loads(mark.read_text(encoding="utf-8"))["started_at"])
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
     def unmark(self, name: str) -> None:

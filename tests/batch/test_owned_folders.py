@@ -1,13 +1,16 @@
 """A batch replaces and removes what batches wrote, and nothing else."""
 
 import json
+import os
 
 import pytest
 
-from scan2albedo.batch import load_catalogue, run, run_batch, worker
+from scan2albedo.batch import load_albedos, load_catalogue, run, run_batch, worker
+from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.layout import Layout
-from scan2albedo.errors import BatchError
+from scan2albedo.errors import BatchError, OutputError
 from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.report.html import write_report
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
 
@@ -109,3 +112,67 @@ def test_files_that_an_edited_record_names_elsewhere_are_not_read(scans_in, tmp_
     row.write_text(json.dumps(record))
     report = run_batch(manifest, out, options=TINY, resume=True)
     assert (report.progress.kept, report.progress.done) == (0, 1)
+
+
+def pipe(file):
+    file.unlink()
+    os.mkfifo(file)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pipe,
+        lambda row: row.write_text("[" * 100_000),
+        lambda row: row.write_bytes(bytes(range(256))),
+        lambda row: row.write_text(row.read_text().replace('"status": "done"', '"status": 1e999')),
+        lambda row: row.write_text(row.read_text().replace('"metrics": {', '"metrics": {"x": NaN, "y":')),
+        lambda row: (row.unlink(), row.mkdir()),
+    ],
+    ids=["pipe", "deep", "bytes", "huge", "cut", "folder"],
+)
+def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(scans_in, tmp_path, change):
+    manifest, out = scans_in("a", "b"), tmp_path / "out"
+    run_batch(manifest, out, options=TINY)
+    change(Layout.of(out).row_file("a"))
+    if Layout.of(out).row_file("a").is_dir():
+        with pytest.raises(OutputError, match=r"a\.json"):
+            run_batch(manifest, out, options=TINY, resume=True)
+        return
+    report = run_batch(manifest, out, options=TINY, resume=True)
+    assert (report.progress.kept, report.progress.done, report.failures) == (1, 2, {})
+
+
+def test_marks_that_are_none_are_left_alone(scans_in, tmp_path):
+    running = Layout.of(tmp_path / "out").running
+    running.mkdir(parents=True)
+    os.mkfifo(running / "pipe")
+    (running / "deep").write_text("[" * 100_000)
+    (running / "a").write_text('{"pid": 1, "started_at": 1.0}')
+    assert run_batch(scans_in("a"), tmp_path / "out", options=TINY).progress.done == 1
+    assert sorted(path.name for path in running.iterdir()) == ["deep", "pipe"]
+
+
+@pytest.mark.parametrize("path", ["../mine/albedo.exr", "/mine/albedo.exr", "albedo.exr", "link/albedo.exr"])
+def test_a_catalogue_that_names_files_elsewhere_is_refused(scans_in, tmp_path, path):
+    out = tmp_path / "out"
+    run_batch(scans_in("a"), out, options=TINY)
+    table = load_catalogue(out)
+    column = table.column_names.index("path_albedo_exr")
+    (out / "link").symlink_to(out / "a")
+    write_catalogue(out / "catalogue.parquet", table.set_column(column, "path_albedo_exr", [[path]]))
+    with pytest.raises(BatchError, match="which is no file of a scan in it"):
+        load_albedos(out)
+    write_catalogue(out / "catalogue.parquet", table.drop_columns("path_albedo_exr"))
+    with pytest.raises(BatchError, match="has no column path_albedo_exr"):
+        load_albedos(out)
+
+
+def test_a_report_reads_no_folder_elsewhere(scans_in, tmp_path):
+    out = tmp_path / "out"
+    run_batch(scans_in("a"), out, options=TINY)
+    table = load_catalogue(out)
+    column = table.column_names.index("folder")
+    write_catalogue(out / "catalogue.parquet", table.set_column(column, "folder", [["../out/a"]]))
+    assert write_report(out).sections == 0
+    assert "names a folder that is not in that of the batch" in (out / "report.html").read_text()

@@ -14,7 +14,7 @@ from pydantic import Field
 from scan2albedo.core.version import VERSION
 from scan2albedo.io.atomic import result_folder, write_text
 from scan2albedo.io.npz import write_npz
-from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, write_record
+from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, listed_files, write_record
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
 
 IDENTIFICATION_FILE = "identification.json"
@@ -106,7 +106,8 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
     none. OutputError when the folder cannot be written.
     """
     target, (cmc, roc) = Path(folder), _curves(found)
-    with result_folder(target, IDENTIFICATION_FILE, obsolete=FILES) as staging:
+    older = set(listed_files(target / IDENTIFICATION_FILE, IdentificationRecord)) & FILES
+    with result_folder(target, IDENTIFICATION_FILE, obsolete=older) as staging:
         write_text(staging / "identification.csv", _table(found))
         similarities = {
             "similarities": found.matches.similarities,

@@ -111,6 +111,8 @@ def _row(entry: Mapping[str, Any], out: Path) -> ScanRow:
     values = {key: _plain(value) for key, value in entry.items() if key not in _OWN_FIELDS}
     folder = out / str(entry["folder"]) if entry.get("folder") else None
     reason = str(entry.get("reason") or "")
+    if folder is not None and folder.parent != out:
+        reason, folder = "the catalogue names a folder that is not in that of the batch", None
     if status == DONE and folder is not None and not (folder / RESULT_FILE).is_file():
         # The catalogue may be carried about without the folders; the row says so.
         reason, folder = reason or "its files are not here", None
