@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from mutated_files.base_files import BaseFile, base_files
-from mutated_files.mutations import MUTATIONS
+from mutated_files.mutations import MUTATIONS, mutated
 
 from scan2albedo.errors import Scan2AlbedoError
 
@@ -76,7 +76,7 @@ class Work:
         mutation = MUTATIONS[rng.integers(len(MUTATIONS))]
         files = dict(base.files)
         for name in base.damaged:
-            files[name] = mutation(files[name], rng)
+            files[name] = mutated(name, files[name], mutation, rng)
         for name, data in files.items():
             (folder / name).write_bytes(data)
         return base, mutation.__name__

@@ -50,8 +50,14 @@ def require_small_picture(data: bytes, place: str | Path) -> PictureSize | None:
     return size
 
 
-def _of_png(data: bytes) -> PictureSize:
+def _of_png(data: bytes) -> PictureSize | None:
     width, height, bits = struct.unpack_from(">IIB", data, 16)
+    place = 8
+    # OpenCV makes room for a chunk before it looks whether the file has it.
+    while place + 8 <= len(data) and data[place + 4 : place + 8] != b"IEND":
+        place += 12 + struct.unpack_from(">I", data, place)[0]
+    if place > len(data):
+        return None
     return PictureSize(width * height, 4 * width * height * max(bits // 8, 1))
 
 

@@ -28,6 +28,8 @@ TABLE_CELLS = 1 << 26
 """Rows times properties of a binary PLY element whose lists differ in length."""
 PIXELS = 1 << 26
 """Of a picture, and of all pictures of a scan together: 8192 x 8192."""
+ATLAS_PIXELS = PIXELS * 5 // 4
+"""Of all textures laid side by side: their gutters and sizes leave gaps."""
 PICTURE_BYTES = 3 << 28
 """Of a picture's samples: three 32-bit floats for each of `PIXELS`."""
 LIBRARY_BYTES = 1 << 24

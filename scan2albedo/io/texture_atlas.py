@@ -18,8 +18,6 @@ GUTTER = 2
 """Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
 
 _SOLID_SIZE = 4
-_LARGEST_ATLAS = limits.PIXELS * 5 // 4
-"""Pixels: pictures of all sizes and their gutters leave gaps."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,9 @@ def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
         left, shelf = left + sizes[i][0], max(shelf, sizes[i][1])
     pixels = (top + shelf) * int((boxes[:, 0] + boxes[:, 2]).max() + GUTTER)
     advice = "save its textures as one picture"
-    limits.require_at_most("the texture of the scan's materials", "pixels", pixels, _LARGEST_ATLAS, advice)
+    limits.require_at_most(
+        "the texture of the scan's materials", "pixels", pixels, limits.ATLAS_PIXELS, advice
+    )
     atlas = np.zeros((top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3), np.float32)
     for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]

@@ -105,6 +105,15 @@ def test_tiff_headers_of_both_orders_and_sizes(order, big):
     assert size == (3_500_000_000, 16 * 3_500_000_000)
 
 
+def test_chunks_of_png_files_make_no_room_before_they_are_there(tmp_path):
+    data = bytearray(png_of(16, 16))
+    place = data.index(b"IDAT") - 4
+    data[place : place + 4] = struct.pack(">I", 0xFFFFFF00)
+    (tmp_path / "a.png").write_bytes(data)
+    with pytest.raises(ScanError, match=r"a\.png cannot be decoded .*truncated"):
+        read_image_linear(tmp_path / "a.png")
+
+
 def test_exr_windows_are_judged_before_the_pixels(tmp_path):
     write_exr(tmp_path / "a.exr", np.zeros((4, 4, 3)))
     data = (tmp_path / "a.exr").read_bytes()

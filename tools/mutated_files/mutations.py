@@ -1,8 +1,16 @@
-"""Damage to files: flipped bits, cut and doubled parts, replaced numbers, raised counts."""
+"""Damage to files: flipped bits, cut and doubled parts, replaced numbers, raised counts.
+
+Half of the files that carry checksums or lengths of their parts get them right again (`mutated`), so that the
+damage passes the first check.
+"""
 
 from __future__ import annotations
 
+import io
 import re
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -89,6 +97,19 @@ def raise_counts(data: bytes, rng: np.random.Generator) -> bytes:
     return data
 
 
+def grow(data: bytes, rng: np.random.Generator) -> bytes:
+    """Repeat a line, in lines of its own, as one long line, or both, up to four million bytes."""
+    lines = data.split(b"\n")
+    place = int(rng.integers(len(lines)))
+    part = lines[place][:200] or b"0 0 0"
+    times = int(rng.choice([1000, 4_000_000 // (len(part) + 1)]))
+    kind = rng.integers(3)
+    added = [] if kind == 0 else [part] * times
+    if kind != 1:
+        lines[place] = b" ".join([part] * times)
+    return b"\n".join([*lines[:place], *added, *lines[place:]])
+
+
 def replace_text(data: bytes, rng: np.random.Generator) -> bytes:
     """Put a word of another place of the file, or bytes of no text, in the place of a word."""
     words = list(re.finditer(rb"[A-Za-z_]{2,40}", data[: 1 << 14]))
@@ -114,5 +135,52 @@ MUTATIONS: tuple[Mutation, ...] = (
     replace_numbers,
     replace_numbers_of_head,
     raise_counts,
+    grow,
     replace_text,
 )
+
+
+def mutated(name: str, data: bytes, mutation: Mutation, rng: np.random.Generator) -> bytes:
+    """Return a file damaged as a whole, or in a part whose checksum and length are made right again."""
+    mend = {".glb": _in_json_of_glb, ".png": _in_chunk_of_png, ".npz": _in_member_of_npz}.get(name[-4:])
+    return mutation(data, rng) if mend is None or rng.random() < 0.5 else mend(data, mutation, rng)
+
+
+def _in_json_of_glb(data: bytes, mutation: Mutation, rng: np.random.Generator) -> bytes:
+    end = 20 + int.from_bytes(data[12:16], "little")
+    text = mutation(data[20:end], rng)
+    text += b" " * (-len(text) % 4)
+    length = 20 + len(text) + len(data) - end
+    return struct.pack("<4sIII", b"glTF", 2, length, len(text)) + data[16:20] + text + data[end:]
+
+
+def _in_chunk_of_png(data: bytes, mutation: Mutation, rng: np.random.Generator) -> bytes:
+    chunks, place = [], 8
+    while place < len(data):
+        length = int.from_bytes(data[place : place + 4], "big")
+        chunks.append((data[place + 4 : place + 8], data[place + 8 : place + 8 + length]))
+        place += 12 + length
+    chosen = int(rng.integers(len(chunks))) if rng.random() < 0.5 else 0  # the first has the size
+    kind, body = chunks[chosen]
+    chunks[chosen] = kind, mutation(body.ljust(8, b"0"), rng)
+    parts = [struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks]
+    return data[:8] + b"".join(parts)
+
+
+def _in_member_of_npz(data: bytes, mutation: Mutation, rng: np.random.Generator) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    chosen = list(members)[rng.integers(len(members))]
+    whole = members[chosen]
+    # The array's header alone, or all of it.
+    start = 10 + int.from_bytes(whole[8:10], "little") if rng.random() < 0.5 else len(whole)
+    head = mutation(whole[10:start], rng)
+    changed = mutation(whole, rng)
+    if start < len(whole):
+        changed = whole[:8] + struct.pack("<H", min(len(head), 65535)) + head[:65535] + whole[start:]
+    members[chosen] = changed
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return stream.getvalue()
