@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.io import limits
+from scan2albedo.io.image_headers import picture_size
 from scan2albedo.io.images import SUPPORTED_IMAGES
 from scan2albedo.io.input_hash import files_of_scan
 
@@ -18,6 +20,8 @@ _TEXEL_BYTES = 400.0
 _MESH_BYTES_PER_BYTE = 25.0
 _PIXEL_BYTES = 160.0
 _KEPT_FREE = 0.1
+_HEADER_BYTES = 1 << 20
+"""Of a picture, metadata before its size among them."""
 
 _CGROUP_FILES = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -84,11 +88,7 @@ def _scan_mb(path: Path, textures: str | Path | None) -> float:
 
 
 def _pixels(image: Path) -> int:
-    """Return the number of pixels from the image's header, 0 when that has none."""
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(image) as opened:
-            return opened.size[0] * opened.size[1]
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError):
-        return 0
+    """Return the number of pixels from the image's header, 0 when that has none, or more than are read."""
+    with image.open("rb") as file:
+        size = picture_size(file.read(_HEADER_BYTES))
+    return 0 if size is None or size.pixels > limits.PIXELS else size.pixels

@@ -28,8 +28,8 @@ class PictureSize(NamedTuple):
 def picture_size(data: bytes) -> PictureSize | None:
     """Return what the header of a PNG, JPEG, TIFF, BMP, WebP or Radiance picture declares.
 
-    None when it is none of these, or damaged. EXR files, with a header a part, are judged in
-    `images.read_exr_channels`.
+    None when it is none of these, or damaged. `data` may be the picture's beginning. EXR files have a header
+    a part and are judged in `images.read_exr_channels`.
     """
     for magic, read in _READERS:
         if data.startswith(magic):
@@ -50,14 +50,18 @@ def require_small_picture(data: bytes, place: str | Path) -> PictureSize | None:
     return size
 
 
-def _of_png(data: bytes) -> PictureSize | None:
-    width, height, bits = struct.unpack_from(">IIB", data, 16)
+def is_cut_png(data: bytes) -> bool:
+    """Return whether a PNG declares a chunk beyond its end; decoders make room for it before they look."""
     place = 8
-    # OpenCV makes room for a chunk before it looks whether the file has it.
+    if not data.startswith(b"\x89PNG"):
+        return False
     while place + 8 <= len(data) and data[place + 4 : place + 8] != b"IEND":
-        place += 12 + struct.unpack_from(">I", data, place)[0]
-    if place > len(data):
-        return None
+        place += 12 + int(struct.unpack_from(">I", data, place)[0])
+    return place > len(data)
+
+
+def _of_png(data: bytes) -> PictureSize:
+    width, height, bits = struct.unpack_from(">IIB", data, 16)
     return PictureSize(width * height, 4 * width * height * max(bits // 8, 1))
 
 

@@ -13,7 +13,7 @@ from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
-from scan2albedo.io.image_headers import require_small_picture
+from scan2albedo.io.image_headers import is_cut_png, require_small_picture
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
@@ -64,7 +64,7 @@ def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:
     """Return stored samples as (H, W, 3) RGB; nothing is decoded whose size is not known before."""
     import cv2
 
-    known = require_small_picture(data, file) is not None
+    known = require_small_picture(data, file) is not None and not is_cut_png(data)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if known else None
     except cv2.error as error:

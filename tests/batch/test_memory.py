@@ -53,3 +53,13 @@ def test_a_containers_limit_counts(monkeypatch, tmp_path):
     used.write_text(f"{400 << 20}\n")
     assert available_mb() == 0.0
     assert job_limit(4, [], 64).jobs == 1
+
+
+def test_pictures_that_are_refused_leave_the_jobs_alone(four_gb, tmp_path):
+    """A header of four billion pixels, or one that is damaged, is a scan that fails, not fewer jobs."""
+    header = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\x02\0\0\0"
+    for content in (header, header[:20], b"RIFF", b"\xff\xd8\xff", b"II*\0\xff\xff\xff\xff"):
+        (tmp_path / "a.obj").write_text("mtllib a.mtl\n")
+        (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd a.png\n")
+        (tmp_path / "a.png").write_bytes(content)
+        assert job_limit(2, [tmp_path / "a.obj"], 512).jobs == 2
