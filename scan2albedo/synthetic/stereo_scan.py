@@ -43,7 +43,7 @@ class StereoScanOptions:
 
     spacing_mm: tuple[float, float] = (3.5, 5.5)
     """Distance of neighbouring vertices."""
-    noise_mm: tuple[float, float] = (0.3, 1.0)
+    noise_mm: tuple[float, float] = (0.4, 2.0)
     """Standard deviation along the normals."""
     stray: tuple[float, float] = (0.005, 0.2)
     """Part of the vertices that lies 200 mm to 1.3 m away; drawn by its logarithm."""
