@@ -5,17 +5,19 @@ import signal
 
 import pytest
 
-from scan2albedo.batch import load_catalogue, run, run_batch, worker
+from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
+# Which TBB numba finds depends on what was loaded before, by other tests.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:The TBB threading layer"),
+    pytest.mark.usefixtures("stages_in_this_process"),
+]
 
 
 @pytest.fixture(autouse=True)
-def _stages_in_this_process(monkeypatch):
-    """No workers, and a minute for what might never end."""
-    monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
-
+def _no_endless_reading():
     def too_long(signum, frame):
         raise TimeoutError("it reads without end")
 

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from scan2albedo.batch import load_albedos, load_catalogue, run, run_batch, worker
+from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.layout import Layout
 from scan2albedo.errors import BatchError, OutputError
@@ -13,11 +13,11 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.report.html import write_report
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
-
-
-@pytest.fixture(autouse=True)
-def _stages_in_this_process(monkeypatch):
-    monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
+# Which TBB numba finds depends on what was loaded before, by other tests.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:The TBB threading layer"),
+    pytest.mark.usefixtures("stages_in_this_process"),
+]
 
 
 def contents(folder):
