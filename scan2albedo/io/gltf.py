@@ -66,6 +66,7 @@ def _read_parts(path: Path, textures: Path | None) -> ParsedMesh:
 
     file = GltfFile.read(path, textures)
     require_readable(path.name, file.tree, file.picture)
+    file = file.with_float_coordinates()
     skinned = bool(file.tree.get("skins"))
     scene = _load_scene(file, file.with_marked_skins() if skinned else file.data)
     # trimesh drops base colour textures that it cannot read without a word.

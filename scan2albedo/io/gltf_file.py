@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -18,6 +18,8 @@ from scan2albedo.io.scan_folder import ScanFolder
 
 MARK = "_"
 """Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
+_COORDINATES = {5121: "u1", 5123: "<u2"}
+"""Types of texture coordinates that are parts of the largest number (glTF 2.0, 3.7.2.1)."""
 _JSON_START = 20
 """Of a GLB's text: behind the file's header and the first chunk's."""
 
@@ -84,6 +86,41 @@ class GltfFile:
                     for name, accessor in primitive["attributes"].items()
                 }
         return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
+
+    def with_float_coordinates(self) -> GltfFile:
+        """Return the file with texture coordinates of 8 or 16 bits as floats: trimesh does not scale them."""
+        used = {
+            primitive["attributes"].get("TEXCOORD_0")
+            for mesh in self.tree.get("meshes", ())
+            for primitive in mesh["primitives"]
+        }
+        accessors = self.tree.get("accessors", ())
+        stored = [i for i in used - {None} if "bufferView" in accessors[i]]
+        short = [i for i in stored if accessors[i]["componentType"] in _COORDINATES]
+        if not short:
+            return self
+        tree = json.loads(json.dumps(self.tree))
+        for number in short:
+            data = self._coordinates(self.tree["accessors"][number]).astype("<f4").tobytes()
+            uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+            view = {"buffer": len(tree["buffers"]), "byteLength": len(data)}
+            tree["buffers"].append({"byteLength": len(data), "uri": uri})
+            count = tree["accessors"][number]["count"]
+            place = {"bufferView": len(tree["bufferViews"]), "componentType": 5126}
+            tree["accessors"][number] = {**place, "count": count, "type": "VEC2"}
+            tree["bufferViews"].append(view)
+        whole = glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
+        return replace(self, tree=tree, data=whole)
+
+    def _coordinates(self, accessor: dict[str, Any]) -> FloatArray:
+        """Return (N, 2) normalised texture coordinates."""
+        kind = np.dtype(_COORDINATES[accessor["componentType"]])
+        view = self.tree["bufferViews"][accessor["bufferView"]]
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        stride = view.get("byteStride", 2 * kind.itemsize)
+        shape, steps = (accessor["count"], 2), (stride, kind.itemsize)
+        stored = np.ndarray(shape, kind, self._buffer(view["buffer"]), start, steps)
+        return stored / float(np.iinfo(kind).max)
 
     def inverse_binds(self, skin: int) -> FloatArray:
         """Return (J, 4, 4) inverse bind matrices of a skin; identities where it has none."""

@@ -98,7 +98,8 @@ def read_obj(path: Path, textures: Path | None = None) -> ParsedMesh:
     lost = lost and uv is not None and all(m.texture_linear is None for m in materials)
     if lost and (found := pictures.named_like(path)) is not None:
         material, materials = None, (found,)
-        notes = (*notes, f"texture {found.name} was found by the scan's name")
+        lacking = (note.partition(": went on without")[0] for note in notes)
+        notes = (*lacking, f"texture {found.name} was found by the scan's name")
     return ParsedMesh(
         vertices=np.ascontiguousarray(positions[:, :3]),
         faces=corners[triangles, 0],

@@ -129,6 +129,22 @@ def test_a_mesh_without_material_and_colours(tmp_path):
     np.testing.assert_array_equal(load_scan(tmp_path / "a.glb").vertices, SQUARE_MM)
 
 
+@pytest.mark.parametrize(("component", "dtype"), [(5121, "u1"), (5123, "<u2")])
+@pytest.mark.parametrize("stride", [None, 8])
+def test_texture_coordinates_of_few_bits(tmp_path, component, dtype, stride):
+    tree, binary = square_gltf(png_bytes(quarters()))
+    top = np.iinfo(dtype).max
+    stored = np.zeros((4, 2 if stride is None else stride // np.dtype(dtype).itemsize), dtype)
+    stored[:, :2] = np.column_stack([SQUARE_UV[:, 0], 1 - SQUARE_UV[:, 1]]) * top
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": stored.nbytes}
+    tree["bufferViews"].append(view if stride is None else {**view, "byteStride": stride})
+    place = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": component, "normalized": True}
+    tree["accessors"][2] = {**place, "count": 4, "type": "VEC2"}
+    tree["buffers"] = [{"byteLength": len(binary) + stored.nbytes}]
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary + stored.tobytes()))
+    assert_corner_colors(load_scan(tmp_path / "a.glb"))
+
+
 def draco_square(path):
     """Write the square as Draco holds it, beside its picture; returns the tree."""
     DracoPy = pytest.importorskip("DracoPy")
