@@ -32,6 +32,7 @@ _DAMAGE = (
     SyntaxError,
     RuntimeError,  # NotImplementedError is one
     MemoryError,
+    OverflowError,
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
