@@ -135,7 +135,7 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         "metrics": result.metrics(),
         "plan_ran": tuple(step.stage for step in result.plan if step.ran),
         "plan_skipped": tuple(step.stage for step in result.plan if not step.ran),
-        "notes": (*result.scan.notes, *result.messages),
+        "notes": result.notes,
     }
 
 

@@ -77,7 +77,8 @@ def process(
     for note in template.notes if template is not None else ():
         say(f"{options.model}: {note}")
     chosen = options.arguments() | {"model": template or "none"}
-    summaries, failures = [], 0
+    summaries: list[dict[str, Any]] = []
+    failures = 0
     for path in scans:
         name = scan_name(path)
         with ProgressLines(name) as progress:
@@ -91,10 +92,11 @@ def process(
                 progress.say(f"scan2albedo: error: {one_line(error)}")
                 summaries.append({"scan": str(path), "status": "failed", "reason": one_line(error)})
                 continue
-            for note in result.scan.notes:
+            for note in result.notes:
                 progress.say(f"{name}: {note}")
             progress.say(result.summary())
-        summaries.append({"scan": str(path), "status": "done", "out": str(result.out), **result.metrics()})
+        done = {"scan": str(path), "status": "done", "out": str(result.out)}
+        summaries.append({**done, "notes": list(result.notes), **result.metrics()})
     if json_summary:
         echo_json(summaries if len(scans) > 1 else summaries[0])
     if failures:

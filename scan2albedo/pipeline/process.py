@@ -27,13 +27,15 @@ from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.result import ProcessResult, own_files, write_result
+from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.registration import Registration, RegistrationOptions, register
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left for searching that each stage may take."""
 WHOLE_FACE = 0.8
 """Part of the model with scan near, below which a person is warned: whole faces have 0.85 and more."""
+KNOWN_LIGHT = 0.25
+"""Relative standard deviation of a lamp's strength above which a person is warned."""
 SAMPLING_S, DIVISION_S = 3e-6, 2e-6
 """Seconds a texel that a geometry image and the removal of its light take, whatever the budget."""
 
@@ -205,7 +207,7 @@ def _processed(
         seed=options.seed,
         input_sha256=sha256,
         source=file,
-        messages=(*messages, *_cautions(fitted)),
+        messages=(*messages, *_cautions(registration, fitted, estimate)),
     )
 
 
@@ -317,12 +319,28 @@ def _warnings_as_messages() -> Iterator[list[str]]:
                 warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def _cautions(fitted: FittedFace | None) -> list[str]:
-    """Return warnings about a fit that looks good only where there was a scan."""
+def _cautions(
+    registration: Registration | None, fitted: FittedFace | None, estimate: AlbedoEstimate | None
+) -> Iterator[str]:
+    """Yield what a person should doubt: the pose, a fit without scan, a light that is hardly known."""
+    if registration is not None and registration.confidence < SURE:
+        yield (
+            f"the pose is unsure (confidence {registration.confidence:.2f}): another one is nearly as good, "
+            "or the scan hardly resembles a face; look at overview.png"
+        )
     coverage = 1.0 if fitted is None else fitted.metrics["coverage"]
-    if coverage >= WHOLE_FACE:
-        return []
-    return [
-        f"only {100 * coverage:.0f} % of the face has scan near it, the rest is the model's own shape: is "
-        "the file cut short, or is it half a face?"
-    ]
+    if coverage < WHOLE_FACE:
+        yield (
+            f"only {100 * coverage:.0f} % of the face has scan near it, the rest is the model's own shape: "
+            "is the file cut short, or is it half a face?"
+        )
+    if estimate is None:
+        return
+    unsure = 0.0 if estimate.uncertainty is None else max(estimate.uncertainty.intensity, default=0.0)
+    if unsure > KNOWN_LIGHT:
+        yield f"a lamp's strength is known to {100 * unsure:.0f} % only: its light may be in the albedo"
+    yield from (
+        f"{step.reason}: {step.evidence}"
+        for step in estimate.plan
+        if step.stage == "albedo.limits" and step.ran
+    )

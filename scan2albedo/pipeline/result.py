@@ -57,6 +57,10 @@ FILES = frozenset(
 """Every file a result may have."""
 
 
+SURE = 0.5
+"""Confidence of a registration below which a person is told: whole faces have more."""
+
+
 @dataclass(frozen=True)
 class ProcessResult:
     """All results of one scan."""
@@ -89,6 +93,11 @@ class ProcessResult:
     """Warnings that stages gave."""
     input_sha256: str | None = None
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What loading decided and repaired, and what is doubtful, one sentence each."""
+        return (*self.scan.notes, *self.messages)
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
@@ -131,6 +140,8 @@ class ProcessResult:
             parts.append(f"light at {lights}" if lights else soft)
         else:
             parts.append("no albedo (see the plan)")
+        if self.registration is not None and self.registration.confidence < SURE:
+            parts.append(f"pose unsure (confidence {self.registration.confidence:.2f})")
         if unfinished := self._unfinished():
             parts.append(f"not converged: {', '.join(unfinished)}")
         if self.out is not None:
@@ -248,6 +259,6 @@ def _result_record(result: ProcessResult) -> ResultRecord:
         environment=None if estimate is None else EnvironmentRecord.of(estimate.environment),
         parameters={} if estimate is None else plain_json(estimate.parameters),
         timings_s=dict(result.timings_s),
-        notes=(*scan.notes, *result.messages),
+        notes=result.notes,
         files=(),
     )

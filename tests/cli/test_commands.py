@@ -54,6 +54,7 @@ def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
     assert (tmp_path / "ball" / "result.json").is_file()
     assert "ball: done" in done.stderr
     assert "ball: unit: mm" in done.stderr
+    assert any(note.startswith("unit: mm") for note in summary["notes"])
 
 
 @pytest.mark.slow

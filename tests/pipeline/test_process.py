@@ -138,6 +138,27 @@ def test_every_iterative_stage_leaves_a_trace_that_ends_no_worse_than_it_began(r
         assert all(a.evaluations <= b.evaluations for a, b in pairwise(rows))
 
 
+def test_what_is_doubtful_is_told(case, result, monkeypatch):
+    """A doubtful pose and a lamp of unknown strength; nothing about a clear scan."""
+    assert result.notes == (*case[0].notes, *result.messages)
+    assert not any("unsure" in note or "known to" in note for note in result.notes)
+    assert "pose unsure" not in result.summary()
+
+    def doubtful(*arguments, **options):
+        return replace(result.registration, confidence=0.21)
+
+    def dim(*arguments, **options):
+        uncertainty = replace(result.albedo.uncertainty, intensity=(0.364,))
+        return replace(result.albedo, uncertainty=uncertainty)
+
+    monkeypatch.setattr(pipeline_process, "register", doubtful)
+    monkeypatch.setattr(pipeline_process, "estimate_albedo", dim)
+    told = s2a.process(case[0], size=64, budget=s2a.Budget(evaluations=20))
+    assert any("pose is unsure (confidence 0.21)" in note for note in told.notes)
+    assert any("strength is known to 36 %" in note for note in told.notes)
+    assert "pose unsure (confidence 0.21)" in told.summary()
+
+
 @pytest.mark.slow
 def test_same_input_and_seed_give_the_same_bits(case, result):
     again = s2a.process(case[0], size=SIZE)
