@@ -41,12 +41,20 @@ class TooLargeError(ScanError):
     """A file declares or holds more than is read of one; nothing of that size was made room for."""
 
 
+class UnitError(ScanError):
+    """The size of a scan fits a head in no unit; the unit has to be given."""
+
+
 class ModelError(Scan2AlbedoError):
     """A face model file or template mesh cannot be used."""
 
 
 class RegistrationError(Scan2AlbedoError):
     """No trustworthy pose was found: most often the scan holds no face."""
+
+
+class NoFaceError(RegistrationError):
+    """Nothing in the scan resembles a face of its size."""
 
 
 class InsideOutError(RegistrationError):

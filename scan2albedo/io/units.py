@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, UnitError
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
@@ -107,7 +107,7 @@ def _decided(
         fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
         if not fitting:
             verb = "are" if thing.endswith("s") else "is"
-            raise ScanError(
+            raise UnitError(
                 f"{name}: the {thing} {verb} {extent:.4g} units long, which is no {kind} in mm, cm or m "
                 f"(expected {low:g} to {high:g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
             )

@@ -28,6 +28,7 @@ from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
+from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
 from scan2albedo.registration import Registration, RegistrationOptions, register
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
@@ -157,12 +158,16 @@ def _processed(
 ) -> ProcessResult:
     """Take the scan through the stages; no file is written."""
     clock = _Clock(options)
-    file = None if isinstance(source, RawScan) else Path(source)
+    file, scaled = None if isinstance(source, RawScan) else Path(source), None
     with clock.timed("load"):
         # Hashed before it is read: a file that changes meanwhile is stale at once.
         sha256 = input_sha256(file, options.textures) if file is not None and os.path.isfile(file) else None
         if not isinstance(source, RawScan):
-            scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
+            if options.unit == "auto" and options.model != "none" and "register" not in options.skip:
+                scaled = load_of_any_size(Path(source), name, options.textures)
+                scan = scaled.scan
+            else:
+                scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         else:
             scan = source if name is None else replace(source, name=name)
         model = chosen_model(options.model)
@@ -170,7 +175,7 @@ def _processed(
     with _warnings_as_messages() as messages:
         if model is not None and "register" not in options.skip:
             with clock.timed("register"):
-                scan, registration = _registered(scan, model, clock, options, on_progress)
+                scan, registration = _registered(scan, scaled, model, clock, options, on_progress)
         if model is not None:
             pose = np.eye(4) if registration is None else registration.model_from_scan
             with clock.timed("fit"):
@@ -213,26 +218,33 @@ def _processed(
 
 def _registered(
     scan: RawScan,
+    scaled: ScaledScan | None,
     model: AnnotatedFaceModel,
     clock: _Clock,
     options: ProcessOptions,
     on_progress: ProgressCallback | None,
 ) -> tuple[RawScan, Registration]:
-    """Return the scan, its triangles reversed where they face inward, and the pose of its face."""
+    """Return the scan, its triangles reversed where they face inward, and the pose of its face.
+
+    A scan whose unit nobody gave is `scaled`: it is brought to the scale at which it holds a face.
+    """
 
     def registration(of: RawScan) -> Registration:
         share, stage = clock.share("register"), _registration_options(options)
         return register(of, model, share, options.seed, options=stage, on_progress=on_progress)
 
-    try:
-        return scan, registration(scan)
-    except InsideOutError:
-        note = (
-            f"the scan was inside out: its {len(scan.faces)} triangles were reversed. If the export was "
-            "mirrored, left and right of the face are swapped: then mirror the scan and process it again"
-        )
-        turned = replace(scan.inside_out(), notes=(*scan.notes, note))
-        return turned, registration(turned)
+    def as_it_should_be(of: RawScan) -> tuple[RawScan, Registration]:
+        try:
+            return of, registration(of)
+        except InsideOutError:
+            note = (
+                f"the scan was inside out: its {len(of.faces)} triangles were reversed. If the export was "
+                "mirrored, left and right of the face are swapped: then mirror the scan and process it again"
+            )
+            turned = replace(of.inside_out(), notes=(*of.notes, note))
+            return turned, registration(turned)
+
+    return as_it_should_be(scan) if scaled is None else registered_at_any_scale(scaled, as_it_should_be)
 
 
 def _registration_options(options: ProcessOptions) -> RegistrationOptions:

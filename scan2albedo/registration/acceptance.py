@@ -9,7 +9,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import InsideOutError, RegistrationError
+from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.candidates import (
     CERTAINTY_NEEDED,
@@ -136,7 +136,7 @@ def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
     if candidates[0].is_face():
         return
     scores = candidates[0].scores
-    raise RegistrationError(
+    raise NoFaceError(
         f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
         f"{100 * scores.coverage:.0f} % of the face (needed: {100 * COVERAGE_NEEDED:.0f} %) "
         f"with a certainty of {scores.certainty:.2f} (needed: {CERTAINTY_NEEDED:.2f}; "

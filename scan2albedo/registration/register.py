@@ -20,7 +20,7 @@ from scan2albedo.registration.robust_icp import rms_mm, tightened
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
-_HUMAN_SCALE = (0.75, 1.3)
+HUMAN_SCALE = (0.75, 1.3)
 """Sizes of people's faces, children's too, relative to the model's."""
 
 
@@ -99,7 +99,7 @@ def register(
     tight = tightened(prepared.samples, template, candidates[0].pose, options.settling_iterations, closing)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, template, tight, options, annealing, seed)
-    low, high = _HUMAN_SCALE
+    low, high = HUMAN_SCALE
     if not low <= final.pose.scale <= high:
         warnings.warn(
             f"{scan.name}: the face is {100 * final.pose.scale:.0f} % of the model's size, which no person's "

@@ -1,0 +1,76 @@
+"""Scans of any scale: the face gives it, a given unit stands, and what is no face is refused at any."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.errors import NoFaceError, RegistrationError, UnitError
+from scan2albedo.pipeline.scale_search import ScaledScan, registered_at_any_scale
+from scan2albedo.registration import Registration
+from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+
+
+@pytest.fixture(scope="module")
+def case():
+    return raw_scan(0, options=RawScanOptions(size=64, picture_size=64, spacing_mm=3.5))
+
+
+def write(path, scan, factor):
+    lines = ["v {:.9g} {:.9g} {:.9g}".format(*(vertex * factor)) for vertex in scan.vertices]
+    lines += ["f {} {} {}".format(*(face + 1)) for face in scan.faces]
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("factor", [0.037, 41.0])
+def test_the_face_gives_the_scale(case, tmp_path, factor):
+    scan, truth = case
+    result = s2a.process(write(tmp_path / "any.obj", scan, factor), size=64, skip=["albedo"])
+    assert "by the size of the face" in next(n for n in result.notes if n.startswith("unit: "))
+    extent = np.ptp(result.scan.vertices, axis=0).max() / np.ptp(scan.vertices, axis=0).max()
+    assert extent == pytest.approx(1, abs=0.12)
+    rotation = result.registration.model_from_scan[:3, :3]
+    away = np.trace(rotation @ truth.model_from_scan[:3, :3].T)
+    assert np.degrees(np.arccos(np.clip((away - 1) / 2, -1, 1))) < 3
+
+
+def test_a_unit_that_is_given_stands(case, tmp_path):
+    file = write(tmp_path / "any.obj", case[0], 0.037)
+    with pytest.raises(RegistrationError):
+        s2a.process(file, unit="mm", size=64)
+    with pytest.raises(UnitError, match="no head in mm, cm or m"):
+        s2a.load_scan(write(tmp_path / "huge.obj", case[0], 41.0))
+
+
+def test_a_doubtful_face_of_unknown_size_is_refused(case):
+    """At one of many sizes much resembles a face: a pose that would do at a known size does not."""
+    scan, tried = case[0], []
+
+    def register(of):
+        tried.append(of)
+        if len(tried) == 1:
+            raise NoFaceError("no face found, as it is")
+        doubtful = Registration(np.eye(4), 1.0, None, True, 0.6, 1, s2a.Trace())
+        return of, doubtful
+
+    with pytest.raises(NoFaceError, match="as it is"):
+        registered_at_any_scale(ScaledScan(scan, 1.0, True), register)
+    assert len(tried) == 5
+    assert len({float(np.ptp(each.vertices)) for each in tried}) == 5
+    with pytest.raises(NoFaceError, match="at any scale"):
+        registered_at_any_scale(ScaledScan(scan, 1.0, False), lambda of: (of, register(of)[1]))
+
+
+def test_what_fits_is_registered_once(case):
+    sure = Registration(np.eye(4), 1.0, None, True, 1.0, 1, s2a.Trace())
+    calls = []
+
+    def register(of):
+        calls.append(of)
+        return of, sure
+
+    scan = replace(case[0], name="once")
+    assert registered_at_any_scale(ScaledScan(scan, 1.0, True), register) == (scan, sure)
+    assert calls == [scan]
