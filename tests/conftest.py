@@ -1,5 +1,6 @@
 """Shared fixtures: the real scans (beside the repository, optional), the default model, a face-like mask."""
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -29,3 +30,17 @@ def face_like_mask():
     """A disc (128, 128) with a hole."""
     rows, columns = np.mgrid[:128, :128] - 63.5
     return (np.hypot(rows, columns) < 58) & (np.hypot(rows + 20, columns - 15) > 6)
+
+
+@pytest.fixture
+def no_endless_reading():
+    """Fails a test that waits for a pipe or reads a device for more than 60 seconds."""
+
+    def too_long(signum, frame):
+        raise TimeoutError("it reads without end")
+
+    before = signal.signal(signal.SIGALRM, too_long)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import signal
 from contextlib import suppress
 
 import numpy as np
@@ -15,17 +14,7 @@ from scan2albedo.io.images import write_exr
 from scan2albedo.recognition.stored_albedo import read_albedo
 from scan2albedo.report.html import write_report
 
-
-@pytest.fixture(autouse=True)
-def _no_endless_reading():
-    def too_long(signum, frame):
-        raise TimeoutError("it reads without end")
-
-    before = signal.signal(signal.SIGALRM, too_long)
-    signal.alarm(60)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+pytestmark = pytest.mark.usefixtures("no_endless_reading")
 
 
 def record(text):

@@ -1,7 +1,6 @@
 """Damaged, strange and hostile files: each is a row of the catalogue, and the other scans are processed."""
 
 import os
-import signal
 
 import pytest
 
@@ -12,20 +11,8 @@ TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
 # Which TBB numba finds depends on what was loaded before, by other tests.
 pytestmark = [
     pytest.mark.filterwarnings("ignore:The TBB threading layer"),
-    pytest.mark.usefixtures("stages_in_this_process"),
+    pytest.mark.usefixtures("stages_in_this_process", "no_endless_reading"),
 ]
-
-
-@pytest.fixture(autouse=True)
-def _no_endless_reading():
-    def too_long(signum, frame):
-        raise TimeoutError("it reads without end")
-
-    before = signal.signal(signal.SIGALRM, too_long)
-    signal.alarm(60)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture
