@@ -31,6 +31,10 @@ OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the res
 BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
 
 
+_UsageError: Any = typer.BadParameter.__base__
+"""Of unknown options, missing arguments and the like: typer exports this kind of it alone."""
+
+
 class PrintableUsage(TyperGroup):
     """Commands whose usage errors hold names of files only as `printable` has them."""
 
@@ -38,11 +42,9 @@ class PrintableUsage(TyperGroup):
         """Run the command."""
         try:
             return super().invoke(ctx)
-        # Raised again; typer does not export the base of its usage errors.
-        except Exception as error:
-            if hasattr(error, "format_message"):
-                text = printable(error.format_message())
-                error.format_message = lambda: text
+        except _UsageError as error:
+            text = printable(error.format_message())
+            error.format_message = lambda: text
             raise
 
 
