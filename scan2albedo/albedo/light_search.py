@@ -252,6 +252,7 @@ class LightSearch:
     def _first_light(self) -> Solution:
         """Return one light with every allowed part free."""
         meter, model = self.scene.meter, self.scene.model(1)
+        # Builds the smallest image, which a small budget does not outlive.
         start = model.from_lights(self.scene.directions[:1], np.array([_FIRST_STRENGTH]))
         if meter.exhausted:
             return self._least(start, model)
