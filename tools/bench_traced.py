@@ -5,7 +5,8 @@
 FOLDER is made by tools/build_traced_scans.py. A row a scene: 100 x MSE after the best single scale, on V and
 on colour, of the texture as it is, divided by ambient occlusion, by nine harmonics (SH), by the same with the
 face's own shadows, and ours; outlines in the albedo that the photograph lacks (share, and mean excess in log
-units); lamps found of all lamps (of those with hard shadows); CPU seconds. A dash marks what failed. Texels
+units); lamps found of all lamps (of those with hard shadows); CPU seconds; parts of the texels that err by
+less than `expected_error`, and than twice that. A dash marks what failed. Texels
 that got less than 3 % of the median light do not count. `--peers slow` adds the paper's objective and inverse
 rendering by Mitsuba's gradients (one lamp and an environment of 24 directions; needs `mitsuba` and libLLVM).
 """
@@ -27,6 +28,7 @@ from benchmarks.traced_set import (
     AlbedoScore,
     InventedOutlines,
     ScanTruth,
+    calibration,
     invented_outlines,
     judged_scan,
     load_image,
@@ -48,13 +50,17 @@ RENDERED = DescentOptions(environment=24, trial_steps=60, steps=300)
 
 @dataclass(frozen=True)
 class Row:
-    """One scene: scores by method, outlines, lamps as text, CPU seconds, and what else there is to say."""
+    """One scene: scores by method, outlines, lamps as text, CPU seconds, and what else there is to say.
+
+    `said` is what parts of the texels err by less than `expected_error`, and than twice that.
+    """
 
     name: str
     scores: dict[str, AlbedoScore]
     outlines: InventedOutlines
     lamps: str
     cpu_s: float
+    said: tuple[float, float]
     note: str = ""
 
 
@@ -93,7 +99,9 @@ def scored(
         ours.max(2),
         image.mask,
     )
-    return Row(name, scores | {OURS: score(ours, truth, judged)}, outlines, lamps, cpu_s, note)
+    assert estimate.expected_error is not None
+    said = calibration(ours.max(2), truth.max(2), estimate.expected_error, judged)
+    return Row(name, scores | {OURS: score(ours, truth, judged)}, outlines, lamps, cpu_s, said, note)
 
 
 def image_row(folder: Path, name: str, slow: bool) -> Row:
@@ -149,14 +157,17 @@ def line(row: Row) -> str:
     on_value = " ".join(f"{s.value_percent:7.2f}" for s in row.scores.values())
     on_color = " ".join(f"{s.color_percent:7.2f}" for s in row.scores.values())
     found = f"{row.outlines.share:5.0%} {row.outlines.mean_excess:5.3f} of {row.outlines.edges:5d}"
-    return f"{row.name:26}{on_value} |{on_color} | {found} | {row.lamps:10} | {row.cpu_s:5.1f} s {row.note}"
+    said = " ".join(f"{part:4.2f}" for part in row.said)
+    cost = f"{row.cpu_s:5.1f} s | {said} {row.note}"
+    return f"{row.name:26}{on_value} |{on_color} | {found} | {row.lamps:10} | {cost}"
 
 
 def heading(slow: bool) -> str:
     """Return the table's first line."""
     peers = ("as is", "AO", "SH", "SH+sh.", *(("paper's", "Mitsuba") if slow else ()), OURS)
     methods = " ".join(f"{name[:7]:>7}" for name in peers)
-    return f"{'V % | colour %':26}{methods} |{methods} | {'invented outlines':>20} | {'lamps':10} | CPU"
+    last = f"{'invented outlines':>20} | {'lamps':10} | {'CPU':7} | as said"
+    return f"{'V % | colour %':26}{methods} |{methods} | {last}"
 
 
 def summary(done: list[Row]) -> str:
