@@ -19,7 +19,7 @@ from scan2albedo.synthetic.scenes import (
     light_at,
     with_normal_error,
 )
-from scan2albedo.synthetic.stereo_scan import StereoScanOptions, StereoTruth, stereo_scan
+from scan2albedo.synthetic.stereo_scan import StereoScanOptions, StereoTruth, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.wearer import Wearer, WearerOptions, wearer
 
 __all__ = [
@@ -54,6 +54,7 @@ __all__ = [
     "raw_like",
     "raw_scan",
     "stereo_scan",
+    "stereo_scan_of",
     "wearer",
     "with_normal_error",
 ]

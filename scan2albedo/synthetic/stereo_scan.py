@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
 from scan2albedo.synthetic.head import (
     HEAD_AXIS_FROM_NOSE_MM,
@@ -24,14 +25,10 @@ from scan2albedo.synthetic.head import (
 )
 from scan2albedo.synthetic.raw_like import disturbed, random_pose
 from scan2albedo.synthetic.scanner import capture, two_pods
-from scan2albedo.synthetic.sitter import Sitter, sit_down
-from scan2albedo.synthetic.textures import smoothstep
+from scan2albedo.synthetic.sitter import sit_down
+from scan2albedo.synthetic.stereo_features import Head, drawn_features, lost, scrap_of, shaped, worn
 
-FEATURES = ("glasses", "open mouth", "beard", "fringe", "half face", "no neck")
-"""What may hide or change a face, and the `_CHANCES` of each."""
-_CHANCES = (0.3, 0.25, 0.2, 0.25, 0.1, 0.4)
 _CENTER_FROM_NOSE_MM = np.array([0.0, -15.0, -70.0])
-_EYES, _MOUTH, _CHIN, _BROWS = slice(36, 48), slice(48, 68), 8, slice(17, 27)
 _FARTHEST_MM, _NEAREST_STRAY_MM = 1300.0, 200.0
 _PATCH = 5
 """Rows and columns of vertices of a stray patch."""
@@ -54,7 +51,9 @@ class StereoScanOptions:
     holes: tuple[int, int] = (3, 20)
     """Holes of 3 to 12 mm radius."""
     features: tuple[str, ...] | None = None
-    """Names from `FEATURES`; drawn when None."""
+    """Names from `stereo_features.FEATURES`; drawn when None."""
+    scrap: str | None = None
+    """One of `stereo_features.SCRAPS`: of the head there is only a scrap, which shows no face."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +61,19 @@ class StereoTruth:
     """What is known about a scan."""
 
     model_from_scan: FloatArray
-    """(4, 4): true pose: maps scan points into the model's frame, mm."""
+    """(4, 4): true pose: maps scan points into the model's frame, or that of the given shape, mm."""
     landmarks: FloatArray
-    """(68, 3): true landmarks in the model's frame, mm; of a shut mouth, whatever it does."""
+    """(68, 3): true landmarks in that frame, mm; of a shut mouth, whatever it does."""
     expression: str
+    """The one drawn; empty where the shape was given."""
     features: tuple[str, ...]
-    """`expression`, `features`: what was drawn, or asked for."""
+    """What was drawn, or asked for."""
 
 
 def stereo_scan(
     seed: int = 0,
     *,
+    capture_seed: int | None = None,
     model: AnnotatedFaceModel | None = None,
     options: StereoScanOptions = StereoScanOptions(),
 ) -> tuple[RawScan, StereoTruth]:
@@ -80,18 +81,20 @@ def stereo_scan(
 
     Two pods see the head. Stereo loses what is smooth, glassy or thin: strips behind glasses are missing, and
     their rims are loose shreds; an open mouth is a pit. Mismatches are patches along the line of sight, up to
-    1.3 m off. ValueError for an unknown feature.
+    1.3 m off. ValueError for an unknown feature or scrap.
 
     Parameters
     ----------
     seed : int
         Of the person and everything else; same seed, same scan.
+    capture_seed : int, optional
+        Of what differs between two scans of one shape: samples, noise, holes, strays, reach and pose.
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     options : StereoScanOptions
     """
     rng = np.random.default_rng([seed, 23])
-    features = _features(options.features, rng)
+    features = drawn_features(options.features, rng)
     names: list[Expression] = sorted(EXPRESSION_BUMPS)  # type: ignore[arg-type]
     expression = names[rng.integers(len(names))]
     sitter = sit_down(
@@ -100,119 +103,102 @@ def stereo_scan(
         model=model or AnnotatedFaceModel.default(),
         expression_strength=rng.uniform(0.5, 1.5),
     )
-    vertices = _shaped(sitter, features, rng)
-    tip = nose_tip(sitter.face.vertices)
-    parts = [(vertices, sitter.faces), *_worn(sitter, features, rng)]
-    measured = capture(
-        *join(parts),
-        two_pods(tip + _CENTER_FROM_NOSE_MM, reach_mm=205.0),
-        spacing_mm=rng.uniform(*options.spacing_mm),
-        rng=rng,
-        axis_mm=tip + HEAD_AXIS_FROM_NOSE_MM,
-    )
-    points = disturbed(measured.vertices, measured.faces, rng, rng.uniform(*options.noise_mm), 10)
-    lost = _lost(points, sitter.face.landmarks, features, rng)
-    middle = sitter.face.landmarks[17:].mean(0) + rng.normal(scale=8, size=3)
-    lost |= np.linalg.norm(points - middle, axis=1) > rng.uniform(*options.reach_mm)
-    mesh = compact(points, measured.faces[~lost[measured.faces].any(1)])
+    face = sitter.face
+    head = Head(sitter.vertices, sitter.faces, face.landmarks, (face.vertices, face.faces), face.normals)
+    scan, pose = _scanned(head, features, rng, (seed, capture_seed), options)
+    return scan, StereoTruth(invert_rigid(pose), face.landmarks, expression, features)
+
+
+def stereo_scan_of(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    landmarks: ArrayLike,
+    seed: int = 0,
+    *,
+    capture_seed: int | None = None,
+    options: StereoScanOptions = StereoScanOptions(),
+) -> tuple[RawScan, StereoTruth]:
+    """Return the untextured scan of a given head as `stereo_scan` makes it, and its truth.
+
+    Features drawn or asked for change the head. Raises ValueError for landmarks of another shape than
+    (68, 3), and for an unknown feature or scrap.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array_like of float
+        Whole head, mm, anywhere; it looks along +z with +y up. Hair and clothes may be loose parts.
+    faces : (F, 3) array_like of int
+    landmarks : (68, 3) array_like of float
+        Of the head, iBUG-68 order.
+    seed : int
+        Same seed, same features and scan.
+    capture_seed : int, optional
+        See `stereo_scan`.
+    options : StereoScanOptions
+    """
+    points = np.asarray(landmarks, np.float64)
+    if points.shape != (68, 3):
+        raise ValueError(f"landmarks have shape {points.shape}, expected (68, 3)")
+    rng = np.random.default_rng([seed, 29])
+    features = drawn_features(options.features, rng)
+    head = Head.of(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), points)
+    scan, pose = _scanned(head, features, rng, (seed, capture_seed), options)
+    return scan, StereoTruth(invert_rigid(pose), points, "", features)
+
+
+def _scanned(
+    head: Head,
+    features: tuple[str, ...],
+    rng: np.random.Generator,
+    seeds: tuple[int, int | None],
+    options: StereoScanOptions,
+) -> tuple[RawScan, FloatArray]:
+    """Return the scan of a head with features, and `scan_from_head` (4, 4).
+
+    `rng` draws the shape and, where the capture has no seed of its own in `seeds`, the capture.
+    """
+    tip = nose_tip(head.front[0])
+    parts = [(shaped(head, features, rng), head.faces), *worn(head, features, rng)]
+    seed, capture_seed = seeds
+    name = f"stereo-{seed}"
+    if capture_seed is not None:
+        name += f"-{capture_seed}"
+        rng = np.random.default_rng([seed, capture_seed, 31])
+    mesh = _measured(join(parts), tip, options, rng)
+    gone = lost(mesh[0], head.landmarks, features, rng)
+    if options.scrap is None:
+        middle = head.landmarks[17:].mean(0) + rng.normal(scale=8, size=3)
+        gone |= np.linalg.norm(mesh[0] - middle, axis=1) > rng.uniform(*options.reach_mm)
+    mesh = compact(mesh[0], mesh[1][~gone[mesh[1]].any(1)])
+    if options.scrap is not None:
+        mesh = scrap_of(mesh, head.landmarks, options.scrap, rng)
     count = int(rng.integers(*options.holes, endpoint=True))
     mesh = with_holes(mesh, mesh[0][rng.choice(len(mesh[0]), count)], rng.uniform(3, 12, count))
     loose = crumbs(mesh[0], rng, int(rng.integers(*options.pieces, endpoint=True)) - 1)
     share = float(np.exp(rng.uniform(*np.log(options.stray))))
     posed, faces = join([mesh, *loose, *_stray(mesh[0], share, rng)])
     pose = random_pose(rng, 180.0, 300.0)
-    scan = RawScan(transform_points(pose, posed), faces, name=f"stereo-{seed}")
-    return scan, StereoTruth(invert_rigid(pose), sitter.face.landmarks, expression, features)
+    return RawScan(transform_points(pose, posed), faces, name=name), pose
 
 
-def _features(wanted: tuple[str, ...] | None, rng: np.random.Generator) -> tuple[str, ...]:
-    drawn = rng.uniform(size=len(FEATURES)) < _CHANCES
-    if wanted is None:
-        return tuple(name for name, there in zip(FEATURES, drawn, strict=True) if there)
-    unknown = sorted(set(wanted) - set(FEATURES))
-    if unknown:
-        raise ValueError(f"unknown features {unknown}, expected some of {FEATURES}")
-    return tuple(wanted)
-
-
-def _shaped(sitter: Sitter, features: tuple[str, ...], rng: np.random.Generator) -> FloatArray:
-    """Return the sitter's vertices (V, 3) with a jaw that is down, and a beard that stands off."""
-    landmarks, vertices = sitter.face.landmarks, sitter.vertices.copy()
-    mouth, chin = landmarks[_MOUTH].mean(0), landmarks[_CHIN]
-    if "open mouth" in features:
-        drop = rng.uniform(6, 22)
-        below = smoothstep((mouth[1] - vertices[:, 1]) / 6) * _near(vertices, chin, 45)
-        vertices[:, 1] -= drop * below
-        vertices[:, 2] -= 0.35 * drop * below
-        center, size = mouth - [0, drop / 2, 0], np.array([rng.uniform(14, 24), drop / 2 + 3, 30])
-        inside = np.exp(-((np.abs((vertices - center) / size) ** 2).sum(1) ** 2))
-        vertices[:, 2] -= rng.uniform(6, 16) * inside
-    if "beard" in features:
-        lower = smoothstep((mouth[1] + 4 - vertices[:, 1]) / 14) * _near(vertices, chin, 55)
-        lower *= 1 - _near(vertices, mouth, 12)
-        tufts = 1 + 0.35 * rng.normal(size=len(vertices))
-        vertices += (rng.uniform(3, 12) * lower * tufts)[:, None] * vertex_normals(vertices, sitter.faces)
-    return vertices
-
-
-def _near(points: FloatArray, center: FloatArray, radius_mm: float) -> FloatArray:
-    """Return (N,) 1 at a centre (3,), falling to 0 over its surroundings."""
-    return np.exp(-0.5 * (((points - center) / radius_mm) ** 2).sum(1) ** 2)
-
-
-def _worn(sitter: Sitter, features: tuple[str, ...], rng: np.random.Generator) -> list[Mesh]:
-    """Return the meshes of hair over the forehead and of the rims of glasses."""
-    parts: list[Mesh] = []
-    face, landmarks = sitter.face, sitter.face.landmarks
-    if "fringe" in features:
-        brow = landmarks[_BROWS, 1].mean()
-        top = face.vertices[:, 1].max()
-        x = face.vertices[:, 0]
-        ragged = 4 * np.sin(x / rng.uniform(3, 6)) + rng.uniform(-0.3, 0.3) * x
-        above = face.vertices[:, 1] > top - rng.uniform(0.3, 0.75) * (top - brow) + ragged
-        locks = rng.uniform(3, 9) * (1 + 0.2 * np.sin(x / 2.2))
-        parts.append(
-            compact(face.vertices + locks[:, None] * face.normals, face.faces[above[face.faces].all(1)])
-        )
-    if "glasses" in features:
-        size = np.array([rng.uniform(22, 30), rng.uniform(16, 24)])
-        parts += [_rim(center, size, rng.uniform(1.5, 4)) for center in _lens_centers(landmarks)]
-    return parts
-
-
-def _lens_centers(landmarks: FloatArray) -> list[FloatArray]:
-    eyes = landmarks[_EYES].reshape(2, 6, 3).mean(1)
-    return [eye + [3 * np.sign(eye[0]), -2.0, 14.0] for eye in eyes]
-
-
-def _rim(center: FloatArray, size: FloatArray, thick_mm: float) -> Mesh:
-    """Return an elliptic tube around a lens in the plane that faces +z."""
-    turn, around = (np.linspace(0, 2 * np.pi, n, endpoint=False) for n in (40, 8))
-    line = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
-    out = normalized(line * [*size[::-1], 1.0])
-    ring = center + line * [*size, 0.0]
-    tube = ring[:, None] + thick_mm * (
-        np.cos(around)[None, :, None] * out[:, None] + np.sin(around)[None, :, None] * [0.0, 0.0, 1.0]
+def _measured(mesh: Mesh, tip: FloatArray, options: StereoScanOptions, rng: np.random.Generator) -> Mesh:
+    """Return what two pods before the head measure of it; behind it, for its back."""
+    axis = tip + HEAD_AXIS_FROM_NOSE_MM
+    turn = np.eye(4)
+    if options.scrap == "back":
+        rotation = rotation_from_vector([0.0, np.pi + rng.uniform(-0.5, 0.5), 0.0])
+        turn = compose(rotation, axis - rotation @ axis)
+    measured = capture(
+        transform_points(turn, mesh[0]),
+        mesh[1],
+        two_pods(tip + _CENTER_FROM_NOSE_MM, reach_mm=205.0),
+        spacing_mm=rng.uniform(*options.spacing_mm),
+        rng=rng,
+        axis_mm=axis,
     )
-    closed = np.concatenate([tube, tube[:1]])
-    return closed.reshape(-1, 3), grid_faces(len(turn) + 1, len(around), wrap=True)[:, ::-1]
-
-
-def _lost(
-    points: FloatArray, landmarks: FloatArray, features: tuple[str, ...], rng: np.random.Generator
-) -> BoolArray:
-    """Return which of the measured points (N, 3) the matching did not find."""
-    lost = np.zeros(len(points), bool)
-    if "glasses" in features:
-        size = np.array([rng.uniform(16, 26), rng.uniform(10, 18)])
-        for center in _lens_centers(landmarks):
-            lost |= (((points - center)[:, :2] / size) ** 2).sum(1) < 1
-    if "half face" in features:
-        side = rng.choice([-1.0, 1.0])
-        lost |= side * (points[:, 0] - landmarks[30, 0]) > rng.uniform(-4, 20)
-    if "no neck" in features:
-        lost |= points[:, 1] < landmarks[_CHIN, 1] - rng.uniform(-4, 45)
-    return lost
+    noise_mm = rng.uniform(*options.noise_mm)
+    points = disturbed(measured.vertices, measured.faces, rng, noise_mm, 10)
+    return transform_points(invert_rigid(turn), points), measured.faces
 
 
 def _stray(vertices: FloatArray, share: float, rng: np.random.Generator) -> list[Mesh]:

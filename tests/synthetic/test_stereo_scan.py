@@ -5,8 +5,9 @@ import pytest
 
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import StereoScanOptions, stereo_scan
-from scan2albedo.synthetic.stereo_scan import FEATURES
+from scan2albedo.synthetic import StereoScanOptions, stereo_scan, stereo_scan_of
+from scan2albedo.synthetic.sitter import sit_down
+from scan2albedo.synthetic.stereo_features import FEATURE_LANDMARKS, FEATURES, SCRAPS
 
 PLAIN = StereoScanOptions(features=())
 
@@ -73,3 +74,54 @@ def test_each_feature_changes_what_is_measured():
     assert near("fringe", above, 30)[:, 2].max() > near("glasses", above, 30)[:, 2].max() + 1
     with pytest.raises(ValueError, match="unknown features"):
         stereo_scan(0, options=StereoScanOptions(features=("moustache",)))
+
+
+def _nearest(points, others):
+    return np.linalg.norm(points[:, None] - others[None], axis=2).min(1)
+
+
+def test_captures_of_one_shape_share_the_person_and_nothing_else():
+    options = StereoScanOptions(noise_mm=(0.1, 0.1), features=("open mouth",))
+    pairs = [stereo_scan(4, capture_seed=capture, options=options) for capture in (0, 1)]
+    (first, truth), (second, other) = pairs
+    assert np.array_equal(truth.landmarks, other.landmarks)
+    assert (truth.expression, truth.features) == (other.expression, other.features)
+    assert not np.allclose(truth.model_from_scan, other.model_from_scan)
+    assert len(first.vertices) != len(second.vertices)
+    eyes, mouth = truth.landmarks[36:48].mean(0), truth.landmarks[48:].mean(0)
+    for center in (eyes, mouth):
+        points, others = (in_model_frame(*pair) for pair in pairs)
+        near = points[np.linalg.norm(points - center, axis=1) < 20]
+        assert np.median(_nearest(near, others)) < 3.5
+    again, _ = stereo_scan(4, capture_seed=1, options=options)
+    assert np.array_equal(again.vertices, second.vertices)
+
+
+def test_any_head_can_be_scanned_wherever_it_is(model):
+    sitter, shift = sit_down(6, expression="smile", model=model), np.array([400.0, -900.0, 250.0])
+    landmarks = sitter.face.landmarks + shift
+    plain, before = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, options=PLAIN)
+    assert np.array_equal(before.landmarks, landmarks)
+    assert (before.expression, before.features) == ("", ())
+    assert np.median(_nearest(landmarks[17:], in_model_frame(plain, before))) < 4
+    options = StereoScanOptions(features=("fringe", "glasses"))
+    worn, truth = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, options=options)
+    eye = landmarks[[37, 38, 40, 41]].mean(0)[None]
+    assert _nearest(eye, in_model_frame(worn, truth)) > 6 > _nearest(eye, in_model_frame(plain, before))
+    with pytest.raises(ValueError, match=r"landmarks have shape \(51, 3\)"):
+        stereo_scan_of(sitter.vertices, sitter.faces, landmarks[17:])
+
+
+@pytest.mark.parametrize("scrap", SCRAPS)
+def test_a_scrap_shows_no_face(scrap):
+    scan, truth = stereo_scan(SCRAPS.index(scrap), options=StereoScanOptions(features=(), scrap=scrap))
+    piece = vertex_components(len(scan.vertices), scan.faces)[scan.faces[:, 0]]
+    largest = np.unique(scan.faces[piece == np.bincount(piece).argmax()])
+    assert len(largest) > 50
+    shown = _nearest(truth.landmarks[FEATURE_LANDMARKS], in_model_frame(scan, truth)[largest]) < 8
+    assert shown.mean() < 0.2
+
+
+def test_a_scrap_of_an_unknown_place_is_refused():
+    with pytest.raises(ValueError, match="unknown scrap 'knee'"):
+        stereo_scan(0, options=StereoScanOptions(scrap="knee"))
