@@ -120,8 +120,7 @@ def stereo_scan_of(
 ) -> tuple[RawScan, StereoTruth]:
     """Return the untextured scan of a given head as `stereo_scan` makes it, and its truth.
 
-    Features drawn or asked for change the head. Raises ValueError for landmarks of another shape than
-    (68, 3), and for an unknown feature or scrap.
+    Features drawn or asked for change the head.
 
     Parameters
     ----------
@@ -135,6 +134,11 @@ def stereo_scan_of(
     capture_seed : int, optional
         See `stereo_scan`.
     options : StereoScanOptions
+
+    Raises
+    ------
+    ValueError
+        For landmarks of another shape, an unknown feature or scrap.
     """
     points = np.asarray(landmarks, np.float64)
     if points.shape != (68, 3):
