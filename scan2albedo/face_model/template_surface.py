@@ -12,7 +12,7 @@ from scan2albedo.geometry.mesh import (
     edges_with_faces,
     face_areas,
     face_cross_products,
-    far_vertices,
+    far_faces,
     vertex_components,
 )
 from scan2albedo.geometry.rigid import compose
@@ -65,7 +65,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
         )
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
-    far = int(far_vertices(xyz[used], np.ones(len(used), bool)).sum())
+    far = len(used) - len(np.unique(index[~far_faces(xyz, index)]))
     notes = (
         f"unit {unit}",
         *_note(far, "vertices far from the rest, which bend the surface: remove them"),

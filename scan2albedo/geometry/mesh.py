@@ -9,7 +9,8 @@ from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
-FAR_FACTOR, FAR_PERCENT = 4.0, 98.0
+FAR_FACTOR, FAR_PERCENT, OBJECT_SHARE = 3.0, 75.0, 0.05
+_FAR_ROUNDS = 10
 _LONG_ROW = 64
 """Neighbours, each as often as faces name it, from which insertion sorts them slower than `numpy.sort`."""
 
@@ -192,20 +193,37 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
 
 
 def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
-    """Return (V,) True for vertices 4 times farther from the median of those used than 98 % of them are.
+    """Return (V,) True for vertices 3 times farther from the median of the others than 75 % of those are.
 
-    Scanners produce stray vertices far away, which enlarge every box and moment.
+    Only those `used` count. Stereo puts up to a fifth of its vertices far away, which enlarge every box and
+    moment; the farthest of a head with shoulders lies at 2.1 times that distance.
     """
-    distance = np.linalg.norm(vertices - np.median(vertices[used], axis=0), axis=1)
-    return distance > FAR_FACTOR * np.percentile(distance[used], FAR_PERCENT)
+    far = ~used
+    for _ in range(_FAR_ROUNDS):
+        near = vertices[~far]
+        distance = lengths(vertices - np.median(near, axis=0))
+        farther = distance > FAR_FACTOR * np.percentile(distance[~far], FAR_PERCENT)
+        if not (farther & ~far).any():
+            break
+        far |= farther
+    return far & farther
 
 
-def without_far_vertices(vertices: FloatArray, faces: IntArray) -> IntArray:
-    """Return the faces (K, 3) without those that reach to `far_vertices`: at most 2 % of the vertices."""
+def far_faces(vertices: FloatArray, faces: IntArray) -> BoolArray:
+    """Return (F,) True for stray faces: those that reach to `far_vertices`.
+
+    Where such faces hang together and hold a twentieth of all vertices, they are a thing of their own (a
+    second head, a body that is coarser than the face), and not stray.
+    """
     used = np.zeros(len(vertices), bool)
     used[faces] = True
-    stray = far_vertices(vertices, used)
-    return faces[~stray[faces].any(1)] if (stray & used).any() else faces
+    far = far_vertices(vertices, used)
+    reaching = far[faces].any(1)
+    if not reaching.any() or reaching.all():
+        return np.zeros(len(faces), bool)
+    part = vertex_components(len(vertices), faces[far[faces].all(1)])
+    large = np.bincount(part) >= OBJECT_SHARE * used.sum()
+    return reaching & ~(large[part] & far)[faces].any(1)
 
 
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.errors import ScanError, UnitError
+from scan2albedo.geometry.mesh import far_vertices
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
@@ -32,14 +33,15 @@ def check_unit(unit: str) -> None:
 def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64]) -> float:
     """Return how long the scan is along its longest principal axis, in file units.
 
-    `components` (V,) labels the loose components. Only the largest ones that together hold at least half
-    of the vertices count, without the outermost 0.5 % of their vertices at either end: neither spikes nor
-    far crumbs change the unit.
+    `components` (V,) labels the loose components. Far vertices do not count, whatever they hang on, and of
+    the others only the largest components that together hold at least half of them, without the outermost
+    0.5 % of their vertices at either end: neither spikes nor stray patches change the unit.
     """
-    sizes = np.bincount(components)
+    near = ~far_vertices(vertices, np.ones(len(vertices), bool))
+    sizes = np.bincount(components[near])
     order = np.argsort(-sizes, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(sizes[order]), len(vertices) / 2)) + 1
-    kept = vertices[np.isin(components, order[:enough])]
+    enough = int(np.searchsorted(np.cumsum(sizes[order]), near.sum() / 2)) + 1
+    kept = vertices[near & np.isin(components, order[:enough])]
     centered = kept - kept.mean(axis=0)
     scale = np.abs(centered).max() or 1.0
     _, axes = np.linalg.eigh((centered / scale).T @ (centered / scale))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
-from scan2albedo.geometry.mesh import turned_against_neighbours, without_far_vertices
+from scan2albedo.geometry.mesh import far_faces, turned_against_neighbours
 from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
 from scan2albedo.registration.options import RegistrationOptions
@@ -21,7 +21,6 @@ _FEWEST_VERTICES = 50
 _FEWEST_SAMPLES = 150
 _FACE_MM = 200.0
 _LARGEST_MM = 6000.0
-_TRIM_PERCENT = 2.0
 _ANCHOR_LIMIT = 600
 """Greatest number of anchors: a scan of a whole room is searched more coarsely."""
 _NORMAL_SMOOTHING_MM = 45.0
@@ -100,8 +99,9 @@ def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:
 
     Raises `RegistrationError` when it has too few vertices or too little surface, or is larger than a room.
     """
-    _refuse_wrong_size(scan)
-    faces = without_far_vertices(scan.vertices, scan.faces)
+    faces = scan.faces[~far_faces(scan.vertices, scan.faces)]
+    corners = scan.vertices[faces].reshape(-1, 3)
+    _refuse_wrong_size(scan, corners)
     vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
     samples = oriented_points(vertices, faces, options.scan_spacing_mm)
     far_apart = anchors(
@@ -109,25 +109,24 @@ def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:
     )
     if len(samples) < _FEWEST_SAMPLES:
         raise RegistrationError(
-            f"{scan.name}: its surface of {samples.areas.sum():.3g} mm2 (box {box_text(scan.vertices)}) is "
+            f"{scan.name}: its surface of {samples.areas.sum():.3g} mm2 (box {box_text(corners)}) is "
             f"too small for a face of about {_FACE_MM:.0f} mm. "
-            + _unit_text(float(np.ptp(scan.vertices, axis=0).max()))
+            + _unit_text(float(np.ptp(corners, axis=0).max()))
         )
     return PreparedScan(vertices, faces, samples, far_apart, prepared_from_scan, scan)
 
 
-def _refuse_wrong_size(scan: RawScan) -> None:
+def _refuse_wrong_size(scan: RawScan, corners: FloatArray) -> None:
+    """Refuse too few vertices, or faces that are too far apart: `corners` (N, 3) of those not stray."""
     if len(scan.vertices) < _FEWEST_VERTICES:
         raise RegistrationError(
             f"{scan.name}: {len(scan.vertices)} vertices cannot show a face, at least "
             f"{_FEWEST_VERTICES} are needed; scan the whole face"
         )
-    # A few crumbs far away do not make a scan too large.
-    low, high = np.percentile(scan.vertices, [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
-    longest = float((high - low).max())
+    longest = float(np.ptp(corners, axis=0).max())
     if longest > _LARGEST_MM:
         raise RegistrationError(
-            f"{scan.name}: the scan (box {box_text(scan.vertices)}) is too large: a face is about "
+            f"{scan.name}: the scan (box {box_text(corners)}) is too large: a face is about "
             f"{_FACE_MM:.0f} mm, and it is looked for in at most {_LARGEST_MM / 1000:.0f} m. "
             + _unit_text(longest)
         )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
 from scan2albedo.report.rendering import View, heat_colors, render_mesh
@@ -131,13 +132,16 @@ def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> flo
 def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
     texture, color = _scan_srgb(scan)
     placed = transform_points(fitted.model_from_scan, scan.vertices)
+    near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
+    if texture is not None:
+        texture = texture[0][near], texture[1]
     wide = View(view.center_mm, view.half_width_mm * 1.35)
     if scan.has_color:
         picture = render_mesh(
-            placed, scan.faces, vertex_color_srgb=color, texture_srgb=texture, view=wide, shaded=False
+            placed, scan.faces[near], vertex_color_srgb=color, texture_srgb=texture, view=wide, shaded=False
         )
     else:
-        picture = render_mesh(placed, scan.faces, view=wide)
+        picture = render_mesh(placed, scan.faces[near], view=wide)
     dots = None if fitted.landmarks is None else wide.pixels(fitted.landmarks, len(picture))
     return Panel("registered input, found landmarks", picture, dots)
 

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from scan2albedo.geometry import mesh
-from scan2albedo.geometry.mesh import face_lists, neighbour_lists
+from scan2albedo.geometry.mesh import face_lists, far_faces, neighbour_lists
+from scan2albedo.synthetic.head import join
 
 
 def test_area_and_normals_of_a_sphere():
@@ -83,3 +84,44 @@ def test_faces_of_no_vertex_are_refused(wrong):
     for lists in (neighbour_lists, face_lists):
         with pytest.raises(IndexError, match="faces refer to vertices"):
             lists(5, np.array([[0, 1, wrong]]))
+
+
+def patch(count, center, rng):
+    """Return vertices and faces of a crumpled strip."""
+    index = np.arange(count - 2)[:, None] + [0, 1, 2]
+    return rng.normal(scale=8.0, size=(count, 3)) + center, index
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("attached", [False, True])
+def test_stray_patches_are_found_however_many(share, attached):
+    rng = np.random.default_rng(int(100 * share))
+    ball = trimesh.creation.icosphere(4, 90.0)
+    parts = [(np.asarray(ball.vertices), np.asarray(ball.faces))]
+    for _ in range(round(share / (1 - share) * len(ball.vertices) / 25)):
+        away = rng.normal(size=3)
+        parts.append(patch(25, away / np.linalg.norm(away) * rng.uniform(400, 1300), rng))
+    vertices, faces = join(parts)
+    first = np.arange(len(ball.vertices), len(vertices), 25)
+    if attached:
+        faces = np.concatenate([faces, np.stack([first, first + 1, 0 * first], axis=1)])
+    far = far_faces(vertices, faces)
+    np.testing.assert_array_equal(far, (faces >= len(ball.vertices)).any(1))
+
+
+def test_a_second_head_and_a_coarse_body_are_not_stray():
+    ball = trimesh.creation.icosphere(4, 90.0)
+    for coarse, away in ((3, [900.0, 0, 0]), (4, [0, 1200.0, 0])):
+        other = trimesh.creation.icosphere(coarse, 90.0)
+        vertices, faces = join(
+            [(np.asarray(ball.vertices), np.asarray(ball.faces)), (other.vertices + away, other.faces)]
+        )
+        assert not far_faces(vertices, faces).any()
+
+
+def test_stray_faces_do_not_take_everything_along():
+    """Every face may reach to a far vertex: none is stray then."""
+    rim = np.stack([np.cos(np.arange(30)), np.sin(np.arange(30)), 0 * np.arange(30)], axis=1)
+    vertices = np.concatenate([rim, [[0, 0, 500.0]]])
+    faces = np.stack([np.arange(30), (np.arange(30) + 1) % 30, np.full(30, 30)], axis=1)
+    assert not far_faces(vertices, faces).any()

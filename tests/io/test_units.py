@@ -5,9 +5,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scan2albedo.errors import ScanError
+from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.units import MM_PER_UNIT, largest_extent, millimetres_per_unit
+from scan2albedo.synthetic import StereoScanOptions, stereo_scan
 from tests.io.meshes import SQUARE_MM, assert_corner_colors, write_square_obj
 
 HEAD = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
@@ -58,6 +60,23 @@ def test_spikes_and_far_crumbs_do_not_change_the_unit():
     assert largest_extent(spiky, ONE_PIECE) < 200
     crumbs = np.concatenate([vertices, vertices[:200] * 0.1 + 1e5])
     assert largest_extent(crumbs, np.repeat([0, 1], [len(vertices), 200])) < 200
+
+
+@pytest.mark.parametrize("unit", MM_PER_UNIT)
+def test_stray_patches_that_hang_on_the_face_do_not_change_the_unit(tmp_path, unit):
+    """A fifth of the vertices in patches up to 1.3 m away, each joined to the face by a long triangle."""
+    scan, _ = stereo_scan(3, options=StereoScanOptions(stray=(0.2, 0.2), features=()))
+    parts = vertex_components(len(scan.vertices), scan.faces)
+    alone = scan.vertices[parts == np.argmax(np.bincount(parts))]
+    first = np.unique(parts, return_index=True)[1]
+    joined = np.stack([first, first + 1, np.full(len(first), first[np.argmax(np.bincount(parts))])], axis=1)
+    file = tmp_path / "stray.ply"
+    factor = MM_PER_UNIT[unit]
+    trimesh.Trimesh(scan.vertices / factor, np.concatenate([scan.faces, joined]), process=False).export(file)
+    loaded = load_scan(file)
+    assert loaded.notes[0].startswith(f"unit: {unit} ")
+    extent = float(loaded.notes[0].split("largest extent ")[1].split()[0])
+    assert extent < 1.6 * largest_extent(alone, np.zeros(len(alone), int))
 
 
 def test_a_scan_in_two_halves_counts_both():

@@ -1,9 +1,12 @@
 """The quick pictures show what is there, where it is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import trimesh
 
-from scan2albedo.report.overview import Panel, overview_figure, preview_srgb
+from scan2albedo import RawScan
+from scan2albedo.report.overview import Panel, _input_panel, overview_figure, preview_srgb
 from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
 
@@ -30,6 +33,19 @@ def test_yaw_shows_the_right_side_and_pitch_the_underside():
     assert (below[..., 0].astype(int) > below[..., 2]).sum() > (
         below[..., 2].astype(int) > below[..., 0]
     ).sum()
+
+
+def test_stray_patches_in_front_hide_nothing():
+    ball = trimesh.creation.icosphere(4, 90.0)
+    patch = np.array([[-40, -40, 600.0], [40, -40, 600], [0, 60, 600]])
+    vertices = np.concatenate([ball.vertices, patch])
+    faces = np.concatenate([ball.faces, [np.arange(3) + len(ball.vertices)]])
+    color = np.where(np.arange(len(vertices))[:, None] < len(ball.vertices), [0.0, 0, 1], [1.0, 0, 0])
+    fitted = SimpleNamespace(model_from_scan=np.eye(4), landmarks=None)
+    scan = RawScan(vertices, faces, vertex_color_linear=color.astype(np.float32))
+    picture = _input_panel(scan, fitted, View((0, 0, 0), 100.0)).picture
+    middle = len(picture) // 2
+    assert picture[middle, middle].tolist() == [0, 0, 255]
 
 
 def test_texture_is_upright():
