@@ -146,7 +146,7 @@ def register(
     """Place a frame where calibrated pictures show it on a face, bent as they show it.
 
     Cameras and head share one frame. A fitted.glb lies in the frame of the face model: cameras that were
-    calibrated with the scanner come into it by their matrices times the inverse of fitted_from_scan in the
+    calibrated with the scanner come into it by their matrices times the inverse of model_from_scan in the
     registration.json beside it.
     """
     from scan2albedo.cli.progress import ProgressLines

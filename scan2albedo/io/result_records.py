@@ -174,14 +174,17 @@ class RegistrationRecord(Record):
 
     format_version: Literal[1] = 1
     model_from_scan: Matrix = Field(
-        description="Row-major 4x4 acting on column vectors: scan points in mm into the model's frame."
+        description="Row-major 4x4 acting on column vectors: scan points in mm into the model's frame, which "
+        "is that of fitted.glb; the pose with which the fit ended."
     )
     fitted_from_scan: Matrix | None = Field(
-        None, description="The same as the fit refined it: into the frame of fitted.glb."
+        None, description="The same pose, under the name it had beside that of the search."
     )
-    rmse_mm: Number = Field(ge=0)
+    rmse_mm: Number = Field(
+        ge=0, description="Root mean square distance of the rigid model to the scan at model_from_scan."
+    )
     depth_error: OptionalNumber = Field(
-        None, description="Depth-derivative objective; null when not measured."
+        None, description="Depth-derivative objective at the pose of the search; null when not measured."
     )
     converged: bool
     confidence: Number = Field(ge=0, le=1)

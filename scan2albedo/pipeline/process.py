@@ -30,6 +30,7 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
 from scan2albedo.registration import Registration, RegistrationOptions, register
+from scan2albedo.registration.refined_pose import refined_registration
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left for searching that each stage may take."""
@@ -182,6 +183,10 @@ def _processed(
                 fitted = fit(
                     scan, model, pose, clock.share("fit"), options=options.stages.fit, on_progress=on_progress
                 )
+                if registration is not None:
+                    pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
+                    stage = options.stages.registration
+                    registration = refined_registration(registration, scan, model, pose, scale, options=stage)
         with clock.timed("geometry_image"):
             if fitted is not None:
                 image = geometry_image(fitted, scan, options.texels)

@@ -68,7 +68,7 @@ class ProcessResult:
     scan: RawScan
     """As it was read."""
     registration: Registration | None
-    """None without a model, or when registration was skipped."""
+    """With the pose the fit ended with; None without a model, or when registration was skipped."""
     fitted: FittedFace | None
     """None without a model."""
     geometry_image: GeometryImage

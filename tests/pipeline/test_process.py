@@ -26,6 +26,7 @@ from scan2albedo.pipeline import process as pipeline_process
 from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
 from scan2albedo.pipeline.options import FORCEABLE, process_options
+from scan2albedo.registration.refined_pose import refined_registration
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128
@@ -107,7 +108,25 @@ def test_json_files_agree_with_their_schemas(result):
     assert set(written["files"]) == FILES
     poses = json.loads((result.out / "registration.json").read_text())
     np.testing.assert_array_equal(poses["model_from_scan"], result.registration.model_from_scan)
-    np.testing.assert_array_equal(poses["fitted_from_scan"], result.fitted.model_from_scan)
+    np.testing.assert_array_equal(poses["fitted_from_scan"], poses["model_from_scan"])
+
+
+def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result, case):
+    registration, model = result.registration, s2a.AnnotatedFaceModel.default()
+    np.testing.assert_array_equal(registration.model_from_scan, result.fitted.model_from_scan)
+    assert registration.face_scale == result.fitted.metrics["scale"]
+    searched = s2a.register(case[0], model)
+    apart = np.abs(registration.model_from_scan - searched.model_from_scan)
+    assert 1e-6 < apart[:3, :3].max() < 0.05
+    # The distance of the search's pose, measured as it is here, is that of `register`.
+    again = refined_registration(searched, case[0], model, searched.model_from_scan, searched.face_scale)
+    assert again.rmse_mm == pytest.approx(searched.rmse_mm, rel=1e-9)
+    anew = refined_registration(
+        searched, case[0], model, result.fitted.model_from_scan, registration.face_scale
+    )
+    assert (anew.rmse_mm, anew.notes) == (registration.rmse_mm, registration.notes)
+    (row,) = result.plan.of_stage("register.refined_pose")
+    assert "degrees and" in row.evidence
 
 
 def test_files_hold_what_the_result_holds(result):
