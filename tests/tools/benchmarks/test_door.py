@@ -1,0 +1,134 @@
+"""The judge of the door: outcomes, bins of confidence, spreads of poses, false faces."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from benchmarks.door_objects import wrong_object, wrong_objects
+from benchmarks.door_repeat import about_their_mean
+from benchmarks.door_rows import Reliability, Row, judged
+from benchmarks.door_scans import Case, random_body, random_relief, relief
+from benchmarks.door_told import false_faces
+
+from scan2albedo import RawScan
+from scan2albedo.errors import NoFaceError
+from scan2albedo.geometry.mesh import face_areas
+from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.synthetic.stereo_features import SCRAPS
+
+SCAN = RawScan(*random_body(np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="module")
+def face(model):
+    return Case(SCAN, ("plain",), compose(np.eye(3), [1.0, 2.0, 3.0]), model.landmarks)
+
+
+def turned(case, vector, shift=(0, 0, 0), confidence=0.9):
+    pose = compose(rotation_from_vector(np.deg2rad(vector)), shift) @ case.model_from_scan
+    return lambda scan: SimpleNamespace(model_from_scan=pose, confidence=confidence)
+
+
+@pytest.mark.parametrize(
+    ("vector", "shift", "outcome"),
+    [
+        ((0, 0, 0), (0, 0, 0), "right"),
+        ((0, 9, 0), (0, 0, 0), "right"),
+        ((0, 11, 0), (0, 0, 0), "wrong"),
+        ((0, 0, 0), (0, 16, 0), "wrong"),
+        ((0, 0, 175), (0, 0, 0), "upside down"),
+        ((0, 175, 0), (0, 0, 0), "wrong"),
+    ],
+)
+def test_a_pose_is_judged_by_its_turn_and_the_landmarks(face, vector, shift, outcome):
+    row = judged("stereo", 0, face, turned(face, vector, shift))
+    assert row.outcome == outcome
+    assert row.degrees == pytest.approx(np.linalg.norm(vector))
+    if not any(vector):
+        assert row.mm == pytest.approx(np.linalg.norm(shift))
+
+
+def test_what_shows_no_face_is_refused_told_or_silent(face):
+    nothing = Case(SCAN, ("body",))
+    assert judged("reliefs", 0, nothing, turned(face, (0, 0, 0), confidence=0.4)).outcome == "told"
+    silent = judged("reliefs", 0, nothing, turned(face, (0, 0, 0), confidence=0.6))
+    assert (silent.outcome, silent.is_right) == ("silent", False)
+
+
+def test_a_refusal_counts_with_the_confidence_and_the_pose_of_its_error(face):
+    def refuse(scan, **what):
+        error = NoFaceError("no face found")
+        error.__dict__.update(what)
+        raise error
+
+    plain = judged("stereo", 0, face, refuse)
+    assert (plain.outcome, plain.sure, plain.message) == ("refused", None, "no face found")
+    pose = turned(face, (0, 90, 0))(SCAN).model_from_scan
+    wrong = judged("stereo", 0, face, lambda scan: refuse(scan, confidence=0.3, model_from_scan=pose))
+    assert (wrong.outcome, wrong.sure, wrong.is_right) == ("refused", 0.3, False)
+    assert judged("stereo", 0, face, lambda scan: refuse(scan, confidence=0.3)).is_right
+    assert not judged("objects", 0, Case(SCAN, ()), lambda scan: refuse(scan, confidence=0.3)).is_right
+
+
+def rows_of(pairs):
+    return [
+        Row("stereo", k, (), True, "right" if right else "wrong", sure, 0.0, 0.0, 0.1)
+        for k, (sure, right) in enumerate(pairs)
+    ]
+
+
+def test_reliability_compares_each_bins_confidence_with_its_share():
+    pairs = [(0.85, k % 5 != 0) for k in range(40)] + [(1.0, True)] * 30 + [(0.15, True)] * 3 + [(None, True)]
+    found = Reliability.of(rows_of(pairs))
+    assert found.count.tolist() == [0, 3, 0, 0, 0, 0, 0, 0, 40, 30]
+    assert found.confidence[8] == pytest.approx(0.85)
+    assert found.share[8] == pytest.approx(0.8)
+    # The bin of three scans, which is off by 0.85, is too small to count.
+    assert found.largest_gap == pytest.approx(0.05)
+
+
+def test_poses_are_compared_with_their_mean_at_the_face():
+    face = np.array([0.0, 0.0, 50.0])
+    poses = [
+        compose(rotation, face - rotation @ face + [shift, 0, 0])
+        for rotation, shift in ((rotation_from_vector([0, a, 0]), s) for a, s in ((-0.02, -3), (0.02, 3)))
+    ]
+    np.testing.assert_allclose(
+        about_their_mean(poses, face), [[np.degrees(0.02), 3], [np.degrees(0.02), 3]], rtol=1e-6
+    )
+
+
+def test_reliefs_differ_and_come_again(shared_data):
+    first, second = relief(0), relief(2)
+    assert not np.allclose(first.scan.vertices, second.scan.vertices)
+    assert np.array_equal(first.scan.vertices, relief(0).scan.vertices)
+    vertices, faces = random_relief(np.random.default_rng(1))
+    corner = vertices[faces]
+    upward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
+    assert (upward > 0).all()
+
+
+def test_there_are_forty_three_objects_of_a_hands_to_a_heads_size(shared_data):
+    assert len(wrong_objects()) == 43
+    for number in (0, 20, 42):
+        _, scan = wrong_object(number)
+        assert 80 < np.ptp(scan.vertices, axis=0).max() < 500
+
+
+def test_false_faces_hold_what_their_names_say(model):
+    vertices, faces = model.surface(2)
+    scan = RawScan(vertices, faces, name="model")
+    false = dict(false_faces(scan, model.landmarks, scan, model.landmarks, np.random.default_rng(0)))
+    assert {f"scrap: {place}" for place in SCRAPS} & set(false) == {"scrap: cheek", "scrap: forehead"}
+
+    def area(name):
+        corner = false[name].vertices[false[name].faces]
+        return np.linalg.norm(
+            np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+        ).sum()
+
+    assert area("depth x 1.5") > area("as it is") > area("depth x 0.67")
+    assert area("no nose") < 0.97 * area("as it is")
+    assert area("scrap: cheek") < 0.35 * area("as it is")
+    assert area("halves of two people") == pytest.approx(area("as it is"), rel=0.05)
+    assert len(false["mirrored, wound rightly"].faces) == len(faces)
