@@ -9,7 +9,7 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
-from scan2albedo.geometry.mesh import without_far_vertices
+from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
 from scan2albedo.registration.options import RegistrationOptions
@@ -31,7 +31,7 @@ def refined_registration(
 
     A note tells how far that pose is from the one before. All else, `depth_error` too, tells of the search.
     """
-    faces = without_far_vertices(scan.vertices, scan.faces)
+    faces = scan.faces[~far_faces(scan.vertices, scan.faces)]
     # In the frame of the search, so that the same pose has the same distance.
     vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
     samples = oriented_points(vertices, faces, options.scan_spacing_mm)
