@@ -17,8 +17,9 @@ people's are. Scans are numbered from --offset on; none is one of the first 100,
 from __future__ import annotations
 
 import argparse
+import io
 import json
-import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cache
@@ -126,7 +127,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for all rows")
     parser.add_argument("--figure", type=Path, help="PNG of confidence against the share that is right")
     arguments = parser.parse_args()
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)
     rows = run(arguments)
     if any(row.sure is not None for row in rows):
         reliability = Reliability.of(rows)

@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -72,6 +73,7 @@ class _Shape:
     features: tuple[str, ...]
 
 
+@lru_cache(maxsize=2)
 def _shape(number: int) -> _Shape:
     """Return one of the shapes: own people and light-stage ones in turn."""
     index = number // 2 % len(_OWN)
