@@ -173,6 +173,12 @@ class Reliability:
         gaps = np.abs(self.confidence - self.share)[self.count >= LEAST_IN_BIN]
         return float(gaps.max()) if len(gaps) else float("nan")
 
+    @property
+    def mean_gap(self) -> float:
+        """Mean difference of confidence and share over all scans' bins."""
+        there = self.count > 0
+        return float(np.average(np.abs(self.confidence - self.share)[there], weights=self.count[there]))
+
     def print(self) -> None:
         """Print the bins."""
         print(f"\n{'confidence':14}{'scans':>8}{'mean':>8}{'right':>8}")
@@ -180,6 +186,7 @@ class Reliability:
             values = f"{self.count[k]:8.0f}{self.confidence[k]:8.2f}{self.share[k]:8.2f}"
             print(f"{k / BINS:.1f} ... {(k + 1) / BINS:.1f}   {values}")
         print(f"largest gap over bins of {LEAST_IN_BIN} scans and more: {self.largest_gap:.2f}")
+        print(f"mean gap over all scans: {self.mean_gap:.3f}")
 
     def draw(self, path: Path) -> None:
         """Draw the bins as a PNG."""

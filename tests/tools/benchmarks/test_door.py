@@ -85,6 +85,7 @@ def test_reliability_compares_each_bins_confidence_with_its_share():
     assert found.share[8] == pytest.approx(0.8)
     # The bin of three scans, which is off by 0.85, is too small to count.
     assert found.largest_gap == pytest.approx(0.05)
+    assert found.mean_gap == pytest.approx((40 * 0.05 + 3 * 0.85) / 73)
 
 
 def test_poses_are_compared_with_their_mean_at_the_face():
