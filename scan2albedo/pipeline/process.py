@@ -21,6 +21,7 @@ from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
+from scan2albedo.fitting.plausibility import doubts
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
@@ -339,7 +340,7 @@ def _warnings_as_messages() -> Iterator[list[str]]:
 def _cautions(
     registration: Registration | None, fitted: FittedFace | None, estimate: AlbedoEstimate | None
 ) -> Iterator[str]:
-    """Yield what a person should doubt: the pose, a fit without scan, a light that is hardly known."""
+    """Yield what a person should doubt: the pose, the face that was fitted, a light that is hardly known."""
     if registration is not None and registration.confidence < SURE:
         yield (
             f"the pose is unsure (confidence {registration.confidence:.2f}): another one is nearly as good, "
@@ -351,6 +352,8 @@ def _cautions(
             f"only {100 * coverage:.0f} % of the face has scan near it, the rest is the model's own shape: "
             "is the file cut short, or is it half a face?"
         )
+    if fitted is not None:
+        yield from doubts(fitted)
     if estimate is None:
         return
     unsure = 0.0 if estimate.uncertainty is None else max(estimate.uncertainty.intensity, default=0.0)

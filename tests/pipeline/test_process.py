@@ -178,6 +178,18 @@ def test_what_is_doubtful_is_told(case, result, monkeypatch):
     assert "pose unsure (confidence 0.21)" in told.summary()
 
 
+def test_a_hole_where_the_nose_should_be_is_told(case, result):
+    """And of the whole face nothing is told."""
+    assert not any("should be" in note or "no person's" in note for note in result.notes)
+    scan, truth = case
+    tip = transform_points(invert_rigid(truth.model_from_scan), truth.landmarks[30])
+    lost = np.linalg.norm(scan.vertices - tip, axis=1) < 25
+    keep = ~lost[scan.faces].any(1)
+    holed = replace(scan, faces=scan.faces[keep], uv=scan.uv[keep])
+    told = s2a.process(holed, size=64, skip=["albedo"])
+    assert any("no scan to follow where the nose should be" in note for note in told.notes)
+
+
 @pytest.mark.slow
 def test_same_input_and_seed_give_the_same_bits(case, result):
     again = s2a.process(case[0], size=SIZE)

@@ -1,0 +1,87 @@
+"""What no scan of one whole person shows is told of fitted faces, and nothing of whole ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.fitting import fit
+from scan2albedo.fitting.plausibility import PARTS, asymmetry, doubts, missing_parts
+from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, displacement, person
+from scan2albedo.synthetic.head import compact
+
+
+def fitted_to(model, control_points, *, noise_mm=0.2, hole=None):
+    """The fit to a scan of control points (C, 3), posed as the model; `hole` is a centre and a radius."""
+    vertices, faces = model.surface(3)
+    vertices = model.subdivision(3).matrix @ control_points
+    rng = np.random.default_rng(len(vertices))
+    scan = vertices + noise_mm * rng.normal(size=vertices.shape)
+    if hole is not None:
+        lost = np.linalg.norm(vertices - hole[0], axis=1) < hole[1]
+        scan, faces = compact(scan, faces[~lost[faces].any(1)])
+    return fit(RawScan(scan, faces), model, np.eye(4))
+
+
+def someone(model, seed, expression="neutral", strength=1.0):
+    return person(model, np.random.default_rng(seed), expression=expression, strength=strength)
+
+
+@pytest.mark.parametrize(("seed", "expression"), [(0, "neutral"), (1, "smile"), (2, "puff"), (3, "surprise")])
+def test_nothing_is_told_of_whole_faces(model, seed, expression):
+    fitted = fitted_to(model, someone(model, seed, expression))
+    assert list(doubts(fitted)) == []
+    assert asymmetry(fitted).unlikeness < 0.5
+
+
+@pytest.mark.parametrize("expression", ["smile", "frown", "puff"])
+def test_an_expression_of_one_side_is_none_of_two_people(model, expression):
+    rest = model.control_vertices
+    moved = sum(displacement(bump, rest, model.landmarks) for bump in EXPRESSION_BUMPS[expression])
+    of_one_side = np.clip(0.5 + rest[:, :1] / 20, 0, 1) * moved
+    fitted = fitted_to(model, someone(model, 4) + 1.5 * of_one_side)
+    assert asymmetry(fitted).unlikeness < 0.9
+    assert list(doubts(fitted)) == []
+
+
+@pytest.mark.parametrize("part", ["nose", "right eye", "mouth"])
+def test_a_part_without_scan_is_named(model, part):
+    control_points = someone(model, 5)
+    landmarks = model.landmarks_of(control_points)
+    center = landmarks[list(PARTS[part][0])].mean(0)
+    fitted = fitted_to(model, control_points, hole=(center, 24.0))
+    assert missing_parts(fitted) == (part,)
+    (told,) = doubts(fitted)
+    assert told == f"no scan to follow where the {part} should be: the shape there is the model's own"
+
+
+def test_half_a_face_lacks_the_other_eye(model):
+    control_points = someone(model, 6)
+    eye = model.landmarks_of(control_points)[42:48].mean(0)
+    assert "left eye" in missing_parts(fitted_to(model, control_points, hole=(eye + [40.0, 0, 0], 60.0)))
+
+
+@pytest.mark.parametrize("joint_mm", [0.1, 25.0])
+@pytest.mark.parametrize("seed", [10, 20])
+def test_halves_of_two_people_are_told(model, joint_mm, seed):
+    """Of two who differ as measured faces do, twice as much as synthetic people: cut, or joined smoothly."""
+    one, other = (someone(model, seed + k, strength=2.0) for k in range(2))
+    of_one = np.clip(0.5 + model.control_vertices[:, :1] / joint_mm, 0, 1)
+    fitted = fitted_to(model, of_one * one + (1 - of_one) * other)
+    assert asymmetry(fitted).unlikeness > 1
+    assert any("halves of the face" in told for told in doubts(fitted))
+    for whole in (one, other):
+        assert asymmetry(fitted_to(model, whole)).unlikeness < 0.7
+
+
+def test_no_halves_are_compared_where_one_is_not_seen_or_the_model_is_lopsided(model):
+    fitted = fitted_to(model, someone(model, 7))
+    right = fitted.vertices[:, 0] < -5
+    half = asymmetry(replace(fitted, residual_mm=np.where(right, np.nan, fitted.residual_mm)))
+    assert half is None or half.unlikeness == 0
+    skewed = model.control_vertices + np.outer(model.control_vertices[:, 1], [0.02, 0, 0])
+    lopsided = replace(model, control_vertices=skewed, _subdivisions={}, _refined_uv={})
+    assert asymmetry(replace(fitted, model=lopsided)) is None
+    bare = replace(model, landmark_points=None)
+    assert missing_parts(replace(fitted, model=bare)) == ()
