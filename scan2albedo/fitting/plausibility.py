@@ -60,7 +60,10 @@ def doubts(fitted: FittedFace) -> Iterator[str]:
     """Yield a sentence for each thing about a fitted face that no scan of one whole person has."""
     if missing := missing_parts(fitted):
         names = " and ".join(filter(None, (", ".join(missing[:-1]), missing[-1])))
-        yield f"no scan to follow where the {names} should be: the shape there is the model's own"
+        yield (
+            f"no scan to follow where the {names} should be (a hole, glasses, a beard?): the shape there is the "
+            "model's own"
+        )
     found = asymmetry(fitted)
     if found is not None and found.unlikeness > 1:
         yield (

@@ -53,7 +53,7 @@ def test_a_part_without_scan_is_named(model, part):
     fitted = fitted_to(model, control_points, hole=(center, 24.0))
     assert missing_parts(fitted) == (part,)
     (told,) = doubts(fitted)
-    assert told == f"no scan to follow where the {part} should be: the shape there is the model's own"
+    assert told.startswith(f"no scan to follow where the {part} should be")
 
 
 def test_half_a_face_lacks_the_other_eye(model):
