@@ -61,8 +61,8 @@ def doubts(fitted: FittedFace) -> Iterator[str]:
     if missing := missing_parts(fitted):
         names = " and ".join(filter(None, (", ".join(missing[:-1]), missing[-1])))
         yield (
-            f"no scan to follow where the {names} should be (a hole, glasses, a beard?): the shape there is the "
-            "model's own"
+            f"no scan to follow where the {names} should be (a hole, glasses, a beard?): the shape there is "
+            "the model's own"
         )
     found = asymmetry(fitted)
     if found is not None and found.unlikeness > 1:
@@ -71,8 +71,11 @@ def doubts(fitted: FittedFace) -> Iterator[str]:
             f"part, {found.middle_mm:.1f} mm in the middle and {found.step_mm:.1f} mm beside the midline; is "
             "the scan joined of two people's?"
         )
-    if fitted.landmarks is not None and (farthest := proportions(fitted.landmarks).doubt()):
-        yield f"the face's proportions are no person's: {farthest}; was the scan stretched along an axis?"
+    if fitted.landmarks is not None and (ratios := proportions(fitted.landmarks).doubt()):
+        yield (
+            f"the face's proportions are no person's, relative to the model's (and people's): {ratios}; was "
+            "the scan stretched along an axis?"
+        )
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:

@@ -33,13 +33,12 @@ def test_no_person_is_doubted(model):
     assert proportions(model.landmarks).doubt() == ""
 
 
-@pytest.mark.parametrize(
-    ("axis", "ratio"), [(0, "width to height"), (1, "width to height"), (2, "depth of the nose")]
-)
+@pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("factor", [1.5, 1 / 1.5])
-def test_stretched_faces_are_doubted(model, axis, factor, ratio):
+def test_stretched_faces_are_doubted(model, axis, factor):
     stretch = np.ones(3)
     stretch[axis] = factor
     found = [proportions(landmarks * stretch) for landmarks in peoples_landmarks(model, 24)]
     assert min(one.distance for one in found) > FARTHEST
-    assert sum(ratio in one.doubt() or "depth to" in one.doubt() for one in found) == len(found)
+    ratio = np.exp(found[0].logarithms[0])
+    assert found[0].doubt().startswith(f"width to height {ratio:.2f} (0.87 to 1.19), depth to height")
