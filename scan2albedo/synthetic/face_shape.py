@@ -12,82 +12,19 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.variation import (
+    ASYMMETRY_BUMPS,
+    EXPRESSION_BUMPS,
+    IDENTITY_BUMPS,
+    STRETCH_SD,
+    displacement,
+)
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.synthetic.textures import smooth_noise
 
 Expression = Literal["neutral", "smile", "frown", "pout", "puff", "surprise"]
-
-STRETCH_SD = np.array([0.035, 0.035, 0.045])
-"""Standard deviation of the head's width, height and depth, relative."""
-
-
-@dataclass(frozen=True)
-class Bump:
-    """A Gaussian displacement around the mean of some landmarks (iBUG-68 numbers, right half or midline).
-
-    `radius_mm` is the Gaussian's standard deviation, `direction` its displacement in mm at the centre for
-    amount 1, x > 0 away from the midline; `paired` repeats it mirrored on the left half.
-    """
-
-    landmarks: tuple[int, ...]
-    radius_mm: float
-    direction: tuple[float, float, float]
-    paired: bool = False
-
-
-IDENTITY_BUMPS = (
-    Bump((30, 33), 13, (0, -1.0, 2.5)),  # nose protrusion
-    Bump((30, 33), 15, (0, -2.5, 0)),  # nose length
-    Bump((27, 28), 11, (0, 0, 1.8)),  # nose bridge
-    Bump((31,), 9, (1.6, 0, 0), paired=True),  # nose width
-    Bump((19,), 18, (0, 0.5, 1.8), paired=True),  # brow ridge
-    Bump((37, 40), 13, (0, 0, 1.2), paired=True),  # eye depth
-    Bump((36,), 10, (1.2, 1.0, 0), paired=True),  # outer eye corner
-    Bump((2, 31, 36), 20, (1.2, 0.8, 2.2), paired=True),  # cheekbone
-    Bump((3, 48), 20, (1.5, 0, 1.8), paired=True),  # cheek fullness
-    Bump((4,), 30, (3.5, 0, 0), paired=True),  # jaw width
-    Bump((8,), 22, (0, 0, 2.8)),  # chin protrusion
-    Bump((7, 8, 9), 25, (0, -3.0, 0)),  # chin length
-    Bump((51, 57), 9, (0, 0, 1.3)),  # lip fullness
-    Bump((48,), 11, (2.0, 0.3, -0.5), paired=True),  # mouth width
-    Bump((19, 24), 35, (0, 0, 1.5)),  # forehead slope
-)
-ASYMMETRY_BUMPS = (
-    Bump((30,), 16, (0.9, 0, 0)),
-    Bump((48,), 16, (0, 0.9, 0.3)),
-    Bump((19,), 16, (0, 0.8, 0.4)),
-    Bump((12,), 30, (0.6, 0.5, 0.6)),
-)
-EXPRESSION_BUMPS: dict[str, tuple[Bump, ...]] = {
-    "neutral": (),
-    "smile": (
-        Bump((48,), 12, (5.5, 5.0, -3.0), paired=True),
-        Bump((2, 31, 36), 16, (0.5, 2.5, 3.0), paired=True),
-        Bump((51, 57), 9, (0, 0.5, -1.5)),
-    ),
-    "frown": (
-        Bump((21,), 11, (-2.5, -4.5, 0.8), paired=True),
-        Bump((48,), 12, (0.5, -3.5, -0.5), paired=True),
-        Bump((57,), 10, (0, 1.5, 1.0)),
-    ),
-    "pout": (
-        Bump((48,), 11, (-5.0, 0, 2.0), paired=True),
-        Bump((51, 57), 12, (0, 0, 5.0)),
-    ),
-    "puff": (
-        Bump((3, 48), 18, (4.5, 0, 6.0), paired=True),
-        Bump((48,), 10, (-1.5, 0, 1.0), paired=True),
-    ),
-    "surprise": (
-        Bump((19,), 16, (0, 5.5, 0.8), paired=True),
-        Bump((8,), 28, (0, -3.0, -0.5)),
-    ),
-}
-
-# Landmark k of the right half and its twin on the left.
-_MIRRORED = {2: 14, 3: 13, 4: 12, 19: 24, 21: 22, 31: 35, 36: 45, 37: 44, 40: 47, 48: 54}
 
 
 def person(
@@ -116,24 +53,6 @@ def person(
         offset += expression_strength * rng.uniform(0.8, 1.2) * displacement(bump, rest, landmarks)
     shaped = (rest + offset) * stretch
     return transform_points(procrustes(shaped, rest), shaped)
-
-
-def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> FloatArray:
-    """Return the (N, 3) displacement in mm of points (N, 3) by a bump of amount 1."""
-    direction = np.array(bump.direction, float)
-    if not bump.paired:
-        return _gaussian(points, landmarks[list(bump.landmarks)].mean(0), bump.radius_mm) * direction
-    right = landmarks[list(bump.landmarks)].mean(0)
-    left = landmarks[[_MIRRORED[k] for k in bump.landmarks]].mean(0)
-    return (
-        _gaussian(points, right, bump.radius_mm) * (direction * [-1, 1, 1])
-        + _gaussian(points, left, bump.radius_mm) * direction
-    )
-
-
-def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> FloatArray:
-    squared = np.sum((points - center) ** 2, axis=1)
-    return np.exp(-squared / (2 * radius_mm**2))[:, None]
 
 
 @dataclass(frozen=True)

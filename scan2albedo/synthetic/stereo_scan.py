@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.variation import EXPRESSION_BUMPS
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
+from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.head import (
     HEAD_AXIS_FROM_NOSE_MM,
     Mesh,

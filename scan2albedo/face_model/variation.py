@@ -1,0 +1,149 @@
+"""How people's faces differ from the model: bumps around landmarks, and modes of shape made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.mesh import vertex_normals
+
+STRETCH_SD = np.array([0.035, 0.035, 0.045])
+"""Standard deviation of the head's width, height and depth, relative."""
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A Gaussian displacement around the mean of some landmarks (iBUG-68 numbers, right half or midline).
+
+    `radius_mm` is the Gaussian's standard deviation, `direction` its displacement in mm at the centre for
+    amount 1, x > 0 away from the midline; `paired` repeats it mirrored on the left half.
+    """
+
+    landmarks: tuple[int, ...]
+    radius_mm: float
+    direction: tuple[float, float, float]
+    paired: bool = False
+
+
+IDENTITY_BUMPS = (
+    Bump((30, 33), 13, (0, -1.0, 2.5)),  # nose protrusion
+    Bump((30, 33), 15, (0, -2.5, 0)),  # nose length
+    Bump((27, 28), 11, (0, 0, 1.8)),  # nose bridge
+    Bump((31,), 9, (1.6, 0, 0), paired=True),  # nose width
+    Bump((19,), 18, (0, 0.5, 1.8), paired=True),  # brow ridge
+    Bump((37, 40), 13, (0, 0, 1.2), paired=True),  # eye depth
+    Bump((36,), 10, (1.2, 1.0, 0), paired=True),  # outer eye corner
+    Bump((2, 31, 36), 20, (1.2, 0.8, 2.2), paired=True),  # cheekbone
+    Bump((3, 48), 20, (1.5, 0, 1.8), paired=True),  # cheek fullness
+    Bump((4,), 30, (3.5, 0, 0), paired=True),  # jaw width
+    Bump((8,), 22, (0, 0, 2.8)),  # chin protrusion
+    Bump((7, 8, 9), 25, (0, -3.0, 0)),  # chin length
+    Bump((51, 57), 9, (0, 0, 1.3)),  # lip fullness
+    Bump((48,), 11, (2.0, 0.3, -0.5), paired=True),  # mouth width
+    Bump((19, 24), 35, (0, 0, 1.5)),  # forehead slope
+)
+ASYMMETRY_BUMPS = (
+    Bump((30,), 16, (0.9, 0, 0)),
+    Bump((48,), 16, (0, 0.9, 0.3)),
+    Bump((19,), 16, (0, 0.8, 0.4)),
+    Bump((12,), 30, (0.6, 0.5, 0.6)),
+)
+EXPRESSION_BUMPS: dict[str, tuple[Bump, ...]] = {
+    "neutral": (),
+    "smile": (
+        Bump((48,), 12, (5.5, 5.0, -3.0), paired=True),
+        Bump((2, 31, 36), 16, (0.5, 2.5, 3.0), paired=True),
+        Bump((51, 57), 9, (0, 0.5, -1.5)),
+    ),
+    "frown": (
+        Bump((21,), 11, (-2.5, -4.5, 0.8), paired=True),
+        Bump((48,), 12, (0.5, -3.5, -0.5), paired=True),
+        Bump((57,), 10, (0, 1.5, 1.0)),
+    ),
+    "pout": (
+        Bump((48,), 11, (-5.0, 0, 2.0), paired=True),
+        Bump((51, 57), 12, (0, 0, 5.0)),
+    ),
+    "puff": (
+        Bump((3, 48), 18, (4.5, 0, 6.0), paired=True),
+        Bump((48,), 10, (-1.5, 0, 1.0), paired=True),
+    ),
+    "surprise": (
+        Bump((19,), 16, (0, 5.5, 0.8), paired=True),
+        Bump((8,), 28, (0, -3.0, -0.5)),
+    ),
+}
+
+CAPTURE_BUMPS = (
+    Bump((8, 57), 26, (0, -9.0, -3.0)),  # jaw down
+    Bump((6, 8, 10), 30, (0, -9.0, -3.0)),
+    Bump((62, 66), 11, (0, 0, -6.0)),  # the pit of an open mouth
+    Bump((57,), 9, (0, -4.0, 0)),
+    Bump((5,), 26, (1.5, 0, 3.0), paired=True),  # beard
+    Bump((8,), 28, (0, 0, 4.0)),
+    Bump((37, 40), 11, (0, 0, 2.5), paired=True),  # what glasses leave of the eyes
+)
+"""Open jaws, beards and glasses, which scans have and identities do not."""
+
+_EXPRESSION_SD = 0.8
+_WAVES, _WAVE_MM = 5, 0.45
+"""Smooth waves over the face, for what no bump describes: how many along each axis, and how high."""
+STRETCHES = slice(0, 3)
+"""Place of width, height and depth among the `shape_modes`."""
+
+# Landmark k of the right half and its twin on the left.
+_MIRRORED = {2: 14, 3: 13, 4: 12, 5: 11, 19: 24, 21: 22, 31: 35, 36: 45, 37: 44, 40: 47, 48: 54}
+
+
+def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> FloatArray:
+    """Return the (N, 3) displacement in mm of points (N, 3) by a bump of amount 1."""
+    direction = np.array(bump.direction, float)
+    if not bump.paired:
+        return _gaussian(points, landmarks[list(bump.landmarks)].mean(0), bump.radius_mm) * direction
+    right = landmarks[list(bump.landmarks)].mean(0)
+    left = landmarks[[_MIRRORED[k] for k in bump.landmarks]].mean(0)
+    return (
+        _gaussian(points, right, bump.radius_mm) * (direction * [-1, 1, 1])
+        + _gaussian(points, left, bump.radius_mm) * direction
+    )
+
+
+def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> FloatArray:
+    squared = np.sum((points - center) ** 2, axis=1)
+    return np.exp(-squared / (2 * radius_mm**2))[:, None]
+
+
+def shape_modes(model: AnnotatedFaceModel) -> FloatArray:
+    """Return (K, C, 3) displacements in mm of the model's control points, each one standard deviation.
+
+    The head's width, height and depth, bumps of identities, expressions and captures, and smooth waves. None
+    moves, turns or scales the face. A model without landmarks has no bumps.
+    """
+    rest = model.control_vertices
+    modes = [sd * rest * axis for sd, axis in zip(STRETCH_SD, np.eye(3), strict=True)]
+    if model.landmarks is not None:
+        expressions = [bump for bumps in EXPRESSION_BUMPS.values() for bump in bumps]
+        sd = [(b, 1.0) for b in IDENTITY_BUMPS + ASYMMETRY_BUMPS + CAPTURE_BUMPS]
+        for bump, weight in sd + [(b, _EXPRESSION_SD) for b in expressions]:
+            modes.append(weight * displacement(bump, rest, model.landmarks))
+    normals = vertex_normals(rest, model.control_faces)
+    low, high = rest.min(0), rest.max(0)
+    across, along = (np.pi * ((rest - low) / (high - low))[:, :2]).T
+    for k in range(_WAVES):
+        for m in range(_WAVES):
+            wave = np.cos(k * across) * np.cos(m * along)
+            modes += [_WAVE_MM * wave[:, None] * normals] if k + m else []
+    return _without_similarities(np.array(modes), rest)
+
+
+def _without_similarities(modes: FloatArray, points: FloatArray) -> FloatArray:
+    """Return displacements (K, C, 3) of points (C, 3) less the motion, turn and growth nearest to each."""
+    units = np.eye(3)
+    similarities = [np.broadcast_to(unit, points.shape) for unit in units]
+    similarities += [np.cross(unit, points - points.mean(0)) for unit in units] + [points - points.mean(0)]
+    basis = np.array(similarities).reshape(7, -1)
+    flat = modes.reshape(len(modes), -1)
+    return (flat - flat @ np.linalg.pinv(basis) @ basis).reshape(modes.shape)
