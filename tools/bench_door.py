@@ -21,6 +21,7 @@ import io
 import json
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -31,7 +32,6 @@ from benchmarks.door_repeat import CAPTURES, SHAPES, Capture, captured, print_re
 from benchmarks.door_rows import Reliability, Row, judged, plainly, print_part
 from benchmarks.door_scans import Case, light_stage_person, own_person, relief, scrap
 from benchmarks.door_told import print_told
-from loky import ProcessPoolExecutor
 
 from scan2albedo.core import RawScan
 from scan2albedo.pipeline.scale_search import ScaledScan, registered_at_any_scale
@@ -86,7 +86,7 @@ def in_processes(function: Callable, tasks: Sequence, jobs: int) -> list:
     """Return the function's values, in `jobs` processes of one thread."""
     if jobs == 1:
         return [function(task) for task in tasks]
-    with ProcessPoolExecutor(jobs, env={"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}) as processes:
+    with ProcessPoolExecutor(jobs) as processes:
         return list(processes.map(function, tasks, chunksize=4))
 
 

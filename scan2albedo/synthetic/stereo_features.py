@@ -21,6 +21,7 @@ FEATURE_LANDMARKS = slice(17, 68)
 _SCRAP_REACH_MM = (35.0, 90.0)
 _SCRAP_SHARE, _SCRAP_MARGIN_MM = 0.15, 5.0
 """A scrap ends this far before more of the landmarks of brows, eyes, nose and mouth."""
+_FEWEST_FACES = 60
 _EYES, _MOUTH, _CHIN, _BROWS, _NOSE_BASE = slice(36, 48), slice(48, 68), 8, slice(17, 27), 33
 _FOREHEAD = 0.9
 """Height of a forehead, in distances from the brows to the base of the nose."""
@@ -154,7 +155,9 @@ def scrap_of(mesh: Mesh, landmarks: FloatArray, place: str, rng: np.random.Gener
     reach = rng.uniform(*_SCRAP_REACH_MM) + distance.min()
     features = np.linalg.norm(landmarks[FEATURE_LANDMARKS] - anchor, axis=1)
     reach = min(reach, np.quantile(features, _SCRAP_SHARE) - _SCRAP_MARGIN_MM)
-    kept = faces[(distance < reach)[faces].all(1)]
+    # However far the surface ends from there, something is left of it.
+    reach = max(reach, np.sort(distance[faces].max(1))[_FEWEST_FACES - 1])
+    kept = faces[(distance <= reach)[faces].all(1)]
     piece = vertex_components(len(vertices), kept)
     largest = np.bincount(piece[kept[:, 0]]).argmax()
     return compact(vertices, kept[piece[kept[:, 0]] == largest])

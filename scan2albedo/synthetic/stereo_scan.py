@@ -177,8 +177,9 @@ def _scanned(
     mesh = compact(mesh[0], mesh[1][~gone[mesh[1]].any(1)])
     if options.scrap is not None:
         mesh = scrap_of(mesh, head.landmarks, options.scrap, rng)
-    count = int(rng.integers(*options.holes, endpoint=True))
-    mesh = with_holes(mesh, mesh[0][rng.choice(len(mesh[0]), count)], rng.uniform(3, 12, count))
+    else:
+        count = int(rng.integers(*options.holes, endpoint=True))
+        mesh = with_holes(mesh, mesh[0][rng.choice(len(mesh[0]), count)], rng.uniform(3, 12, count))
     loose = crumbs(mesh[0], rng, int(rng.integers(*options.pieces, endpoint=True)) - 1)
     share = float(np.exp(rng.uniform(*np.log(options.stray))))
     posed, faces = join([mesh, *loose, *_stray(mesh[0], share, rng)])
