@@ -54,7 +54,14 @@ class RegistrationError(Scan2AlbedoError):
 
 
 class NoFaceError(RegistrationError):
-    """Nothing in the scan resembles a face of its size."""
+    """Nothing in the scan resembles a face of its size.
+
+    `confidence` is the probability that the best pose is that of a face all the same, None where unknown.
+    """
+
+    def __init__(self, message: str, confidence: float | None = None) -> None:
+        super().__init__(message)
+        self.confidence = confidence
 
 
 class InsideOutError(RegistrationError):

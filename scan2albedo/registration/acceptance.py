@@ -6,14 +6,13 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.registration.candidates import (
-    CERTAINTY_NEEDED,
-    COVERAGE_NEEDED,
     Candidate,
     every_candidate,
 )
@@ -23,22 +22,23 @@ from scan2albedo.registration.robust_icp import residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
-_BEYOND_DOUBT = 0.62
-"""Certainty that no surface but a face reaches, seen from in front."""
+LEAST_PROBABILITY = 0.25
+"""Of a face, below which a scan is refused."""
+_BEYOND_DOUBT = 4.0
+"""Log odds of a face (98 %) at which it is not asked whether the scan is inside out."""
 _CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
+_FACING_AWAY = 0.35
 _MIXED_SHARE = 0.02
 """A greater share of triangles wound against their neighbours is the reason to name."""
 _OTHER_FACE_MM = 100.0
-_OTHER_ROTATION_RAD = np.deg2rad(20)
-_OTHER_POSITION_MM = 30.0
-_WHOLE_COVERAGE = 0.8
-_DOUBT_OF_MISSING = 0.4
+_LIKE_A_FACE = 0.55
+_TOLD_PROPORTION = 1.2
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """How clearly the best candidate is a face, 0 ... 1, and the search's note for the plan."""
+    """The probability that the best candidate is the pose of a face, and the search's note for the plan."""
 
     confidence: float
     note: tuple[str, bool, str, str]
@@ -63,16 +63,15 @@ def accepted(
     _refuse_facing_away(scan, template, candidates[0])
     _warn_of_second_face(scan.raw, candidates)
     best = candidates[0]
-    likeness = f"likeness {best.scores.likeness:.2f} (next pose {_next_ranking(candidates):.2f})"
     evidence = (
-        f"{len(candidates)} of {pose_count} candidates refined; certainty {best.scores.certainty:.2f} "
-        f"(needed: {CERTAINTY_NEEDED:.2f}), {likeness}, coverage {100 * best.scores.coverage:.0f} %, "
+        f"{len(candidates)} of {pose_count} candidates refined; probability {_probability(candidates):.2f} "
+        f"(needed: {LEAST_PROBABILITY:.2f}), {_cues_text(best)}, "
         f"face {100 * best.pose.scale:.0f} % of the model's size"
     )
     if scan.stray_faces:
         evidence += f"; {scan.stray_faces} triangles that reach far away left out"
-    reason = "the pose whose depth image has the relief of a face is taken"
-    return Acceptance(_confidence(candidates), ("search", True, reason, evidence))
+    reason = "the pose at which the scan is most probably a face is taken"
+    return Acceptance(_probability(candidates), ("search", True, reason, evidence))
 
 
 def _refuse_inside_out(
@@ -80,11 +79,11 @@ def _refuse_inside_out(
 ) -> None:
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
 
-    Seen from behind, its relief is just enough to be accepted; with the triangles reversed it is far greater.
+    Seen from behind, its relief may be enough to be accepted; with the triangles reversed it is far greater.
     So the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward.
     """
-    certain = best.scores.certainty >= _BEYOND_DOUBT
-    if certain or (best.is_face() and _bulge(scan.samples) >= _CLEARLY_OUTWARD):
+    likely = best.log_odds > 0 and _bulge(scan.samples) >= _CLEARLY_OUTWARD
+    if likely or best.log_odds >= _BEYOND_DOUBT:
         return
     turned = scan.inside_out()
     # The turned scan is another problem than the scan, so its rows stay out of the trace.
@@ -92,7 +91,7 @@ def _refuse_inside_out(
     poses = coarse_poses(turned, template, options, unseen, 0)
     other = every_candidate(turned, template, poses, options, unseen)[0]
     meter.count(unseen.evaluations)
-    if other.scores.certainty > best.scores.certainty and other.is_face():
+    if other.log_odds > max(best.log_odds, 0.0):
         raise _inside_out_error(scan, other)
 
 
@@ -111,7 +110,7 @@ def _refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate)
     """Refuse a pose whose normals disagree, which depth images do not show."""
     measured = residuals(scan.samples, template.samples, best.pose)
     near = measured.distance_mm < _NEAR_MM
-    if near.any() and np.mean(measured.agreement[near] < 0) > 0.5:
+    if near.any() and np.mean(measured.agreement[near] < 0) > _FACING_AWAY:
         raise _inside_out_error(scan, best)
 
 
@@ -125,7 +124,7 @@ def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
         )
     return InsideOutError(
         f"{name}: the scan is inside out: with its {count} triangles reversed there is a "
-        f"face (certainty {best.scores.certainty:.2f}). Reverse the order of every triangle's "
+        f"face (probability {expit(best.log_odds):.2f}). Reverse the order of every triangle's "
         "vertices (scan.inside_out()) and try again; if the export was mirrored, so that left and right are "
         "swapped, mirror it back instead"
     )
@@ -133,28 +132,26 @@ def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
 
 def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
     """Refuse, with the figures, a scan whose best candidate is no face."""
-    if candidates[0].is_face():
+    probability = _probability(candidates)
+    if probability >= LEAST_PROBABILITY:
         return
-    scores = candidates[0].scores
     raise NoFaceError(
-        f"{scan.name}: no face found. The best of {len(candidates)} poses covers "
-        f"{100 * scores.coverage:.0f} % of the face (needed: {100 * COVERAGE_NEEDED:.0f} %) "
-        f"with a certainty of {scores.certainty:.2f} (needed: {CERTAINTY_NEEDED:.2f}; "
-        f"relief correlation {scores.relief_correlation:.2f}, symmetry {scores.symmetry:.2f}, "
-        f"{scores.rms_mm:.1f} mm RMS); "
+        f"{scan.name}: no face found. The best of {len(candidates)} poses is one with a probability of "
+        f"{probability:.2f} (needed: {LEAST_PROBABILITY:.2f}): {_cues_text(candidates[0])}; "
         f"the scan's box is {box_text(scan.vertices)}. "
-        "Give a scan of a face in its true size (check the unit), or process it without a model"
+        "Give a scan of a face in its true size (check the unit), or process it without a model",
+        confidence=probability,
     )
 
 
 def _warn_of_second_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
-    best = candidates[0].pose.translation
+    # Once one is found the others are not looked at closely.
     apart = [
-        float(np.linalg.norm(other.pose.translation - best))
+        _distance_mm(other, candidates[0])
         for other in candidates[1:]
-        if other.is_face(_BEYOND_DOUBT)
+        if other.log_odds > 0 or other.scores.likeness > _LIKE_A_FACE
     ]
-    if apart and max(apart) > _OTHER_FACE_MM:
+    if candidates[0].log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
         warnings.warn(
             f"{scan.name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
             "more was taken: cut the other off to choose",
@@ -163,25 +160,37 @@ def _warn_of_second_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> No
         )
 
 
-def _next_ranking(candidates: tuple[Candidate, ...]) -> float:
-    """Return the ranking of the best candidate whose pose clearly differs from the first's, or 0."""
-    best = candidates[0].pose
-    others = [
-        c.scores.ranking
-        for c in candidates[1:]
-        if not c.pose.is_near(best, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
-    ]
-    return max([0.0, *others])
+def _distance_mm(candidate: Candidate, other: Candidate) -> float:
+    return float(np.linalg.norm(candidate.pose.translation - other.pose.translation))
 
 
-def _confidence(candidates: tuple[Candidate, ...]) -> float:
-    """Return the margin of the scores over the threshold for refusal and over any other pose's, 0 ... 1.
+def _probability(candidates: tuple[Candidate, ...]) -> float:
+    """Return the probability that the best candidate is the pose of a face, 0 ... 1.
 
-    Where part of the face is missing the threshold is higher: half a face that resembles the model little
-    slides along it by a centimetre.
+    Against it stand that there is no face, and every other pose of it; a face elsewhere does not.
     """
-    best = candidates[0].scores
-    missing = max(0.0, _WHOLE_COVERAGE - best.coverage)
-    clear = (best.certainty - CERTAINTY_NEEDED - _DOUBT_OF_MISSING * missing) / 0.1 + 0.3
-    alone = (best.ranking - _next_ranking(candidates)) / 0.15
-    return float(np.clip(min(clear, alone), 0, 1))
+    best = candidates[0]
+    rivals = [
+        other.log_odds
+        for other in candidates[1:]
+        if other.is_apart(best) and _distance_mm(other, best) <= _OTHER_FACE_MM
+    ]
+    return float(expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
+
+
+def _cues_text(candidate: Candidate) -> str:
+    """Return the figures of the evidence for a message."""
+    found = candidate.evidence
+    if found is None:
+        return "nothing looked at"
+    text = (
+        f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm {found.relief.local:.2f}, "
+        f"{found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face"
+    )
+    said = candidate.color_log_odds
+    if said:
+        text += (
+            f", its colours speak {'for' if said > 0 else 'against'} it by {abs(said):.1f} in the log odds"
+        )
+    unlike = np.exp(np.abs(found.proportions)).max()
+    return text + (f", proportions {unlike:.2f} times the model's" if unlike > _TOLD_PROPORTION else "")

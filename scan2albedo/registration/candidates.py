@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from types import ModuleType
 
 import numpy as np
@@ -13,23 +14,26 @@ from threadpoolctl import threadpool_limits
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import import_open3d
+from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rigid import Similarity
+from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import Poses
+from scan2albedo.registration.evidence import Evidence, evidence
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.relief import FaceScores, normal_relief
 from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, robust_icp
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
+from scan2albedo.registration.texture_evidence import TextureWitness
 
-COVERAGE_NEEDED = 0.25
-"""Least part of the model's depth image that the scan must cover to be a face."""
-CERTAINTY_NEEDED = 0.49
-"""Least certainty (`FaceScores`) of a face: whole faces reach 0.55 and more, balls, boxes, backs of heads and
-random bumpy bodies at most 0.48."""
-_CONVINCING = 0.1
+_CONVINCING = 3.0
+"""Log odds of a face (95 %) beyond which no further poses are refined."""
 _MORE_CANDIDATES = 24
 """Further poses that are refined before a scan is refused."""
+_LOOKED_AT = 3
+"""Candidates of a batch whose evidence is looked at."""
+_OTHER_ROTATION_RAD = np.deg2rad(20)
+_OTHER_POSITION_MM = 30.0
 _SAMPLES = 400
 _RANKED_BY_RELIEF = 40
 _SAME_ROTATION_RAD = np.deg2rad(3)
@@ -38,32 +42,74 @@ _SAME_POSITION_MM = 3.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """A refined pose on the prepared scan, and its scores."""
+    """A refined pose on the prepared scan, its scores, and for the best few what speaks for a face there."""
 
     pose: Similarity
     scores: FaceScores
+    evidence: Evidence | None = None
+    color_log_odds: float | None = None
+    """What the scan's colours say for this pose; None where they were not asked."""
 
-    def is_face(self, certainty_needed: float = CERTAINTY_NEEDED) -> bool:
-        """Whether the pose covers enough of the face, with at least this certainty."""
-        return self.scores.coverage >= COVERAGE_NEEDED and self.scores.certainty >= certainty_needed
+    @property
+    def log_odds(self) -> float:
+        """Of a face at this pose; -inf where it was not looked at."""
+        return -np.inf if self.evidence is None else self.evidence.log_odds + (self.color_log_odds or 0.0)
+
+    def is_apart(self, other: Candidate) -> bool:
+        """Whether the poses are clearly not the same."""
+        return not self.pose.is_near(other.pose, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
+
+
+@dataclass(frozen=True)
+class Colors:
+    """The colours of a scan, which are asked only where its shape leaves doubts."""
+
+    scan: PreparedScan
+    model: AnnotatedFaceModel
+
+    @cached_property
+    def _witness(self) -> TextureWitness | None:
+        return TextureWitness.of(self.scan.raw, self.model)
+
+    def heard(self, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
+        """Return the candidates, those that were looked at with what the colours say; the best first."""
+        if candidates[0].log_odds > _CONVINCING or self._witness is None:
+            return candidates
+        heard = list(candidates)
+        for place, candidate in enumerate(heard):
+            if candidate.evidence is not None and candidate.color_log_odds is None:
+                pose = candidate.pose
+                model_from_scan = invert_rigid(pose.rigid()) @ self.scan.prepared_from_scan
+                said = self._witness.evidence(model_from_scan, pose.scale)
+                heard[place] = replace(candidate, color_log_odds=0.0 if said is None else said.log_odds)
+        return tuple(sorted(heard, key=lambda c: (-c.log_odds, -c.scores.ranking)))
 
 
 def ranked_candidates(
-    scan: PreparedScan, template: Template, poses: Poses, options: RegistrationOptions, meter: Meter
+    scan: PreparedScan,
+    template: Template,
+    colors: Colors,
+    poses: Poses,
+    options: RegistrationOptions,
+    meter: Meter,
 ) -> tuple[Candidate, ...]:
-    """Refine and rank candidates, batch by batch, until one is a face; best first."""
+    """Refine and rank candidates, batch by batch, until one is a face; best first.
+
+    After every batch the best of all so far are looked at closely (`Evidence`), and the scan's colours heard
+    when none is clearly a face.
+    """
     target = ScanTarget(scan.samples)
     candidates: tuple[Candidate, ...] = ()
-    needed = CERTAINTY_NEEDED + _CONVINCING
     for batch in _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES):
         candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
-        if meter.exhausted or candidates[0].is_face(needed):
+        candidates = colors.heard(_with_evidence(scan, template, candidates, meter))
+        if meter.exhausted or candidates[0].log_odds > _CONVINCING:
             return candidates
-        needed = CERTAINTY_NEEDED
     # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
     for batch in _batches(scan, template, poses, 2 * options.candidates, 0):
         candidates = _with_refined(scan, None, template, batch, options, meter, candidates)
-        if meter.exhausted or candidates[0].is_face(needed):
+        candidates = colors.heard(_with_evidence(scan, template, candidates, meter))
+        if meter.exhausted or candidates[0].log_odds > _CONVINCING:
             return candidates
     return candidates
 
@@ -76,7 +122,31 @@ def every_candidate(
     candidates: tuple[Candidate, ...] = ()
     for batch in _batches(scan, template, poses, options.candidates, 0):
         candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
-    return candidates
+    return _with_evidence(scan, template, candidates, meter)
+
+
+def _with_evidence(
+    scan: PreparedScan, template: Template, candidates: tuple[Candidate, ...], meter: Meter
+) -> tuple[Candidate, ...]:
+    """Look at the first `_LOOKED_AT` candidates that are apart from each other, those seen before among them.
+
+    The answer is sorted by the odds, then by the ranking.
+    """
+    ranked = sorted(candidates, key=lambda c: -c.scores.ranking)
+    looked = list[Candidate]()
+    for place, candidate in enumerate(ranked):
+        if len(looked) == _LOOKED_AT or (looked and meter.exhausted):
+            break
+        if not all(candidate.is_apart(other) for other in looked):
+            continue
+        if candidate.evidence is None:
+            found = evidence(scan, template, candidate.pose)
+            meter.count()
+            ranked[place] = candidate = replace(candidate, pose=found.pose, evidence=found)
+        looked.append(candidate)
+        if candidate.log_odds > _CONVINCING:
+            break
+    return tuple(sorted(ranked, key=lambda c: (-c.log_odds, -c.scores.ranking)))
 
 
 def _batches(

@@ -16,6 +16,7 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.relief import DepthFrame, depth_image, render_depth
 from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm, tightened
 from scan2albedo.registration.scan_preparation import PreparedScan
+from scan2albedo.registration.shaped_icp import shaped_icp
 from scan2albedo.registration.template import Template
 
 _TRUNCATION = 0.5
@@ -192,23 +193,18 @@ def annealed(
 ) -> Annealed:
     """Anneal on depth derivatives when forced, tighten, and keep the answer if the surface is nearer for it.
 
-    Left out by default: where ICP settled on a fixed point, the tight ICP mostly returns to it from the
-    annealed pose; where ICP keeps moving (another person's face, an open jaw), annealing's optimum is biased
-    by the differences between the face's relief and the model's: as often nearer to the truth as not, and 0.2
-    degrees farther in the mean over 81 scans (`tools/bench_registration.py`). Its answer counts only when the
-    robust distance of the rigid regions falls at two scales.
+    Left out by default: ICP mostly returns from the annealed pose to where it was; else annealing's optimum
+    is biased by the differences between the face's relief and the template's, as often nearer to the truth as
+    not (`tools/bench_registration.py`). Its answer counts only when the robust distance of the rigid regions
+    falls at two scales.
     """
     if options.annealing_evaluations == 0:
         return Annealed(start.pose, None, ("depth_annealing", False, "switched off", "0 evaluations"))
     if meter.exhausted:
         return Annealed(start.pose, None, ("depth_annealing", False, "the budget had ended", ""))
     if not options.force_annealing:
-        reason = (
-            "nothing to gain: ICP settled on a fixed point"
-            if start.settled
-            else "no gain measured where ICP keeps moving either; force it to compare"
-        )
-        evidence = f"last step of ICP {start.last_step:.2g} degrees or mm, scale {start.sigma_mm:.2f} mm"
+        reason = "no gain measured over the ICP that knows people's shapes; force it to compare"
+        evidence = f"tight ICP {'ran' if start.ran else 'left out'}, scale {start.sigma_mm:.2f} mm"
         return Annealed(start.pose, None, ("depth_annealing", False, reason, evidence))
     found = anneal_depth_derivatives(
         scan.vertices,
@@ -222,7 +218,8 @@ def annealed(
     )
     # ICP measures another distance than the annealing, so its rows stay out of the trace.
     unseen = meter.untraced()
-    polished = tightened(scan.samples, template, found.pose, options.settling_iterations, unseen)
+    near = shaped_icp(scan.samples, template, found.pose).pose
+    polished = tightened(scan.samples, template, near, options.settling_iterations, unseen)
     meter.count(unseen.evaluations)
     before, after = (
         [rigid_distance_mm(scan.samples, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]

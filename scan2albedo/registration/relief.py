@@ -29,8 +29,6 @@ _FEATURE_PIXELS = 5.0
 _FLAT_SLOPE_SQUARED = 0.01
 _FEWEST_PIXELS = 64
 _ALLOWED_RMS_MM = 7.0
-_SYMMETRY_GAIN = 0.2
-_CHANCE_SYMMETRY = 0.25
 _ON_EDGE = 1e-9
 
 
@@ -154,14 +152,11 @@ class FaceScores:
     `coverage` is the part of the model's features with scan within 20 mm, `rms_mm` the RMS distance of the
     model's inlying samples to the scan. `relief_correlation` is the correlation of the depth derivatives in
     windows of about 3 cm, averaged over the features, after a quadratic fit is taken out of each: the bulge
-    that a head shares with a ball does not count, and nose, orbits and mouth must each be there. `symmetry`
-    is the same correlation of the scan's relief with its own mirror image: an open mouth lowers the likeness
-    to the model, but not this.
+    that a head shares with a ball does not count, and nose, orbits and mouth must each be there.
     """
 
     coverage: float
     relief_correlation: float
-    symmetry: float
     rms_mm: float
 
     @property
@@ -170,20 +165,28 @@ class FaceScores:
         return self.relief_correlation * float(np.exp(-((self.rms_mm / _ALLOWED_RMS_MM) ** 2)))
 
     @property
-    def certainty(self) -> float:
-        """Return the likeness, raised where the relief is symmetric, which half a face cannot be."""
-        return self.likeness + max(0.0, _SYMMETRY_GAIN * (self.symmetry - _CHANCE_SYMMETRY))
-
-    @property
     def ranking(self) -> float:
         """Likeness, lessened where little of the face is covered: ranks poses."""
         return self.likeness * min(1.0, self.coverage / 0.6) ** 0.5
+
+
+@dataclass(frozen=True)
+class ReliefAgreement:
+    """How the depth image of a scan agrees with that of the template in the same shape.
+
+    `local` is the correlation of the depth derivatives, less their quadratic trend, averaged over windows of
+    about 3 cm, `whole` that over all windows together.
+    """
+
+    local: float
+    whole: float
 
 
 class FaceImage:
     """The model's depth image, to score posed scans by: of its vertices (V, 3) mm and faces (F, 3)."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
+        self.vertices, self._faces = vertices, faces
         low, high = vertices.min(0), vertices.max(0)
         center = (low + high) / 2
         self.frame = DepthFrame((float(center[0]), float(center[1])), 1.02 * float(np.max(high - low)), _SIZE)
@@ -206,13 +209,33 @@ class FaceImage:
         common = np.abs(difference) < _SAME_SURFACE_MM
         coverage = float(self._weights[common].sum() / self._weights.sum())
         if common.sum() < _FEWEST_PIXELS:
-            return FaceScores(coverage, 0.0, 0.0, rms_mm)
+            return FaceScores(coverage, 0.0, rms_mm)
         scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
         model, _ = self._relief(self.depth, common, _SMOOTHING_PIXELS)
         correlation = _local_correlation(scan, model, used, self._weights)
-        mirrored = scan[:, :, ::-1] * np.array([-1.0, 1.0])[:, None, None]
-        symmetry = _local_correlation(scan, mirrored, used & used[:, ::-1], self._weights)
-        return FaceScores(coverage, correlation, symmetry, rms_mm)
+        return FaceScores(coverage, correlation, rms_mm)
+
+    def agreement(
+        self, vertices: FloatArray, faces: IntArray, model_from_scan: FloatArray, surface: FloatArray
+    ) -> ReliefAgreement:
+        """Compare a scan under a (4, 4) transform with the model's mesh moved to `surface` (V, 3)."""
+        seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
+        depth = depth_image(surface, self._faces, self.frame)
+        inside = self._inside & np.isfinite(depth)
+        depth = np.where(inside, depth, 0.0)
+        distance = np.abs(np.where(inside, seen, np.inf) - depth)
+        common = distance < _SAME_SURFACE_MM
+        if common.sum() < _FEWEST_PIXELS:
+            return ReliefAgreement(0.0, 0.0)
+        scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
+        model, _ = self._relief(depth, common, _SMOOTHING_PIXELS)
+        weights = self._weights * used
+        both, of_scan, of_model = (
+            float((weights * (a * b).sum(0)).sum()) + 1e-12
+            for a, b in ((scan, model), (scan, scan), (model, model))
+        )
+        local = _local_correlation(scan, model, used, self._weights)
+        return ReliefAgreement(local, both / float(np.sqrt(of_scan * of_model)))
 
     def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""

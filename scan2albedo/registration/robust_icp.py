@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.registration.template import Template
@@ -17,12 +17,10 @@ _PRIOR_SHARE = 0.02
 _FARTHEST_MM = 30.0
 _INLIER_MM = 10.0
 _SETTLED = 1e-3
-_FIRST_ROUND_MM = (3.0, 2.0)
-_FIRST_STEPS, _NARROWING_STEPS = 8, 4
+_FIRST_MM, _NARROWING_STEPS = 2.0, 4
 _RIGID_PART = 0.3
 _NOISE_MM, _SIGMAS_ABOVE_NOISE = 0.25, 6.0
-_HARDLY_MOVING = 0.02
-_TIGHTEST_MM, _WIDEST_MM = 0.35, 3.0
+_TIGHTEST_MM, _TIGHT_MM, _WIDEST_MM = 0.35, 1.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -33,15 +31,20 @@ class Residuals:
     distance_mm: FloatArray
     agreement: FloatArray
 
+    @property
+    def inlier(self) -> BoolArray:
+        """(M,): the scan is within 10 mm and faces the same way."""
+        return (self.distance_mm < _INLIER_MM) & (self.agreement > 0.5)
+
     def trimmed_rms_mm(self, weights: FloatArray) -> float:
         """Return the weighted RMS of the plane distances of the inliers; inf when there are none."""
-        inlier = weights * ((self.distance_mm < _INLIER_MM) & (self.agreement > 0.5))
+        inlier = weights * self.inlier
         total = inlier.sum()
         return float(np.sqrt(inlier @ self.plane_mm**2 / total)) if total > 0 else float("inf")
 
     def quantile_mm(self, weights: FloatArray, part: float) -> float:
         """Return the distance to the plane that `part` of the inliers' weight keeps; inf without inliers."""
-        inlier = (self.distance_mm < _INLIER_MM) & (self.agreement > 0.5)
+        inlier = self.inlier
         if not inlier.any():
             return float("inf")
         distance = np.abs(self.plane_mm[inlier])
@@ -67,12 +70,17 @@ class Residuals:
 
 def residuals(scan: OrientedPoints, model: OrientedPoints, pose: Similarity) -> Residuals:
     """Measure the model samples at a pose against the scan."""
-    return _correspond(scan, model, pose)[0]
+    return correspond(scan, model, pose)[0]
 
 
-def _correspond(
+def correspond(
     scan: OrientedPoints, model: OrientedPoints, pose: Similarity
-) -> tuple[Residuals, tuple[FloatArray, FloatArray]]:
+) -> tuple[Residuals, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Measure the samples at a pose.
+
+    Also return them turned and scaled (M, 3), the normals of the scan samples nearest, and the offsets from
+    these.
+    """
     turned = pose.scale * model.points @ pose.rotation.T
     normals = model.normals @ pose.rotation.T
     distance, index = scan.tree.query(turned + pose.translation, distance_upper_bound=_FARTHEST_MM)
@@ -82,7 +90,7 @@ def _correspond(
     target = scan.normals[index]
     agreement = np.where(found, np.einsum("ij,ij->i", normals, target), -1.0)
     measured = Residuals(np.einsum("ij,ij->i", offset, target), distance, agreement)
-    return measured, (turned, target)
+    return measured, (turned, target, offset)
 
 
 def robust_icp(
@@ -133,7 +141,7 @@ def _stepped(
     scan: OrientedPoints, model: OrientedPoints, weights: FloatArray, pose: Similarity, sigma_mm: float
 ) -> tuple[Similarity, float]:
     """Take one reweighted Gauss-Newton step; also return its length (the larger of degrees and mm)."""
-    measured, (turned, target) = _correspond(scan, model, pose)
+    measured, (turned, target, _) = correspond(scan, model, pose)
     r = measured.plane_mm
     near = np.isfinite(measured.distance_mm)
     robust = (sigma_mm**2 / (sigma_mm**2 + r**2)) ** 2 * np.maximum(measured.agreement, 0) ** 2
@@ -157,16 +165,15 @@ def _stepped(
 
 @dataclass(frozen=True)
 class Tightened:
-    """The pose of the tight ICP, the scale of its weights, and its last step (degrees or mm)."""
+    """The pose of the tight ICP, and the scale of its weights: where it is wide the pose is as it was."""
 
     pose: Similarity
     sigma_mm: float
-    last_step: float
 
     @property
-    def settled(self) -> bool:
-        """Whether ICP ended on a fixed point."""
-        return self.last_step < _HARDLY_MOVING
+    def ran(self) -> bool:
+        """Whether the surface is near enough for it."""
+        return self.sigma_mm <= _TIGHT_MM
 
 
 def tightened(
@@ -174,26 +181,28 @@ def tightened(
 ) -> Tightened:
     """Refine a pose on all samples, weighted to the rigid regions; records the loss at the last scale.
 
-    The last scale follows the surface: where nearly a third of the face is within the noise (the model is the
-    same person's), the rest is expression and must not pull; between people nothing fits that closely, and a
-    wide scale has one optimum where a narrow one has many. Without budget the pose stays.
+    The scale follows the surface: where nearly a third of the face is within the noise (the template is the
+    same person's), the rest is expression and must not pull. Where nothing fits that closely, a narrow scale
+    has many optima, and the pose stays, as it does without budget.
     """
     if meter.exhausted:
-        return Tightened(start, _WIDEST_MM, float("inf"))
+        return Tightened(start, _WIDEST_MM)
     samples, weights = template.samples, template.rigidity
-    pose = robust_icp(scan, samples, weights, start, iterations=_FIRST_STEPS, sigma_mm=_FIRST_ROUND_MM)
-    near_mm = residuals(scan, samples, pose).quantile_mm(weights, _RIGID_PART)
+    near_mm = residuals(scan, samples, start).quantile_mm(weights, _RIGID_PART)
     sigma_mm = float(np.clip(_SIGMAS_ABOVE_NOISE * (near_mm - _NOISE_MM), _TIGHTEST_MM, _WIDEST_MM))
-    meter.count(_FIRST_STEPS)
-    meter.record(residuals(scan, samples, pose).icp_loss_mm(weights, sigma_mm))
-    narrowing_mm = (_FIRST_ROUND_MM[1], sigma_mm)
-    pose = robust_icp(scan, samples, weights, pose, iterations=_NARROWING_STEPS, sigma_mm=narrowing_mm)
-    pose, steps, last = settled_icp(
+    meter.count()
+    meter.record(residuals(scan, samples, start).icp_loss_mm(weights, sigma_mm))
+    if sigma_mm > _TIGHT_MM:
+        return Tightened(start, sigma_mm)
+    pose = robust_icp(
+        scan, samples, weights, start, iterations=_NARROWING_STEPS, sigma_mm=(_FIRST_MM, sigma_mm)
+    )
+    pose, steps, _ = settled_icp(
         scan, samples, weights, pose, sigma_mm=sigma_mm, iterations=settling_iterations
     )
     meter.count(_NARROWING_STEPS + steps)
     meter.record(residuals(scan, samples, pose).icp_loss_mm(weights, sigma_mm))
-    return Tightened(pose, sigma_mm, last)
+    return Tightened(pose, sigma_mm)
 
 
 def rigid_distance_mm(

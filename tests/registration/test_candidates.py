@@ -1,14 +1,25 @@
-"""Open3D's part of the candidates: it refines, repeats its bits, and explains itself when it is missing."""
+"""Open3D refines candidates, and explains itself when it is missing; colours decide where shape does not."""
 
 import builtins
 
 import numpy as np
 import pytest
 
+from scan2albedo import RawScan, synthetic
 from scan2albedo.errors import MissingDependencyError, import_open3d
 from scan2albedo.geometry.oriented_points import oriented_points
-from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.candidates import ScanTarget
+from scan2albedo.geometry.rigid import (
+    Similarity,
+    compose,
+    invert_rigid,
+    rotation_angle_rad,
+    rotation_from_vector,
+)
+from scan2albedo.registration.candidates import Candidate, Colors, ScanTarget
+from scan2albedo.registration.evidence import Evidence
+from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.relief import FaceScores, ReliefAgreement
+from scan2albedo.registration.scan_preparation import prepared_scan
 
 
 def test_it_refines_and_repeats_its_bits(model):
@@ -42,3 +53,32 @@ def test_a_missing_system_library_is_one_line_with_the_command(monkeypatch, erro
     assert "libgl1" in message
     assert str(error) in message
     assert "\n" not in message
+
+
+def looked_at(pose, relief):
+    found = Evidence(pose, np.zeros(65), 1.0, 1.0, ReliefAgreement(relief, relief), np.zeros(3))
+    return Candidate(pose, FaceScores(1.0, relief, 1.0), found)
+
+
+def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):
+    scan, known = synthetic.raw_scan(3)
+    prepared = prepared_scan(scan, RegistrationOptions())
+    colors = Colors(prepared, model)
+    truth = prepared.prepared_from_scan @ invert_rigid(known.model_from_scan)
+    upright = Similarity(truth[:3, :3], truth[:3, 3])
+    flipped = Similarity(truth[:3, :3] @ np.diag([-1.0, -1.0, 1.0]), truth[:3, 3])
+    sure = (looked_at(flipped, 0.9), looked_at(upright, 0.3))
+    assert colors.heard(sure) is sure
+    doubtful = (looked_at(flipped, 0.3), looked_at(upright, 0.3))
+    best, other = colors.heard(doubtful)
+    assert best.pose is upright
+    assert best.color_log_odds > 1
+    assert other.color_log_odds < 0
+
+
+def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
+    scan = synthetic_scan(3).scan
+    bare = prepared_scan(RawScan(scan.vertices, scan.faces), RegistrationOptions())
+    rest = Similarity(np.eye(3), np.zeros(3))
+    doubtful = (looked_at(rest, 0.3),)
+    assert Colors(bare, model).heard(doubtful) is doubtful

@@ -72,8 +72,8 @@ def test_annealing_is_left_out_by_default_with_the_reason(ict_scan, model):
     for seed, shape in enumerate(("generic_neutral", "person2", "person4")):
         step, ran, reason, evidence = register(ict_scan(shape, seed).scan, model).notes[1]
         assert (step, ran) == ("depth_annealing", False)
-        settled = float(evidence.split("last step of ICP ")[1].split()[0]) < 0.02
-        assert ("settled on a fixed point" if settled else "no gain measured") in reason
+        assert "no gain measured" in reason
+        assert "scale" in evidence
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_the_same_pose(registered, model):

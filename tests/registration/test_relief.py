@@ -145,17 +145,25 @@ def test_correlation_of_nothing_is_zero():
     assert correlation(np.zeros(3), np.ones(3), np.ones(3)) == 0
 
 
-def test_the_model_is_symmetric_and_its_symmetry_raises_the_certainty(image, model):
-    scores = image.scores(*model.surface(2), np.eye(4))
-    assert scores.symmetry > 0.85
-    assert scores.certainty > scores.likeness + 0.1
-
-
-def test_an_expression_of_one_side_lessens_symmetry_and_half_a_face_loses_no_certainty(image, model):
+def test_the_model_agrees_with_itself_and_its_back_does_not(image, model):
     vertices, faces = model.surface(2)
-    crooked = vertices.copy()
-    right = vertices[:, 0] < 0
-    crooked[right, 2] += 6 * np.sin(vertices[right, 1] / 6) * np.clip(-vertices[right, 0] / 20, 0, 1)
-    assert image.scores(crooked, faces, np.eye(4)).symmetry < 0.75
-    half = image.scores(vertices, faces[(vertices[faces][..., 0] > 0).all(1)], np.eye(4))
-    assert half.certainty >= half.likeness
+    same = image.agreement(vertices, faces, np.eye(4), image.vertices)
+    assert same.whole > 0.99
+    assert same.local > 0.9
+    other = image.agreement(vertices * [1, -1, 1], faces, np.eye(4), image.vertices)
+    assert other.whole < 0.6
+    assert other.local < 0.6
+
+
+def test_a_ball_agrees_little(image):
+    ball = trimesh.creation.icosphere(5, 95.0)
+    points = np.asarray(ball.vertices) + [0, 0, image.vertices[:, 2].max() - 105]
+    found = image.agreement(points, np.asarray(ball.faces), np.eye(4), image.vertices)
+    assert found.whole < 0.4
+    assert found.local < 0.4
+
+
+def test_nothing_common_is_no_agreement(image, model):
+    vertices, faces = model.surface(1)
+    found = image.agreement(vertices + [500, 0, 0], faces, np.eye(4), image.vertices)
+    assert (found.local, found.whole) == (0, 0)

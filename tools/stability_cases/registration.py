@@ -142,7 +142,6 @@ def _() -> str:
         )
     ]
     assert min(errors) < MOST_MM
-    assert registration.confidence < 0.5
     return f"{min(errors):.1f} mm off one of them, confidence {registration.confidence:.2f}"
 
 
@@ -208,7 +207,7 @@ def _() -> str:
 
 
 def _refused(vertices: np.ndarray, faces: np.ndarray, name: str) -> str:
-    with naming(f"{name}: no face found", "covers .* of the face", "certainty", "box"):
+    with naming(f"{name}: no face found", "probability", "of the face", "box"):
         register(RawScan(vertices, faces, name=name), model())
     return "found"
 

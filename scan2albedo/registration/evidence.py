@@ -1,0 +1,79 @@
+"""What speaks for a face at a pose, once the template has its shape, and the odds of one there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.geometry.rigid import Similarity
+from scan2albedo.registration.relief import ReliefAgreement
+from scan2albedo.registration.robust_icp import residuals
+from scan2albedo.registration.scan_preparation import PreparedScan
+from scan2albedo.registration.shaped_icp import proportions, shaped_icp
+from scan2albedo.registration.template import Template
+
+_LEAST_RMS_MM, _MOST_RMS_MM = 0.5, 10.0
+_LEAST_SHARE = 0.02
+_INTERCEPT = -7.33
+_WEIGHTS = {"relief": 10.83, "local": 10.94, "rms": -5.63, "share": 2.19}
+"""Of the cues in the log odds: a logistic regression, see tools/calibrate_registration.py."""
+_STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.30, 0.02
+"""Logarithm of a proportion relative to the template's at which it is as likely a person's as that of one who
+is stretched by half, and how far from there the odds change by e (tools/calibrate_registration.py)."""
+_MOST_LOG_ODDS = 8.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Agreement of the scan with the shaped template at its pose.
+
+    `pose` is `scan_from_model`, `coefficients` (K,) are those of the template's modes in standard deviations.
+    `share` is the part of the template's area with scan within 10 mm that faces the same way, `rms_mm` the
+    distance there; `relief` compares their depth images, `proportions` (3,) see `shaped_icp`.
+    """
+
+    pose: Similarity
+    coefficients: FloatArray
+    share: float
+    rms_mm: float
+    relief: ReliefAgreement
+    proportions: FloatArray
+
+    @property
+    def cues(self) -> dict[str, float]:
+        """The values that are weighed, each finite."""
+        return {
+            "relief": self.relief.whole,
+            "local": self.relief.local,
+            "rms": float(np.log(np.clip(self.rms_mm, _LEAST_RMS_MM, _MOST_RMS_MM))),
+            "share": float(np.log(max(self.share, _LEAST_SHARE))),
+        }
+
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds that the pose is that of a face, and that the face is a person's."""
+        cues = self.cues
+        of_face = _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
+        strange = float(np.abs(self.proportions).max())
+        of_person = (_STRANGE_PROPORTION - strange) / _PROPORTION_WIDTH
+        against = np.logaddexp(np.logaddexp(-of_face, -of_person), -of_face - of_person)
+        return float(np.clip(-against, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
+
+
+def evidence(scan: PreparedScan, template: Template, start: Similarity) -> Evidence:
+    """Fit pose and shape of the template from a start, and measure how the scan agrees with it."""
+    shaped = shaped_icp(scan.samples, template, start)
+    person = template.in_shape(shaped.coefficients)
+    areas = person.samples.areas
+    measured = residuals(scan.samples, person.samples, shaped.pose)
+    surface = template.image.vertices + template.modes.of_surface(shaped.coefficients)
+    return Evidence(
+        shaped.pose,
+        shaped.coefficients,
+        float(areas[measured.inlier].sum() / areas.sum()),
+        measured.trimmed_rms_mm(areas),
+        template.image.agreement(scan.vertices, scan.faces, shaped.pose.inverse(), surface),
+        proportions(scan.samples, template, shaped),
+    )

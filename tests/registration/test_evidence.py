@@ -1,0 +1,76 @@
+"""How sure the shaped template makes one: of faces, of nothing else, and of no stretched face."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo import RawScan
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
+from scan2albedo.registration.evidence import evidence
+from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.scan_preparation import prepared_scan
+from scan2albedo.registration.template import Template
+
+
+@pytest.fixture(scope="module")
+def template(model):
+    return Template.of(model, 6.0, 0)
+
+
+def evidence_at(vertices, faces, template):
+    """What a scan in the model's frame says of that frame."""
+    prepared = prepared_scan(RawScan(vertices, faces), RegistrationOptions())
+    pose = prepared.prepared_from_scan
+    return evidence(prepared, template, Similarity(pose[:3, :3], pose[:3, 3]))
+
+
+@pytest.fixture(scope="module")
+def face(synthetic_scan):
+    example = synthetic_scan(2)
+    return transform_points(example.model_from_scan, example.scan.vertices), example.scan.faces
+
+
+def test_a_face_is_beyond_doubt_and_of_usual_proportions(face, template):
+    found = evidence_at(*face, template)
+    assert found.log_odds > 4
+    assert found.share > 0.8
+    assert found.rms_mm < 1.5
+    assert np.abs(found.proportions).max() < 0.2
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("factor", [1.5, 1 / 1.5])
+def test_a_stretched_face_is_doubted(face, template, axis, factor):
+    vertices = face[0].copy()
+    vertices[:, axis] *= factor
+    assert evidence_at(vertices, face[1], template).log_odds < 0
+
+
+def test_a_ball_and_a_face_upside_down_are_no_faces(face, template):
+    ball = trimesh.creation.icosphere(5, 95.0)
+    assert evidence_at(np.asarray(ball.vertices), np.asarray(ball.faces), template).log_odds < -3
+    assert evidence_at(face[0] * [-1, -1, 1], face[1], template).log_odds < -1
+
+
+def test_no_scan_near_the_template_is_no_face_and_all_finite(template):
+    sheet = trimesh.creation.box((200, 200, 1)).subdivide_to_size(10)
+    prepared = prepared_scan(
+        RawScan(np.asarray(sheet.vertices), np.asarray(sheet.faces)), RegistrationOptions()
+    )
+    found = evidence(prepared, template, Similarity(np.eye(3), np.array([5000.0, 0, 0])))
+    assert np.isfinite(list(found.cues.values())).all()
+    assert found.log_odds == -8
+
+
+def test_the_template_is_kept_as_long_as_its_model(model):
+    assert Template.of(model, 6.0, 0) is Template.of(model, 6.0, 0)
+    assert Template.of(model, 6.0, 0) is not Template.of(model, 6.0, 1)
+
+
+def test_the_frame_of_the_scan_does_not_matter(face, template):
+    one = evidence_at(*face, template)
+    pose = invert_rigid(np.array([[0, -1, 0, 50], [1, 0, 0, -20], [0, 0, 1, 300], [0, 0, 0, 1.0]]))
+    prepared = prepared_scan(RawScan(transform_points(pose, face[0]), face[1]), RegistrationOptions())
+    start = prepared.prepared_from_scan @ pose
+    other = evidence(prepared, template, Similarity(start[:3, :3], start[:3, 3]))
+    assert other.log_odds == pytest.approx(one.log_odds, abs=0.2)

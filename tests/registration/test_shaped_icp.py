@@ -1,0 +1,68 @@
+"""The template takes a person's shape, so that what people do neither moves the pose nor makes doubts."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.face_model.variation import STRETCHES, shape_modes
+from scan2albedo.geometry.oriented_points import oriented_points
+from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad, rotation_from_vector
+from scan2albedo.registration.robust_icp import residuals
+from scan2albedo.registration.shaped_icp import proportions, shaped_icp
+from scan2albedo.registration.template import Template
+
+
+@pytest.fixture(scope="module")
+def template(model):
+    return Template.of(model, 6.0, 0)
+
+
+def person_points(model, coefficients):
+    """The samples of a face that the modes make, where the model lies."""
+    moved = model.control_vertices + np.tensordot(coefficients, shape_modes(model), 1)
+    subdivision = model.subdivision(1)
+    return oriented_points(subdivision.matrix @ moved, subdivision.faces, 4.0)
+
+
+def test_no_mode_moves_turns_or_grows_the_face(model):
+    modes = shape_modes(model)
+    rest = model.control_vertices - model.control_vertices.mean(0)
+    assert np.abs(modes.mean(1)).max() < 1e-9
+    assert np.abs(np.cross(rest, modes).mean(1)).max() < 1e-8
+    assert np.abs((modes * rest).sum((1, 2))).max() < 1e-6
+    assert (np.abs(modes).max((1, 2)) > 0.1).all()
+
+
+def test_the_pose_of_a_person_is_found_and_the_surface_lies_on_the_scan(model, template):
+    drawn = np.random.default_rng(3).normal(size=len(template.modes))
+    scan = person_points(model, drawn)
+    start = Similarity(rotation_from_vector([0.1, -0.08, 0.05]), np.array([4.0, -3.0, 5.0]))
+    shaped = shaped_icp(scan, template, start)
+    assert np.degrees(rotation_angle_rad(shaped.pose.rotation)) < 1.5
+    assert np.linalg.norm(shaped.pose.translation) < 2.5
+    person = template.in_shape(shaped.coefficients)
+    before = residuals(scan, template.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
+    after = residuals(scan, person.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
+    assert after < 0.6 * before
+
+
+@pytest.mark.parametrize(("axis", "expected"), [(0, (-1, -1, 0)), (1, (1, 0, -1)), (2, (0, 1, 1))])
+@pytest.mark.parametrize("factor", [1.5, 1 / 1.5])
+def test_a_stretched_face_has_other_proportions(model, template, axis, expected, factor):
+    vertices, faces = model.surface(1)
+    stretched = vertices.copy()
+    stretched[:, axis] *= factor
+    scan = oriented_points(stretched, faces, 4.0)
+    shaped = shaped_icp(scan, template, Similarity(np.eye(3), np.zeros(3)))
+    found = proportions(scan, template, shaped)
+    usual = proportions(template.samples, template, shaped_icp(template.samples, template, shaped.pose))
+    assert np.abs(usual).max() < 0.1
+    sign = np.sign(np.log(factor)) * np.array(expected)
+    assert (found * sign)[sign != 0].min() > 0.2
+    assert np.abs(found[sign == 0]).max() < 0.15
+
+
+def test_width_height_and_depth_come_first(model):
+    rest = model.control_vertices - model.control_vertices.mean(0)
+    for axis, mode in enumerate(shape_modes(model)[STRETCHES]):
+        share = (mode * rest).sum(0) / (rest**2).sum(0)
+        assert np.argmax(share) == axis

@@ -1,0 +1,274 @@
+"""Fits how the cues of a pose are weighed to the probability that it is that of a face.
+
+    OMP_NUM_THREADS=1 python tools/calibrate_registration.py [--scans 200] [--jobs 2] [--keep cues.npz]
+
+Of each kind of scan, so many are drawn: people in raw stereo, as measured and worse, clean people, and as
+what is no face scraps, reliefs, bodies and heaps of solids. The best poses of the search are judged by the
+truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a logistic
+regression whose signs are given. Every second scan judges the weights fitted to the others. The proportions
+of people are printed beside those of people stretched 1.4 to 1.6 times along one axis. No scan is among those
+of tools/bench_door.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from benchmarks.door_scans import UNSEEN, Case, face_case, random_body, random_relief, scrap
+from scipy.optimize import minimize
+
+from scan2albedo.core import Budget, Meter, RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import RegistrationError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.rigid import (
+    compose,
+    invert_rigid,
+    random_rotation,
+    rotation_angle_rad,
+    transform_points,
+)
+from scan2albedo.registration.candidates import every_candidate
+from scan2albedo.registration.coarse_search import coarse_poses
+from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.scan_preparation import prepared_scan
+from scan2albedo.registration.template import Template
+from scan2albedo.synthetic import StereoScanOptions, stereo_scan
+from scan2albedo.synthetic.stereo_features import FEATURES
+
+SIGNS = {"relief": 1, "local": 1, "rms": -1, "share": 1}
+RIGHT_DEG, RIGHT_MM = 10.0, 15.0
+NEARLY_DEG, NEARLY_MM = 20.0, 30.0
+"""Poses within these and not within the others are neither right nor wrong, and are left out."""
+SIZE_SD = 0.07
+WRONG_POSE_WEIGHT = 0.2
+"""Of a wrong pose on a scan that has a right one: there are several of each."""
+RIDGE = 0.0003
+HARD = StereoScanOptions(noise_mm=(1.0, 3.0), holes=(10, 40), reach_mm=(70.0, 170.0))
+
+
+@dataclass(frozen=True)
+class Row:
+    """The cues of a pose, and whether it is right; None for nearly."""
+
+    kind: str
+    seed: int
+    cues: tuple[float, ...]
+    proportion: float
+    right: bool | None
+
+
+def _sized(case: Case, rng: np.random.Generator) -> Case:
+    """Return the case with a face of another size."""
+    factor = float(np.exp(np.clip(rng.normal(scale=SIZE_SD), -0.2, 0.2)))
+    assert case.model_from_scan is not None
+    assert case.landmarks is not None
+    pose = case.model_from_scan.copy()
+    pose[:3, 3] *= factor
+    scan = RawScan(case.scan.vertices * factor, case.scan.faces, name=case.scan.name)
+    return Case(scan, case.kinds, pose, case.landmarks * factor)
+
+
+def _person(seed: int, rng: np.random.Generator) -> Case:
+    return _sized(face_case(*stereo_scan(seed)), rng)
+
+
+def _hard_person(seed: int, rng: np.random.Generator) -> Case:
+    worn = tuple(name for name in FEATURES if rng.uniform() < 0.4)
+    return _sized(face_case(*stereo_scan(seed, options=replace(HARD, features=worn))), rng)
+
+
+def _clean_person(seed: int, rng: np.random.Generator) -> Case:
+    options = StereoScanOptions(
+        spacing_mm=(2.0, 3.5), noise_mm=(0.05, 0.5), stray=(0.001, 0.01), pieces=(1, 5), features=()
+    )
+    return _sized(face_case(*stereo_scan(seed, options=options)), rng)
+
+
+def _stretched(seed: int, rng: np.random.Generator) -> Case:
+    case = (_clean_person if seed % 2 else _person)(seed, rng)
+    points = transform_points(case.model_from_scan, case.scan.vertices)
+    points[:, rng.integers(3)] *= rng.uniform(1.4, 1.6) ** float(rng.choice([-1, 1]))
+    return Case(RawScan(points, case.scan.faces, name="stretched"), ())
+
+
+def _scrap(seed: int, rng: np.random.Generator) -> Case:
+    return scrap(seed - UNSEEN)
+
+
+def _object(make: Callable[[np.random.Generator], tuple[FloatArray, np.ndarray]]) -> Callable[..., Case]:
+    def made(seed: int, rng: np.random.Generator) -> Case:
+        vertices, faces = make(rng)
+        vertices = np.asarray(vertices, float) * rng.uniform(0.8, 1.25)
+        noise = rng.normal(scale=rng.uniform(0, 2), size=(len(vertices), 1))
+        vertices = vertices + noise * vertex_normals(vertices, np.asarray(faces))
+        pose = compose(random_rotation(rng), rng.uniform(-300, 300, 3))
+        return Case(RawScan(transform_points(pose, vertices), np.asarray(faces), name="object"), ())
+
+    return made
+
+
+def _solids(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
+    """Return one to seven boxes, cylinders, capsules and balls in a heap."""
+    meshes = []
+    for _ in range(rng.integers(1, 8)):
+        size = rng.uniform(15, 120, 3)
+        makers = (
+            lambda size: trimesh.creation.box(size),
+            lambda size: trimesh.creation.cylinder(size[0] / 2, size[1]),
+            lambda size: trimesh.creation.capsule(size[0], size[1] / 3),
+            lambda size: trimesh.creation.icosphere(3, size[0] / 2),
+        )
+        mesh = makers[rng.integers(len(makers))](size).subdivide_to_size(12)
+        mesh.apply_transform(compose(random_rotation(rng), rng.normal(scale=45, size=3)))
+        meshes.append(mesh)
+    heap = trimesh.util.concatenate(meshes)
+    return np.array(heap.vertices), np.array(heap.faces, np.int64)
+
+
+def _waves(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
+    """Return a random relief, one in three of them symmetric."""
+    vertices, faces = random_relief(rng)
+    if rng.uniform() < 0.33:
+        size = int(np.sqrt(len(vertices)))
+        z = vertices[:, 2].reshape(size, size)
+        vertices[:, 2] = ((z + z[:, ::-1]) / 1.4).ravel()
+    return vertices, faces
+
+
+STRETCHED = "stretched"
+KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
+    "person": _person,
+    "hard person": _hard_person,
+    "clean person": _clean_person,
+    STRETCHED: _stretched,
+    "scrap": _scrap,
+    "relief": _object(_waves),
+    "body": _object(random_body),
+    "solids": _object(_solids),
+}
+
+
+@cache
+def _template() -> Template:
+    return Template.of(AnnotatedFaceModel.default(), RegistrationOptions().model_spacing_mm, 0)
+
+
+def rows_of(task: tuple[str, int]) -> list[Row]:
+    """Draw a scan and judge the best of its poses."""
+    kind, seed = task
+    case = KINDS[kind](seed, np.random.default_rng([seed, 61]))
+    options, meter = RegistrationOptions(), Meter("icp", "mm", Budget.of(None), None)
+    try:
+        prepared = prepared_scan(case.scan, options)
+    except RegistrationError:
+        return []
+    poses = coarse_poses(prepared, _template(), options, meter, 0)
+    rows = []
+    for candidate in every_candidate(prepared, _template(), poses, options, meter):
+        if candidate.evidence is not None:
+            pose = invert_rigid(candidate.pose.rigid()) @ prepared.prepared_from_scan
+            cues = tuple(candidate.evidence.cues[name] for name in SIGNS)
+            proportion = float(np.abs(candidate.evidence.proportions).max())
+            rows.append(Row(kind, seed, cues, proportion, _is_right(pose, case)))
+    return rows
+
+
+def _is_right(pose: FloatArray, case: Case) -> bool | None:
+    if case.model_from_scan is None or case.landmarks is None:
+        return False
+    change = pose @ invert_rigid(case.model_from_scan)
+    degrees = np.degrees(rotation_angle_rad(change[:3, :3]))
+    mm = np.linalg.norm(transform_points(change, case.landmarks) - case.landmarks, axis=1).mean()
+    if degrees < RIGHT_DEG and mm < RIGHT_MM:
+        return True
+    return None if degrees < NEARLY_DEG and mm < NEARLY_MM else False
+
+
+def fitted(cues: FloatArray, right: BoolArray, weights: FloatArray) -> tuple[FloatArray, float]:
+    """Return the weights (K,) of the cues (N, K), with the signs given, and the intercept."""
+    mean, deviation = cues.mean(0), cues.std(0) + 1e-12
+    design = np.column_stack([(cues - mean) / deviation, np.ones(len(cues))])
+    toward = np.where(right, -1.0, 1.0)
+
+    def loss(x: FloatArray) -> tuple[float, FloatArray]:
+        odds = toward * (design @ x)
+        slope = weights * toward / (1 + np.exp(-odds))
+        ridge = RIDGE * np.append(x[:-1], 0)
+        value = weights @ np.logaddexp(0, odds) / weights.sum() + x @ ridge / 2
+        return float(value), design.T @ slope / weights.sum() + ridge
+
+    bounds = [(0, None) if sign > 0 else (None, 0) for sign in SIGNS.values()] + [(None, None)]
+    x = minimize(loss, np.zeros(design.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds).x
+    return x[:-1] / deviation, float(x[-1] - mean @ (x[:-1] / deviation))
+
+
+def _print_proportions(rows: list[Row]) -> None:
+    for name in KINDS:
+        chosen = [row.proportion for row in rows if row.kind == name and (row.right or name == STRETCHED)]
+        if chosen:
+            print(
+                f"greatest proportion, {name}: "
+                + "{:.2f} {:.2f} {:.2f} {:.2f} {:.2f}".format(*np.percentile(chosen, [1, 5, 50, 95, 99]))
+            )
+
+
+def _print_fit(rows: list[Row]) -> None:
+    known = [row for row in rows if row.right is not None and row.kind != STRETCHED]
+    cues, right = np.array([row.cues for row in known]), np.array([row.right for row in known], bool)
+    seed, kind = np.array([row.seed for row in known]), np.array([row.kind for row in known])
+    has_right = {(row.kind, row.seed) for row in known if row.right}
+    beside = np.array([not row.right and (row.kind, row.seed) in has_right for row in known])
+    weights = np.where(beside, WRONG_POSE_WEIGHT, 1.0)
+    odds = np.zeros(len(known))
+    for half in (0, 1):
+        taken = seed % 2 != half
+        slopes, intercept = fitted(cues[taken], right[taken], weights[taken])
+        odds[~taken] = cues[~taken] @ slopes + intercept
+    slopes, intercept = fitted(cues, right, weights)
+    print(f"{len(known)} poses of {len({(r.kind, r.seed) for r in known})} scans; log odds of halves unseen:")
+    for name in KINDS:
+        for label, chosen in (("right", right), ("wrong", ~right)):
+            values = odds[chosen & (kind == name)]
+            if len(values):
+                low, middle, high = np.percentile(values, [1, 50, 99])
+                print(f"  {name:14}{label:8}{len(values):6}{low:8.1f}{middle:8.1f}{high:8.1f}")
+    false = np.logaddexp(0, np.where(right, -odds, odds))
+    missed, let_in = np.mean(odds[right] < 0), np.mean(odds[~right] > 0)
+    print(f"mean loss {weights @ false / weights.sum():.4f}; missed {missed:.1%}, let in {let_in:.2%}")
+    print(f"intercept {intercept:.2f}")
+    print({name: round(float(slope), 2) for name, slope in zip(SIGNS, slopes, strict=True)})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scans", type=int, default=200, help="of each kind")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="NPZ to write the cues into")
+    arguments = parser.parse_args()
+    tasks = [(kind, seed) for seed in range(arguments.scans) for kind in KINDS]
+    with ProcessPoolExecutor(arguments.jobs) as processes:
+        rows = [row for found in processes.map(rows_of, tasks, chunksize=8) for row in found]
+    if arguments.keep:
+        np.savez(
+            arguments.keep,
+            cues=np.array([row.cues for row in rows]),
+            proportion=np.array([row.proportion for row in rows]),
+            right=np.array([np.nan if row.right is None else row.right for row in rows]),
+            kind=np.array([row.kind for row in rows]),
+            seed=np.array([row.seed for row in rows]),
+        )
+    _print_fit(rows)
+    _print_proportions(rows)
+
+
+if __name__ == "__main__":
+    main()
