@@ -19,9 +19,12 @@ _LEAST_SHARE = 0.02
 _INTERCEPT = -7.33
 _WEIGHTS = {"relief": 10.83, "local": 10.94, "rms": -5.63, "share": 2.19}
 """Of the cues in the log odds: a logistic regression, see tools/calibrate_registration.py."""
-_STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.30, 0.02
-"""Logarithm of a proportion relative to the template's at which it is as likely a person's as that of one who
-is stretched by half, and how far from there the odds change by e (tools/calibrate_registration.py)."""
+_USUAL_PROPORTIONS = np.array([-0.03, -0.06, -0.04])
+_STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.32, 0.025
+"""How far from people's mean, in logarithms, the odds of a person's proportions are even, and how far from
+there they change by e. Of synthetic people 99 % are within 0.30 of the template's (see
+tools/calibrate_registration.py), mixtures of light-stage people within 0.30 of the mean; faces stretched by
+half are 0.27 to 0.49 from it."""
 _MOST_LOG_ODDS = 8.0
 
 
@@ -56,7 +59,7 @@ class Evidence:
         """Logarithm of the odds that the pose is that of a face, and that the face is a person's."""
         cues = self.cues
         of_face = _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
-        strange = float(np.abs(self.proportions).max())
+        strange = float(np.abs(self.proportions - _USUAL_PROPORTIONS).max())
         of_person = (_STRANGE_PROPORTION - strange) / _PROPORTION_WIDTH
         against = np.logaddexp(np.logaddexp(-of_face, -of_person), -of_face - of_person)
         return float(np.clip(-against, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
