@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python tools/calibrate_registration.py [--scans 200] [--jobs 2] [--keep cues.npz]
 
 Of each kind of scan, so many are drawn: people in raw stereo, as measured and worse, clean people, and as
-what is no face scraps, reliefs, bodies and heaps of solids. The best poses of the search are judged by the
-truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a logistic
+what is no face scraps, reliefs, bodies, heaps of solids and gratings. The best poses of the search are judged
+by the truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a logistic
 regression whose signs are given. Every second scan judges the weights fitted to the others. The proportions
 of people are printed beside those of people stretched 1.4 to 1.6 times along one axis. No scan is among those
 of tools/bench_door.py.
@@ -44,7 +44,7 @@ from scan2albedo.registration.template import Template
 from scan2albedo.synthetic import StereoScanOptions, stereo_scan
 from scan2albedo.synthetic.stereo_features import FEATURES
 
-SIGNS = {"relief": 1, "local": 1, "rms": -1, "share": 1}
+SIGNS = {"relief": 1, "local": 1, "distance": -1, "share": 1}
 RIGHT_DEG, RIGHT_MM = 10.0, 15.0
 NEARLY_DEG, NEARLY_MM = 20.0, 30.0
 """Poses within these and not within the others are neither right nor wrong, and are left out."""
@@ -145,6 +145,18 @@ def _waves(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
 
 
 STRETCHED = "stretched"
+
+
+def _grating(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
+    """Return a sheet with regular waves, bumps or ridges, whose hollows repeat as eyes and mouths do."""
+    vertices, faces = random_relief(rng)
+    x, y = vertices[:, :2].T
+    lengths, phases, heights = rng.uniform(8, 30, 2), rng.uniform(0, 2 * np.pi, 2), rng.uniform(2, 12, 2)
+    bulge = rng.uniform(0, 60) * np.exp(-(x**2 + y**2) / rng.uniform(4000, 20000))
+    vertices[:, 2] = bulge + heights @ np.sin(np.stack([x, y]) / lengths[:, None] + phases[:, None])
+    return vertices, faces
+
+
 KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
     "person": _person,
     "hard person": _hard_person,
@@ -154,6 +166,7 @@ KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
     "relief": _object(_waves),
     "body": _object(random_body),
     "solids": _object(_solids),
+    "grating": _object(_grating),
 }
 
 

@@ -14,11 +14,11 @@ from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.shaped_icp import proportions, shaped_icp
 from scan2albedo.registration.template import Template
 
-_LEAST_RMS_MM, _MOST_RMS_MM = 0.5, 10.0
+_MOST_RMS_MM = 10.0
 _LEAST_SHARE = 0.02
-_INTERCEPT = -7.33
-_WEIGHTS = {"relief": 10.83, "local": 10.94, "rms": -5.63, "share": 2.19}
-"""Of the cues in the log odds: a logistic regression, see tools/calibrate_registration.py."""
+_INTERCEPT = -7.39
+_WEIGHTS = {"relief": 11.1, "local": 9.3, "distance": -0.65, "share": 2.42}
+"""Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py --scans 80."""
 _USUAL_PROPORTIONS = np.array([-0.03, -0.06, -0.04])
 _STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.32, 0.025
 """How far from people's mean, in logarithms, the odds of a person's proportions are even, and how far from
@@ -50,7 +50,7 @@ class Evidence:
         return {
             "relief": self.relief.whole,
             "local": self.relief.local,
-            "rms": float(np.log(np.clip(self.rms_mm, _LEAST_RMS_MM, _MOST_RMS_MM))),
+            "distance": min(self.rms_mm, _MOST_RMS_MM) ** 2,
             "share": float(np.log(max(self.share, _LEAST_SHARE))),
         }
 
