@@ -53,7 +53,7 @@ class Candidate:
     @property
     def log_odds(self) -> float:
         """Of a face at this pose; -inf where it was not looked at."""
-        return -np.inf if self.evidence is None else self.evidence.log_odds + (self.color_log_odds or 0.0)
+        return -np.inf if self.evidence is None else self.evidence.log_odds(self.color_log_odds or 0.0)
 
     def is_apart(self, other: Candidate) -> bool:
         """Whether the poses are clearly not the same."""

@@ -54,11 +54,13 @@ class Evidence:
             "share": float(np.log(max(self.share, _LEAST_SHARE))),
         }
 
-    @property
-    def log_odds(self) -> float:
-        """Logarithm of the odds that the pose is that of a face, and that the face is a person's."""
+    def log_odds(self, of_colors: float = 0.0) -> float:
+        """Return the logarithm of the odds that the pose is that of a face, and that the face is a person's.
+
+        What the scan's colours say for the pose, `of_colors`, is no excuse for a person's proportions.
+        """
         cues = self.cues
-        of_face = _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
+        of_face = of_colors + _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
         strange = float(np.abs(self.proportions - _USUAL_PROPORTIONS).max())
         of_person = (_STRANGE_PROPORTION - strange) / _PROPORTION_WIDTH
         against = np.logaddexp(np.logaddexp(-of_face, -of_person), -of_face - of_person)
