@@ -12,10 +12,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.registration.candidates import (
-    Candidate,
-    every_candidate,
-)
+from scan2albedo.registration.candidates import Candidate, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.robust_icp import residuals
@@ -23,17 +20,21 @@ from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
 LEAST_PROBABILITY = 0.25
-"""Of a face, below which a scan is refused."""
+"""Of a face, below which a scan is refused: hair alone and scraps of a head reach 0.2."""
 _BEYOND_DOUBT = 4.0
 """Log odds of a face (98 %) at which it is not asked whether the scan is inside out."""
 _CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
 _FACING_AWAY = 0.35
+"""Part of the near samples whose normals may disagree: where one side of a face is inside out it is half."""
 _MIXED_SHARE = 0.02
 """A greater share of triangles wound against their neighbours is the reason to name."""
 _OTHER_FACE_MM = 100.0
+"""Poses farther apart than a face is wide are of another one."""
 _LIKE_A_FACE = 0.55
+"""Likeness (`FaceScores`) at which a pose that was not looked at closely is told of as another face."""
 _TOLD_PROPORTION = 1.2
+"""Proportion relative to the model's from which a message has it; most people's are less."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +63,16 @@ def accepted(
         _refuse_no_face(scan.raw, candidates)
     _refuse_facing_away(scan, template, candidates[0])
     _warn_of_second_face(scan.raw, candidates)
-    best = candidates[0]
+    best, probability = candidates[0], _probability(candidates)
     evidence = (
-        f"{len(candidates)} of {pose_count} candidates refined; probability {_probability(candidates):.2f} "
+        f"{len(candidates)} of {pose_count} candidates refined; probability {probability:.2f} "
         f"(needed: {LEAST_PROBABILITY:.2f}), {_cues_text(best)}, "
         f"face {100 * best.pose.scale:.0f} % of the model's size"
     )
     if scan.stray_faces:
         evidence += f"; {scan.stray_faces} triangles that reach far away left out"
     reason = "the pose at which the scan is most probably a face is taken"
-    return Acceptance(_probability(candidates), ("search", True, reason, evidence))
+    return Acceptance(probability, ("search", True, reason, evidence))
 
 
 def _refuse_inside_out(

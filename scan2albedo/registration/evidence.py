@@ -20,12 +20,14 @@ _INTERCEPT = -7.39
 _WEIGHTS = {"relief": 11.1, "local": 9.3, "distance": -0.65, "share": 2.42}
 """Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py --scans 80."""
 _USUAL_PROPORTIONS = np.array([-0.03, -0.06, -0.04])
+"""People's mean of `shaped_icp.proportions`: half-way from the template's to that of light-stage people."""
 _STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.32, 0.025
 """How far from people's mean, in logarithms, the odds of a person's proportions are even, and how far from
 there they change by e. Of synthetic people 99 % are within 0.30 of the template's (see
 tools/calibrate_registration.py), mixtures of light-stage people within 0.30 of the mean; faces stretched by
 half are 0.27 to 0.49 from it."""
 _MOST_LOG_ODDS = 8.0
+"""No scan is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 
 
 @dataclass(frozen=True)

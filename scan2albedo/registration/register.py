@@ -63,8 +63,8 @@ def register(
     Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane ICP, then
     by one that also estimates the face's size; those with most of a face's relief by one that also gives the
     model a person's shape, with which the scan agrees or not. The pose that is most probably that of a face
-    wins, and is tightened on the rigid regions. `confidence` is that probability: of poses with 0.9 nine in
-    ten are right (`tools/bench_door.py`). The annealing on depth derivatives of [1]_ runs when forced
+    wins, and is tightened on the rigid regions. `confidence` is that probability (`tools/bench_door.py`
+    compares it with the share that is right). The annealing on depth derivatives of [1]_ runs when forced
     (`RegistrationOptions.force_annealing`), and counts when the surface is nearer for it.
 
     Warns when the face has a size that no person's has, or the scan holds a second face. Raises
