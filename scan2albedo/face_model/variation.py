@@ -86,8 +86,8 @@ CAPTURE_BUMPS = (
     Bump((8,), 28, (0, 0, 4.0)),
     Bump((37, 40), 11, (0, 0, 2.5), paired=True),  # what glasses leave of the eyes
 )
-"""Open jaws, beards and glasses, which scans have and identities do not; amount 1 is about a standard deviation
-in raw stereo, by eye."""
+"""Open jaws, beards and glasses, which scans have and identities do not; amount 1 is about a standard
+deviation in raw stereo, by eye."""
 
 _EXPRESSION_SD = 0.8
 _WAVES, _WAVE_MM = 5, 0.45
