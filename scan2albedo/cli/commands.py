@@ -19,7 +19,7 @@ from scan2albedo.cli.common import (
     PrintableUsage,
     Terminated,
     echo_json,
-    raise_on_interrupt,
+    interrupts_raise,
     refuse_shared_folders,
     say,
     stop_cleanly_on_interrupt,
@@ -132,14 +132,13 @@ def batch(
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
     if timeout is not None and not timeout > 0:
         raise typer.BadParameter(f"--timeout is {timeout:g}, expected seconds above 0")
-    # The stages run in workers, so that signals may unwind here.
-    raise_on_interrupt()
     from scan2albedo.batch import run_batch
     from scan2albedo.cli.progress import BatchLines
     from scan2albedo.io.atomic import removed_if_empty
 
     try:
-        with removed_if_empty(out), BatchLines() as lines:
+        # The stages run in workers, so that signals may unwind here.
+        with interrupts_raise(), removed_if_empty(out), BatchLines() as lines:
             report = run_batch(
                 manifest,
                 out,

@@ -8,8 +8,8 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import Field
 from pathlib import Path
 from typing import Annotated, Any
@@ -89,14 +89,21 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM, where Ctrl-C raises KeyboardInterrupt."""
 
 
-def raise_on_interrupt() -> None:
-    """Make Ctrl-C raise KeyboardInterrupt and SIGTERM raise `Terminated`."""
+@contextmanager
+def interrupts_raise() -> Iterator[None]:
+    """Make Ctrl-C raise KeyboardInterrupt, and SIGTERM `Terminated`, during the block."""
 
     def terminated(signum: int, frame: object) -> None:
         raise Terminated
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, terminated)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, terminated)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def stop_cleanly_on_interrupt(out: Path | None) -> None:
@@ -111,15 +118,20 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
     there = out is None or out.exists()
 
     def stop(signum: int, frame: object) -> None:
-        remove_unfinished()
-        if out is not None and not there:
-            with suppress(OSError):  # it holds something, or was not made yet
-                out.rmdir()
-        show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
-        what = "terminated" if signum == signal.SIGTERM else "interrupted"
-        complaint = f"{show_cursor}scan2albedo: {what}; nothing half-written was left behind"
-        print(complaint, file=sys.stderr, flush=True)
-        os._exit(TERMINATED if signum == signal.SIGTERM else INTERRUPTED)
+        terminated = signum == signal.SIGTERM
+        try:
+            remove_unfinished()
+            if out is not None and not there:
+                with suppress(OSError):  # it holds something, or was not made yet
+                    out.rmdir()
+            # Erases the bar, and shows the cursor.
+            tidy = "\r\x1b[2K\x1b[?25h" if sys.stderr.isatty() else ""
+            what = "terminated" if terminated else "interrupted"
+            complaint = f"{tidy}scan2albedo: {what}; nothing half-written was left behind\n"
+            # Not by `print`: `sys.stderr` refuses a second write when the signal came during one.
+            os.write(sys.stderr.fileno(), complaint.encode())
+        finally:
+            os._exit(TERMINATED if terminated else INTERRUPTED)
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)

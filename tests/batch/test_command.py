@@ -119,6 +119,14 @@ def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
     assert np.isfinite(albedo_linear).all()
 
 
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_raises_only_while_scans_are_processed(tmp_path, monkeypatch, number, status):
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    monkeypatch.setattr("scan2albedo.batch.run_batch", lambda *_, **__: signal.raise_signal(number))
+    assert invoke(tmp_path, "-o", tmp_path / "out").exit_code == status
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("send", "number", "status", "word"),

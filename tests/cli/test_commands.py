@@ -24,6 +24,10 @@ from tests.io.meshes import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
 
+both_signals = pytest.mark.parametrize(
+    ("number", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+
 
 def run(*arguments, **options):
     return subprocess.run(
@@ -160,9 +164,7 @@ def test_what_is_infinite_is_null_in_the_summary(capsys):
     assert json.loads(capsys.readouterr().out) == {"light_distance_mm": None, "mean_mm": None, "lights": 2}
 
 
-@pytest.mark.parametrize(
-    ("number", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
-)
+@both_signals
 def test_interrupting_leaves_nothing_behind(ball, tmp_path, number, status, word):
     process = subprocess.Popen(
         [*COMMAND, "process", str(ball), "-o", str(tmp_path), "--model", "none", "--size", "2048"],
@@ -177,6 +179,32 @@ def test_interrupting_leaves_nothing_behind(ball, tmp_path, number, status, word
     assert word in complaint
     assert "Traceback" not in complaint
     assert os.listdir(tmp_path) == []
+
+
+@both_signals
+@pytest.mark.parametrize("broken", [False, True])
+def test_a_signal_while_a_line_is_written_ends_the_process(number, status, word, broken):
+    # Python handles a signal before the write that it came in has returned.
+    code = (
+        "import io, signal, sys\n"
+        "from scan2albedo.cli.common import stop_cleanly_on_interrupt\n"
+        "class Stderr(io.FileIO):\n"
+        "    def write(self, data):\n"
+        f"        signal.raise_signal({int(number)})\n"
+        "        return super().write(data)\n"
+        "sys.stderr = io.TextIOWrapper(io.BufferedWriter(Stderr(2, 'w')))\n"
+        "stop_cleanly_on_interrupt(None)\n"
+        "print('a line', file=sys.stderr, flush=True)\n"
+    )
+    reading, writing = os.pipe()
+    if broken:
+        os.close(reading)
+    done = subprocess.run([sys.executable, "-c", code], stderr=writing, timeout=60, check=False)
+    os.close(writing)
+    assert done.returncode == status
+    if not broken:
+        with os.fdopen(reading) as said:
+            assert said.read() == f"scan2albedo: {word}; nothing half-written was left behind\n"
 
 
 @pytest.mark.slow
