@@ -188,7 +188,7 @@ def rows_of(task: tuple[str, int]) -> list[Row]:
     rows = []
     for candidate in every_candidate(prepared, _template(), poses, options, meter):
         if candidate.evidence is not None:
-            pose = invert_rigid(candidate.pose.rigid()) @ prepared.prepared_from_scan
+            pose = invert_rigid(candidate.pose.rigid(_template().front)) @ prepared.prepared_from_scan
             cues = tuple(candidate.evidence.cues[name] for name in SIGNS)
             proportion = float(np.abs(candidate.evidence.proportions).max())
             rows.append(Row(kind, seed, cues, proportion, _is_right(pose, case)))

@@ -133,7 +133,7 @@ def person_scan(model: AnnotatedFaceModel, seed: int) -> tuple[RawScan, np.ndarr
     )
     assert model.landmarks is not None
     laid = similarity(model.landmarks[17:], truth.landmarks[17:])
-    return recoloured(scan, rng), invert_rigid(laid.rigid()) @ truth.model_from_scan, laid.scale
+    return recoloured(scan, rng), invert_rigid(laid.rigid(model.front)) @ truth.model_from_scan, laid.scale
 
 
 def similarity(source: np.ndarray, target: np.ndarray) -> Similarity:
@@ -191,15 +191,15 @@ def poses(
     for flip in flips:
         yield "flip", flip, scale
         placed = prepared.prepared_from_scan @ invert_rigid(flip)
-        start = Similarity(placed[:3, :3], placed[:3, 3], scale)
+        start = Similarity.of_rigid(placed, scale, template.front)
         refined = robust_icp(
             prepared.samples, samples, samples.areas, start, iterations=25, sigma_mm=(6.0, 3.0)
         )
-        yield "flip", invert_rigid(refined.rigid()) @ prepared.prepared_from_scan, refined.scale
+        yield "flip", invert_rigid(refined.rigid(template.front)) @ prepared.prepared_from_scan, refined.scale
     meter = Meter("icp", "mm", Budget.of(None), None)
     starts = coarse_poses(prepared, template, options, meter, 0)
     for candidate in every_candidate(prepared, template, starts, options, meter):
-        pose = invert_rigid(candidate.pose.rigid()) @ prepared.prepared_from_scan
+        pose = invert_rigid(candidate.pose.rigid(template.front)) @ prepared.prepared_from_scan
         apart = pose @ invert_rigid(right)
         degrees, away = np.degrees(rotation_angle_rad(apart[:3, :3])), np.linalg.norm(apart[:3, 3])
         if degrees < 10 and away < 12:

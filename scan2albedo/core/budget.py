@@ -122,9 +122,11 @@ class Meter:
         """Add to the evaluations spent."""
         self.evaluations += evaluations
 
-    def record(self, error: float) -> None:
-        """Append a trace row with the error reached so far."""
-        row = TraceRow(self.stage, self.elapsed_s, self.cpu_s, self.evaluations, float(error), self.unit)
+    def record(self, error: float, stage: str | None = None) -> None:
+        """Append a trace row with the error reached so far; `stage` names a part with a curve of its own."""
+        row = TraceRow(
+            stage or self.stage, self.elapsed_s, self.cpu_s, self.evaluations, float(error), self.unit
+        )
         self.rows.append(row)
         if self.on_progress is not None:
             self.on_progress(row)

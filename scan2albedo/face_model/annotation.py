@@ -124,6 +124,12 @@ class AnnotatedSurface:
         return subdivision.matrix @ self.control_vertices, subdivision.faces
 
     @cached_property
+    def front(self) -> FloatArray:
+        """(3,) mm: where the z axis leaves the face. There faces of every size are laid on the model."""
+        vertices, _ = self.surface(1)
+        return vertices[np.argmin(np.hypot(*vertices[:, :2].T) - 1e-6 * vertices[:, 2])]
+
+    @cached_property
     def landmarks(self) -> FloatArray | None:
         """(68, 3) landmarks in mm on the limit surface at rest, iBUG-68 order; None when not annotated."""
         return self.landmarks_of(self.control_vertices)

@@ -117,11 +117,12 @@ def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> Float
     return np.exp(-squared / (2 * radius_mm**2))[:, None]
 
 
-def shape_modes(model: AnnotatedFaceModel) -> FloatArray:
+def shape_modes(model: AnnotatedFaceModel, weights: FloatArray) -> FloatArray:
     """Return (K, C, 3) displacements in mm of the model's control points, each one standard deviation.
 
     The head's width, height and depth, bumps of identities, expressions and captures, and smooth waves. None
-    moves, turns or scales the face. A model without landmarks has no bumps.
+    moves, turns or scales the face as a whole, its control points weighed by `weights` (C,). A model without
+    landmarks has no bumps.
     """
     rest = model.control_vertices
     modes = [sd * rest * axis for sd, axis in zip(STRETCH_SD, np.eye(3), strict=True)]
@@ -137,14 +138,15 @@ def shape_modes(model: AnnotatedFaceModel) -> FloatArray:
         for m in range(_WAVES):
             wave = np.cos(k * across) * np.cos(m * along)
             modes += [_WAVE_MM * wave[:, None] * normals] if k + m else []
-    return _without_similarities(np.array(modes), rest)
+    return _without_similarities(np.array(modes), rest, weights)
 
 
-def _without_similarities(modes: FloatArray, points: FloatArray) -> FloatArray:
+def _without_similarities(modes: FloatArray, points: FloatArray, weights: FloatArray) -> FloatArray:
     """Return displacements (K, C, 3) of points (C, 3) less the motion, turn and growth nearest to each."""
-    units = np.eye(3)
-    similarities = [np.broadcast_to(unit, points.shape) for unit in units]
-    similarities += [np.cross(unit, points - points.mean(0)) for unit in units] + [points - points.mean(0)]
+    offset = points - weights @ points / weights.sum()
+    similarities = [np.broadcast_to(unit, points.shape) for unit in np.eye(3)]
+    similarities += [np.cross(unit, offset) for unit in np.eye(3)] + [offset]
     basis = np.array(similarities).reshape(7, -1)
+    weighted = basis * np.repeat(weights, 3)
     flat = modes.reshape(len(modes), -1)
-    return (flat - flat @ np.linalg.pinv(basis) @ basis).reshape(modes.shape)
+    return (flat - flat @ weighted.T @ np.linalg.inv(weighted @ basis.T) @ basis).reshape(modes.shape)

@@ -94,10 +94,10 @@ def fit(
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     surface = _scan_surface(scan, model, pose, chosen)
     similarity = _refined(surface, model, chosen, meter, scan.name)
-    # The scan comes to the model, which keeps its frame and takes the size.
-    correction = invert_rigid(similarity.rigid())
+    # The scan comes to the model, which keeps its frame and its front, and takes the size.
+    correction = invert_rigid(similarity.rigid(model.front))
     pose, surface = correction @ pose, surface.moved(correction)
-    reference = similarity.scale * model.control_vertices
+    reference = model.front + similarity.scale * (model.control_vertices - model.front)
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
         deformation = corners_pulled(mouth_opened(deformation))

@@ -58,9 +58,15 @@ class Similarity:
         turned_back = self.rotation.T / self.scale
         return compose(turned_back, -turned_back @ self.translation)
 
-    def rigid(self) -> Matrix:
-        """Return (4, 4) without the scale; the origin maps to the same point."""
-        return compose(self.rotation, self.translation)
+    @classmethod
+    def of_rigid(cls, transform: Matrix, scale: float, kept: Matrix) -> Similarity:
+        """Return the similarity of which `rigid(kept)` is the transform (4, 4)."""
+        rotation, translation = transform[:3, :3], transform[:3, 3]
+        return cls(rotation, translation - (scale - 1) * rotation @ kept, scale)
+
+    def rigid(self, kept: Matrix = np.zeros(3)) -> Matrix:
+        """Return (4, 4) without the scale; the point `kept` (3,) maps to the same point."""
+        return compose(self.rotation, self.translation + (self.scale - 1) * self.rotation @ kept)
 
     def is_near(self, other: Similarity, angle_rad: float, distance: float) -> bool:
         """Whether rotation and translation differ from the other's by less than this."""

@@ -79,7 +79,7 @@ class Colors:
         for place, candidate in enumerate(heard):
             if candidate.evidence is not None and candidate.color_log_odds is None:
                 pose = candidate.pose
-                model_from_scan = invert_rigid(pose.rigid()) @ self.scan.prepared_from_scan
+                model_from_scan = invert_rigid(pose.rigid(self.model.front)) @ self.scan.prepared_from_scan
                 said = self._witness.evidence(model_from_scan, pose.scale)
                 heard[place] = replace(candidate, color_log_odds=0.0 if said is None else said.log_odds)
         return tuple(sorted(heard, key=lambda c: (-c.log_odds, -c.scores.ranking)))
@@ -140,8 +140,7 @@ def _with_evidence(
         if not all(candidate.is_apart(other) for other in looked):
             continue
         if candidate.evidence is None:
-            found = evidence(scan, template, candidate.pose)
-            meter.count()
+            found = evidence(scan, template, candidate.pose, meter)
             ranked[place] = candidate = replace(candidate, pose=found.pose, evidence=found)
         looked.append(candidate)
         if candidate.log_odds > _CONVINCING:

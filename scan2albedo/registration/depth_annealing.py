@@ -204,7 +204,7 @@ def annealed(
         return Annealed(start.pose, None, ("depth_annealing", False, "the budget had ended", ""))
     if not options.force_annealing:
         reason = "no gain measured over the ICP that knows people's shapes; force it to compare"
-        evidence = f"tight ICP {'ran' if start.ran else 'left out'}, scale {start.sigma_mm:.2f} mm"
+        evidence = f"tight ICP {'ran' if start.ran else 'left out'}"
         return Annealed(start.pose, None, ("depth_annealing", False, reason, evidence))
     found = anneal_depth_derivatives(
         scan.vertices,
@@ -218,7 +218,7 @@ def annealed(
     )
     # ICP measures another distance than the annealing, so its rows stay out of the trace.
     unseen = meter.untraced()
-    near = shaped_icp(scan.samples, template, found.pose).pose
+    near = shaped_icp(scan.samples, template, found.pose, unseen).pose
     polished = tightened(scan.samples, template, near, options.settling_iterations, unseen)
     meter.count(unseen.evaluations)
     before, after = (

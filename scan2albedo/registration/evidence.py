@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.relief import ReliefAgreement
@@ -69,9 +70,9 @@ class Evidence:
         return float(np.clip(-against, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
 
 
-def evidence(scan: PreparedScan, template: Template, start: Similarity) -> Evidence:
+def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: Meter) -> Evidence:
     """Fit pose and shape of the template from a start, and measure how the scan agrees with it."""
-    shaped = shaped_icp(scan.samples, template, start)
+    shaped = shaped_icp(scan.samples, template, start, meter)
     person = template.in_shape(shaped.coefficients)
     areas = person.samples.areas
     measured = residuals(scan.samples, person.samples, shaped.pose)

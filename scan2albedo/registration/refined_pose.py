@@ -37,7 +37,7 @@ def refined_registration(
     samples = oriented_points(vertices, faces, options.scan_spacing_mm)
     template = Template.of(model, options.model_spacing_mm, 0)
     prepared_from_model = prepared_from_scan @ invert_rigid(model_from_scan)
-    pose = Similarity(prepared_from_model[:3, :3], prepared_from_model[:3, 3], face_scale)
+    pose = Similarity.of_rigid(prepared_from_model, face_scale, model.front)
     change = model_from_scan @ invert_rigid(registration.model_from_scan)
     turned_deg = np.rad2deg(rotation_angle_rad(change[:3, :3]))
     evidence = f"{turned_deg:.1f} degrees and {np.linalg.norm(change[:3, 3]):.1f} mm from the search's"

@@ -41,12 +41,12 @@ class Registration:
     iterations: int
     """Objective evaluations and ICP iterations spent."""
     trace: Trace
-    """Stages "icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced."""
+    """Stages "icp", "shaped_icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced."""
     notes: tuple[tuple[str, bool, str, str], ...] = ()
     """What the steps inside decided, for the plan."""
     face_scale: float = 1.0
-    """Size of the face relative to the model's, about the model's origin; `model_from_scan` is rigid and does
-    not contain it."""
+    """Size of the face relative to the model's; `model_from_scan` is rigid and does not contain it. A face of
+    another size lies on the model at its `front`."""
 
 
 def register(
@@ -63,9 +63,10 @@ def register(
     Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane ICP, then
     by one that also estimates the face's size; those with most of a face's relief by one that also gives the
     model a person's shape, with which the scan agrees or not. The pose that is most probably that of a face
-    wins, and is tightened on the rigid regions. `confidence` is that probability (`tools/bench_door.py`
-    compares it with the share that is right). The annealing on depth derivatives of [1]_ runs when forced
-    (`RegistrationOptions.force_annealing`), and counts when the surface is nearer for it.
+    wins; where the model turns out to be the same person's it is tightened on the rigid regions. `confidence`
+    is that probability (`tools/bench_door.py` compares it with the share that is right). The annealing on
+    depth derivatives of [1]_ runs when forced (`RegistrationOptions.force_annealing`), and counts when the
+    surface is nearer for it.
 
     Warns when the face has a size that no person's has, or the scan holds a second face. Raises
     RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
@@ -99,8 +100,10 @@ def register(
     acceptance = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]
-    person = template if best.evidence is None else template.in_shape(best.evidence.coefficients)
-    tight = tightened(prepared.samples, person, best.pose, options.settling_iterations, closing)
+    tight = tightened(prepared.samples, template, best.pose, options.settling_iterations, closing)
+    person = template
+    if best.evidence is not None and not tight.ran:
+        person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, person, tight, options, annealing, seed)
     low, high = HUMAN_SCALE
@@ -112,7 +115,7 @@ def register(
             stacklevel=2,
         )
     return Registration(
-        model_from_scan=invert_rigid(final.pose.rigid()) @ prepared.prepared_from_scan,
+        model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),
         depth_error=final.depth_error,
         converged=not any(m.exhausted for m in (meter, closing, annealing)),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model.variation import STRETCHES
 from scan2albedo.geometry.mesh import normalized
@@ -14,6 +15,7 @@ from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.registration.robust_icp import correspond
 from scan2albedo.registration.template import Template
 
+_STAGE = "shaped_icp"
 _SIGMAS_MM = (4.0, 3.0)
 """First and last scale of the weights: with noise as in raw stereo, 2 mm scatters more than 3."""
 _FEW, _FEW_STEPS, _MOST_STEPS = 500, 6, 16
@@ -37,23 +39,28 @@ class ShapedPose:
     coefficients: FloatArray
 
 
-def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity) -> ShapedPose:
+def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, meter: Meter) -> ShapedPose:
     """Refine a pose by point-to-plane ICP over rotation, translation, scale and the modes of shape.
 
     Minimises sum_i w_i rho_i (n_i . (s R (p_i + B_i c) + t - q_i))^2 + P sigma^2 (|c|^2 + (log s / 0.1)^2)
     with the weights w_i rho_i of `robust_icp` relative to the mean of w_i, and n_i the mean of both normals
     [1]_: with those of the scan alone it creeps along the face, and ends where it began. A template that
-    cannot change is drawn aside by a smile or an open jaw; this one follows it.
+    cannot change is drawn aside by a smile or an open jaw; this one follows it. The meter records the loss of
+    the last scale wherever it is lower than of any pose before.
 
     .. [1] S. Rusinkiewicz, "A symmetric objective function for ICP", SIGGRAPH 2019.
     """
     shaped = ShapedPose(start, np.zeros(len(template.modes)))
     precision = np.ones(len(template.modes))
-    for sigma_mm in np.geomspace(*_SIGMAS_MM, _FEW_STEPS):
-        shaped, _ = _stepped(scan, template, shaped, float(sigma_mm), _FEW, precision)
-    for _ in range(_MOST_STEPS):
-        shaped, moved = _stepped(scan, template, shaped, _SIGMAS_MM[1], len(template.samples), precision)
-        if moved < _SETTLED:
+    few = [(float(sigma_mm), _FEW) for sigma_mm in np.geomspace(*_SIGMAS_MM, _FEW_STEPS)]
+    for sigma_mm, count in few + _MOST_STEPS * [(_SIGMAS_MM[1], len(template.samples))]:
+        if meter.exhausted:
+            break
+        shaped, moved, loss_mm = _stepped(scan, template, shaped, sigma_mm, count, precision)
+        meter.count()
+        if loss_mm < min((row.error for row in meter.rows if row.stage == _STAGE), default=np.inf):
+            meter.record(loss_mm, _STAGE)
+        if count > _FEW and moved < _SETTLED:
             break
     return shaped
 
@@ -68,7 +75,7 @@ def proportions(scan: OrientedPoints, template: Template, shaped: ShapedPose) ->
     precision = np.ones(len(template.modes))
     precision[STRETCHES] = _LOOSE**-2
     for _ in range(_LOOSE_STEPS):
-        shaped, _ = _stepped(scan, template, shaped, _SIGMAS_MM[1], _FEW, precision)
+        shaped, *_ = _stepped(scan, template, shaped, _SIGMAS_MM[1], _FEW, precision)
     rest = template.first(_FEW)
     moved = template.modes.at_samples[:_FEW] @ shaped.coefficients
     offset = rest.points - rest.areas @ rest.points / rest.areas.sum()
@@ -84,17 +91,19 @@ def _stepped(
     sigma_mm: float,
     count: int,
     precision: FloatArray,
-) -> tuple[ShapedPose, float]:
-    """Take one reweighted Gauss-Newton step with the first `count` samples; also return its length.
+) -> tuple[ShapedPose, float, float]:
+    """Take one reweighted Gauss-Newton step with the first `count` samples.
 
-    It is the larger of degrees and mm. `precision` (K,) is that of the coefficients, before the scan is seen.
+    Also return its length, the larger of degrees and mm, and the loss in mm before it. `precision` (K,) is
+    that of the coefficients, before the scan is seen.
     """
     pose, c = shaped.pose, shaped.coefficients
     model, modes = template.first(count), template.modes.at_samples[:count]
     moved = OrientedPoints(model.points + modes @ c, model.normals, model.areas)
     measured, (turned, of_scan, offset) = correspond(scan, moved, pose)
     target = normalized(of_scan + model.normals @ pose.rotation.T)
-    r = np.einsum("ij,ij->i", offset, target)
+    measured = replace(measured, plane_mm=np.einsum("ij,ij->i", offset, target))
+    r = measured.plane_mm
     robust = (sigma_mm**2 / (sigma_mm**2 + r**2)) ** 2 * np.maximum(measured.agreement, 0) ** 2
     # Few samples stand for all.
     weights = template.rigidity[:count]
@@ -113,4 +122,5 @@ def _stepped(
     rotation = rotation_from_vector(step[:3]) @ pose.rotation
     pose = Similarity(rotation, pose.translation + step[3:6], pose.scale * growth)
     length = max(float(np.rad2deg(np.linalg.norm(step[:3]))), float(np.linalg.norm(step[3:6])))
-    return ShapedPose(pose, c + step[7:]), length
+    loss_mm = measured.icp_loss_mm(weights, _SIGMAS_MM[1])
+    return ShapedPose(pose, c + step[7:]), length, loss_mm

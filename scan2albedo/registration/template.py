@@ -51,7 +51,7 @@ class Template:
     """Samples of the face model, in its frame, mm, in random order (a prefix is a fair sample).
 
     `rigidity` (M,) is area times stiffness relative to the mean: large on forehead and nose, small on lips
-    and jaw. `front` (3,) is where the z axis leaves the face; `image` scores posed scans. `coarse_vertices`
+    and jaw. `front` (3,) is the model's; `image` scores posed scans. `coarse_vertices`
     (C, 3) and `coarse_faces` (F, 3) are the limit surface at the control vertices, small enough to be drawn
     thousands of times, `coarse_stiffness` (C,) the relative stiffness there, clipped. `modes` are how people
     differ.
@@ -91,16 +91,19 @@ class Template:
         coarse_vertices, coarse_faces = model.surface(0)
         stiffness = _vertex_stiffness(model, len(coarse_vertices), coarse_faces)
         _, nearest = cKDTree(coarse_vertices).query(samples.points)
-        modes, matrix = shape_modes(model), model.subdivision(_LEVELS).matrix
+        rigidity = samples.areas * stiffness[nearest]
+        # Its square: what moves with an expression shall not turn the rest, however large it is.
+        steadiness = np.zeros(len(coarse_vertices))
+        np.add.at(steadiness, nearest, rigidity * stiffness[nearest])
+        modes, matrix = shape_modes(model, steadiness), model.subdivision(_LEVELS).matrix
         _, point = cKDTree(vertices).query(samples.points)
         at_samples = (matrix[point] @ modes.transpose(1, 2, 0).reshape(len(coarse_vertices), -1)).reshape(
             len(samples), 3, len(modes)
         )
-        middle = int(np.argmin(np.hypot(samples.points[:, 0], samples.points[:, 1])))
         return cls(
             samples,
-            samples.areas * stiffness[nearest],
-            samples.points[middle],
+            rigidity,
+            model.front,
             FaceImage(vertices, faces),
             coarse_vertices,
             coarse_faces,

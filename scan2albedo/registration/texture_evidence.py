@@ -117,7 +117,7 @@ class TextureWitness:
         self._scan = scan
         self._stride = len(scan.faces) // _MOST_FACES + 1
         self._surface = NearestSurface(scan.vertices, scan.faces[:: self._stride])
-        self._points = _face_points(model, landmarks)
+        self._points, self._front = _face_points(model, landmarks), model.front
         self._places = _places(self._points, landmarks)
         self._mirror: IntArray = cKDTree(self._points * [-1, 1, 1]).query(self._points)[1]
         x, y = self._points[:, 0] / 100, self._points[:, 1] / 100
@@ -144,7 +144,8 @@ class TextureWitness:
         self, model_from_scan: FloatArray, face_scale: float
     ) -> tuple[dict[str, float], dict[str, float]] | None:
         """Return the scores by name, and of how much of each, 0 ... 1, the texture says something."""
-        placed = transform_points(invert_rigid(model_from_scan), face_scale * self._points)
+        sized = self._front + face_scale * (self._points - self._front)
+        placed = transform_points(invert_rigid(model_from_scan), sized)
         color, seen = self._colors(placed)
         if seen.mean() < _LEAST_SEEN:
             return None
@@ -203,7 +204,7 @@ def texture_evidence(
     model_from_scan : (4, 4) array
         Rigid, mm.
     face_scale : float
-        Size of the face relative to the model's, about the model's origin.
+        Size of the face relative to the model's, which keeps the place of its front.
     """
     witness = TextureWitness.of(scan, model)
     return None if witness is None else witness.evidence(model_from_scan, face_scale)

@@ -79,7 +79,7 @@ def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, 
     turn = rotation_from_vector(np.radians(off_deg) * np.array([0.6, -0.64, 0.48]))
     start = Similarity(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])
     meter = Meter("depth_annealing", "objective")
-    unsettled = Tightened(start, 1.0)
+    unsettled = Tightened(start, False)
     options = RegistrationOptions(force_annealing=True)
     found = annealed(scan, template, unsettled, options, meter, 0)
     for sigma_mm in (0.5, 2.0):

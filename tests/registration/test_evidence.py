@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from scan2albedo import RawScan
+from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
 from scan2albedo.registration.evidence import evidence
 from scan2albedo.registration.options import RegistrationOptions
@@ -21,7 +22,7 @@ def evidence_at(vertices, faces, template):
     """What a scan in the model's frame says of that frame."""
     prepared = prepared_scan(RawScan(vertices, faces), RegistrationOptions())
     pose = prepared.prepared_from_scan
-    return evidence(prepared, template, Similarity(pose[:3, :3], pose[:3, 3]))
+    return evidence(prepared, template, Similarity(pose[:3, :3], pose[:3, 3]), Meter("icp", "mm"))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_no_scan_near_the_template_is_no_face_and_all_finite(template):
     prepared = prepared_scan(
         RawScan(np.asarray(sheet.vertices), np.asarray(sheet.faces)), RegistrationOptions()
     )
-    found = evidence(prepared, template, Similarity(np.eye(3), np.array([5000.0, 0, 0])))
+    found = evidence(prepared, template, Similarity(np.eye(3), np.array([5000.0, 0, 0])), Meter("icp", "mm"))
     assert np.isfinite(list(found.cues.values())).all()
     assert found.log_odds() == -8
 
@@ -74,5 +75,5 @@ def test_the_frame_of_the_scan_does_not_matter(face, template):
     pose = invert_rigid(np.array([[0, -1, 0, 50], [1, 0, 0, -20], [0, 0, 1, 300], [0, 0, 0, 1.0]]))
     prepared = prepared_scan(RawScan(transform_points(pose, face[0]), face[1]), RegistrationOptions())
     start = prepared.prepared_from_scan @ pose
-    other = evidence(prepared, template, Similarity(start[:3, :3], start[:3, 3]))
+    other = evidence(prepared, template, Similarity(start[:3, :3], start[:3, 3]), Meter("icp", "mm"))
     assert other.log_odds() == pytest.approx(one.log_odds(), abs=0.2)

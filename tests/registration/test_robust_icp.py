@@ -51,6 +51,15 @@ def test_similarity_and_its_inverse():
     assert np.linalg.det(pose.rigid()[:3, :3]) == pytest.approx(1)
 
 
+def test_without_its_scale_a_similarity_keeps_a_point():
+    pose = Similarity(random_rotation(np.random.default_rng(2)), np.array([1.0, 2.0, 3.0]), 1.1)
+    nose = np.array([1.0, -2.0, 40.0])
+    rigid = pose.rigid(nose)
+    np.testing.assert_allclose(pose.apply(nose[None])[0], rigid[:3, :3] @ nose + rigid[:3, 3])
+    again = Similarity.of_rigid(rigid, 1.1, nose)
+    np.testing.assert_allclose(again.matrix(), pose.matrix(), atol=1e-12)
+
+
 def test_nothing_near_is_an_infinite_rms_and_the_worst_cost(samples):
     scan = scan_of(samples, Similarity(np.eye(3), np.array([1e5, 0, 0])))
     far = residuals(scan, samples, Similarity(np.eye(3), np.zeros(3)))

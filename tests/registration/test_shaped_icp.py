@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget, Meter
 from scan2albedo.face_model.variation import STRETCHES, shape_modes
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad, rotation_from_vector
@@ -16,15 +17,15 @@ def template(model):
     return Template.of(model, 6.0, 0)
 
 
-def person_points(model, coefficients):
+def person_points(model, template, coefficients):
     """The samples of a face that the modes make, where the model lies."""
-    moved = model.control_vertices + np.tensordot(coefficients, shape_modes(model), 1)
+    moved = model.control_vertices + np.tensordot(coefficients, template.modes.control, 1)
     subdivision = model.subdivision(1)
     return oriented_points(subdivision.matrix @ moved, subdivision.faces, 4.0)
 
 
 def test_no_mode_moves_turns_or_grows_the_face(model):
-    modes = shape_modes(model)
+    modes = shape_modes(model, np.ones(len(model.control_vertices)))
     rest = model.control_vertices - model.control_vertices.mean(0)
     assert np.abs(modes.mean(1)).max() < 1e-9
     assert np.abs(np.cross(rest, modes).mean(1)).max() < 1e-8
@@ -34,15 +35,40 @@ def test_no_mode_moves_turns_or_grows_the_face(model):
 
 def test_the_pose_of_a_person_is_found_and_the_surface_lies_on_the_scan(model, template):
     drawn = np.random.default_rng(3).normal(size=len(template.modes))
-    scan = person_points(model, drawn)
+    scan = person_points(model, template, drawn)
     start = Similarity(rotation_from_vector([0.1, -0.08, 0.05]), np.array([4.0, -3.0, 5.0]))
-    shaped = shaped_icp(scan, template, start)
+    shaped = shaped_icp(scan, template, start, Meter("icp", "mm"))
     assert np.degrees(rotation_angle_rad(shaped.pose.rotation)) < 1.5
-    assert np.linalg.norm(shaped.pose.translation) < 2.5
+    assert np.linalg.norm(shaped.pose.translation) < 1.5
     person = template.in_shape(shaped.coefficients)
     before = residuals(scan, template.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
     after = residuals(scan, person.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
     assert after < 0.6 * before
+
+
+def test_what_moves_beside_the_heavy_points_does_not_turn_them(model):
+    chin = model.control_vertices[:, 1] < -30
+    assert 10 < chin.sum() < len(chin) / 2
+    modes = shape_modes(model, np.where(chin, 1e-6, 1.0))
+    rest = model.control_vertices[~chin] - model.control_vertices[~chin].mean(0)
+    assert np.abs(modes[:, ~chin].mean(1)).max() < 1e-4
+    assert np.abs(np.cross(rest, modes[:, ~chin]).mean(1)).max() < 1e-3
+
+
+def test_it_records_a_falling_loss_and_stops_with_the_budget(model, template):
+    scan = person_points(model, template, np.random.default_rng(4).normal(size=len(template.modes)))
+    start = Similarity(np.eye(3), np.array([3.0, 2.0, -4.0]))
+    whole, little = Meter("icp", "mm"), Meter("icp", "mm", Budget(evaluations=2))
+    shaped_icp(scan, template, start, whole)
+    errors = [row.error for row in whole.rows]
+    assert {row.stage for row in whole.rows} == {"shaped_icp"}
+    assert len(errors) > 4
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.6 * errors[0]
+    shaped_icp(scan, template, start, little)
+    assert little.evaluations == 2
+    shaped_icp(scan, template, start, whole)
+    assert [row.error for row in whole.rows] == sorted((row.error for row in whole.rows), reverse=True)
 
 
 @pytest.mark.parametrize(("axis", "expected"), [(0, (-1, -1, 0)), (1, (1, 0, -1)), (2, (0, 1, 1))])
@@ -52,9 +78,10 @@ def test_a_stretched_face_has_other_proportions(model, template, axis, expected,
     stretched = vertices.copy()
     stretched[:, axis] *= factor
     scan = oriented_points(stretched, faces, 4.0)
-    shaped = shaped_icp(scan, template, Similarity(np.eye(3), np.zeros(3)))
+    shaped = shaped_icp(scan, template, Similarity(np.eye(3), np.zeros(3)), Meter("icp", "mm"))
     found = proportions(scan, template, shaped)
-    usual = proportions(template.samples, template, shaped_icp(template.samples, template, shaped.pose))
+    own = shaped_icp(template.samples, template, shaped.pose, Meter("icp", "mm"))
+    usual = proportions(template.samples, template, own)
     assert np.abs(usual).max() < 0.1
     sign = np.sign(np.log(factor)) * np.array(expected)
     assert (found * sign)[sign != 0].min() > 0.2
@@ -63,6 +90,6 @@ def test_a_stretched_face_has_other_proportions(model, template, axis, expected,
 
 def test_width_height_and_depth_come_first(model):
     rest = model.control_vertices - model.control_vertices.mean(0)
-    for axis, mode in enumerate(shape_modes(model)[STRETCHES]):
+    for axis, mode in enumerate(shape_modes(model, np.ones(len(model.control_vertices)))[STRETCHES]):
         share = (mode * rest).sum(0) / (rest**2).sum(0)
         assert np.argmax(share) == axis
