@@ -5,6 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
+import numpy as np
+from numpy.typing import NDArray
+
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters, marks that turn the direction of text, and bytes of names that are no UTF-8."""
 
@@ -56,12 +59,19 @@ class RegistrationError(Scan2AlbedoError):
 class NoFaceError(RegistrationError):
     """Nothing in the scan resembles a face of its size.
 
-    `confidence` is the probability that the best pose is that of a face all the same, None where unknown.
+    `confidence` is the probability that the best pose, `model_from_scan` (4, 4), is that of a face all the
+    same; both are None where unknown.
     """
 
-    def __init__(self, message: str, confidence: float | None = None) -> None:
+    def __init__(
+        self,
+        message: str,
+        confidence: float | None = None,
+        model_from_scan: NDArray[np.float64] | None = None,
+    ) -> None:
         super().__init__(message)
         self.confidence = confidence
+        self.model_from_scan = model_from_scan
 
 
 class InsideOutError(RegistrationError):

@@ -12,6 +12,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.geometry.oriented_points import OrientedPoints
+from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.registration.candidates import Candidate, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
@@ -60,7 +61,7 @@ def accepted(
     """
     if not meter.exhausted:
         _refuse_inside_out(scan, template, candidates[0], options, meter)
-        _refuse_no_face(scan.raw, candidates)
+        _refuse_no_face(scan, template, candidates)
     _refuse_facing_away(scan, template, candidates[0])
     _warn_of_second_face(scan.raw, candidates)
     best, probability = candidates[0], _probability(candidates)
@@ -131,17 +132,19 @@ def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
     )
 
 
-def _refuse_no_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
+def _refuse_no_face(scan: PreparedScan, template: Template, candidates: tuple[Candidate, ...]) -> None:
     """Refuse, with the figures, a scan whose best candidate is no face."""
     probability = _probability(candidates)
     if probability >= LEAST_PROBABILITY:
         return
+    pose = candidates[0].pose.rigid(template.front)
     raise NoFaceError(
-        f"{scan.name}: no face found. The best of {len(candidates)} poses is one with a probability of "
+        f"{scan.raw.name}: no face found. The best of {len(candidates)} poses is one with a probability of "
         f"{probability:.2f} (needed: {LEAST_PROBABILITY:.2f}): {_cues_text(candidates[0])}; "
-        f"the scan's box is {box_text(scan.vertices)}. "
+        f"the scan's box is {box_text(scan.raw.vertices)}. "
         "Give a scan of a face in its true size (check the unit), or process it without a model",
         confidence=probability,
+        model_from_scan=invert_rigid(pose) @ scan.prepared_from_scan,
     )
 
 

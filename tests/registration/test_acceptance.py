@@ -40,6 +40,8 @@ def test_bodies_without_a_face_are_refused(scan, model):
         register(scan, model)
     assert scan.name in str(caught.value)
     assert caught.value.confidence < 0.25
+    pose = caught.value.model_from_scan
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
 
 
 def test_eyeglasses_are_refused(shared_data, model):

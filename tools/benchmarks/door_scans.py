@@ -23,6 +23,7 @@ UNSEEN = 100_000
 """Added to the number of every scan: no calibration draws from there on."""
 RIGID = slice(17, 48)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
+HARD = StereoScanOptions(noise_mm=(1.5, 6.0), holes=(15, 60), reach_mm=(45.0, 170.0))
 _SPREAD = 0.35
 """Standard deviation of the weights of light-stage identities about their mean."""
 _EYE_MM = 4.0
@@ -53,17 +54,22 @@ def face_case(scan: RawScan, truth: StereoTruth, *, rest: FloatArray | None = No
     return Case(scan, kinds, model_from_head @ truth.model_from_scan, landmarks)
 
 
-def own_person(number: int) -> Case:
+def own_person(number: int, options: StereoScanOptions = StereoScanOptions()) -> Case:
     """Return a random person of `stereo_scan`."""
-    return face_case(*stereo_scan(UNSEEN + number))
+    return face_case(*stereo_scan(UNSEEN + number, options=options))
 
 
-def light_stage_person(number: int) -> Case:
+def light_stage_person(number: int, options: StereoScanOptions = StereoScanOptions()) -> Case:
     """Return raw stereo of a mixture of light-stage people with a mixture of their expressions."""
     head = light_stage_head(np.random.default_rng([41, UNSEEN + number]))
-    scan, truth = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number)
+    scan, truth = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number, options=options)
     case = face_case(scan, truth, rest=head.rest)
     return Case(case.scan, (*case.kinds, *head.expressions), case.model_from_scan, case.landmarks)
+
+
+def hard_person(number: int) -> Case:
+    """Return a capture of either sort of people in turn that is far worse than any measured."""
+    return (light_stage_person if number % 2 else own_person)(number, HARD)
 
 
 def scrap(number: int) -> Case:

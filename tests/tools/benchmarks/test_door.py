@@ -57,9 +57,7 @@ def test_what_shows_no_face_is_refused_told_or_silent(face):
 
 def test_a_refusal_counts_with_the_confidence_and_the_pose_of_its_error(face):
     def refuse(scan, **what):
-        error = NoFaceError("no face found")
-        error.__dict__.update(what)
-        raise error
+        raise NoFaceError("no face found", **what)
 
     plain = judged("stereo", 0, face, refuse)
     assert (plain.outcome, plain.sure, plain.message) == ("refused", None, "no face found")
