@@ -169,9 +169,10 @@ def _distance_mm(candidate: Candidate, other: Candidate) -> float:
 
 
 def _probability(candidates: tuple[Candidate, ...]) -> float:
-    """Return the probability that the best candidate is the pose of a face, 0 ... 1.
+    """Return the probability that the best candidate is the pose of a person's face, 0 ... 1.
 
-    Against it stand that there is no face, and every other pose of it; a face elsewhere does not.
+    Against it stand that there is no face, every other pose of it, and proportions that no person has; a face
+    elsewhere does not.
     """
     best = candidates[0]
     rivals = [
@@ -179,7 +180,7 @@ def _probability(candidates: tuple[Candidate, ...]) -> float:
         for other in candidates[1:]
         if other.is_apart(best) and _distance_mm(other, best) <= _OTHER_FACE_MM
     ]
-    return float(expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
+    return float(best.person * expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
 
 
 def _cues_text(candidate: Candidate) -> str:

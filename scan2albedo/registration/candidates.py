@@ -28,6 +28,9 @@ from scan2albedo.registration.texture_evidence import TextureWitness
 
 _CONVINCING = 3.0
 """Log odds of a face (95 %) beyond which no further poses are refined."""
+_CONVINCING_PERSON = 0.95
+_MOST_LOG_ODDS = 8.0
+"""No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 _MORE_CANDIDATES = 24
 """Further poses that are refined before a scan is refused."""
 _LOOKED_AT = 3
@@ -53,7 +56,20 @@ class Candidate:
     @property
     def log_odds(self) -> float:
         """Of a face at this pose; -inf where it was not looked at."""
-        return -np.inf if self.evidence is None else self.evidence.log_odds(self.color_log_odds or 0.0)
+        if self.evidence is None:
+            return -np.inf
+        odds = self.evidence.log_odds + (self.color_log_odds or 0.0)
+        return float(np.clip(odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
+
+    @property
+    def person(self) -> float:
+        """Probability that a face at this pose has a person's proportions, whatever its colours say."""
+        return 1.0 if self.evidence is None else self.evidence.person
+
+    @property
+    def convinces(self) -> bool:
+        """Whether it is so surely a person's face that nothing else is looked for."""
+        return self.log_odds > _CONVINCING and self.person > _CONVINCING_PERSON
 
     def is_apart(self, other: Candidate) -> bool:
         """Whether the poses are clearly not the same."""
@@ -73,7 +89,7 @@ class Colors:
 
     def heard(self, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
         """Return the candidates, those that were looked at with what the colours say; the best first."""
-        if candidates[0].log_odds > _CONVINCING or self._witness is None:
+        if candidates[0].convinces or self._witness is None:
             return candidates
         heard = list(candidates)
         for place, candidate in enumerate(heard):
@@ -103,13 +119,13 @@ def ranked_candidates(
     for batch in _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES):
         candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
         candidates = colors.heard(_with_evidence(scan, template, candidates, meter))
-        if meter.exhausted or candidates[0].log_odds > _CONVINCING:
+        if meter.exhausted or candidates[0].convinces:
             return candidates
     # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
     for batch in _batches(scan, template, poses, 2 * options.candidates, 0):
         candidates = _with_refined(scan, None, template, batch, options, meter, candidates)
         candidates = colors.heard(_with_evidence(scan, template, candidates, meter))
-        if meter.exhausted or candidates[0].log_odds > _CONVINCING:
+        if meter.exhausted or candidates[0].convinces:
             return candidates
     return candidates
 
@@ -143,7 +159,7 @@ def _with_evidence(
             found = evidence(scan, template, candidate.pose, meter)
             ranked[place] = candidate = replace(candidate, pose=found.pose, evidence=found)
         looked.append(candidate)
-        if candidate.log_odds > _CONVINCING:
+        if candidate.convinces:
             break
     return tuple(sorted(ranked, key=lambda c: (-c.log_odds, -c.scores.ranking)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
@@ -17,8 +18,8 @@ from scan2albedo.registration.template import Template
 
 _MOST_RMS_MM = 10.0
 _LEAST_SHARE = 0.02
-_INTERCEPT = -7.39
-_WEIGHTS = {"relief": 11.1, "local": 9.3, "distance": -0.65, "share": 2.42}
+_INTERCEPT = -13.98
+_WEIGHTS = {"relief": 11.87, "local": 11.54, "distance": -0.39, "share": 2.65}
 """Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py --scans 80."""
 _USUAL_PROPORTIONS = np.array([-0.03, -0.06, -0.04])
 """People's mean of `shaped_icp.proportions`: half-way from the template's to that of light-stage people."""
@@ -27,8 +28,6 @@ _STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.32, 0.025
 there they change by e. Of synthetic people 99 % are within 0.30 of the template's (see
 tools/calibrate_registration.py), mixtures of light-stage people within 0.30 of the mean; faces stretched by
 half are 0.27 to 0.49 from it."""
-_MOST_LOG_ODDS = 8.0
-"""No scan is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +56,17 @@ class Evidence:
             "share": float(np.log(max(self.share, _LEAST_SHARE))),
         }
 
-    def log_odds(self, of_colors: float = 0.0) -> float:
-        """Return the logarithm of the odds that the pose is that of a face, and that the face is a person's.
-
-        What the scan's colours say for the pose, `of_colors`, is no excuse for a person's proportions.
-        """
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds that the pose is that of a face, before its colours are heard."""
         cues = self.cues
-        of_face = of_colors + _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
+        return _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
+
+    @property
+    def person(self) -> float:
+        """Probability that a face of these proportions is a person's."""
         strange = float(np.abs(self.proportions - _USUAL_PROPORTIONS).max())
-        of_person = (_STRANGE_PROPORTION - strange) / _PROPORTION_WIDTH
-        against = np.logaddexp(np.logaddexp(-of_face, -of_person), -of_face - of_person)
-        return float(np.clip(-against, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
+        return float(expit((_STRANGE_PROPORTION - strange) / _PROPORTION_WIDTH))
 
 
 def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: Meter) -> Evidence:
