@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from benchmarks.door_scans import HARD, UNSEEN, Case, face_case, random_body, random_relief, scrap
+from benchmarks.door_scans import UNSEEN, Case, face_case, random_body, random_relief, scrap
 from scipy.optimize import minimize
 
 from scan2albedo.core import Budget, Meter, RawScan
@@ -51,10 +51,8 @@ NEARLY_DEG, NEARLY_MM = 20.0, 30.0
 SIZE_SD = 0.07
 WRONG_POSE_WEIGHT = 0.2
 """Of a wrong pose on a scan that has a right one: there are several of each."""
-KIND_WEIGHTS = {"hard person": 0.3, "scrap": 4.0}
-"""Captures that are far worse than any measured shall not soften what is asked of others. Scraps are the
-negatives that users have; light-stage people's, which are not seen here, look more like faces than ours."""
 RIDGE = 0.0003
+HARD = StereoScanOptions(noise_mm=(1.0, 3.0), holes=(10, 40), reach_mm=(70.0, 170.0))
 
 
 @dataclass(frozen=True)
@@ -243,7 +241,6 @@ def _print_fit(rows: list[Row]) -> None:
     has_right = {(row.kind, row.seed) for row in known if row.right}
     beside = np.array([not row.right and (row.kind, row.seed) in has_right for row in known])
     weights = np.where(beside, WRONG_POSE_WEIGHT, 1.0)
-    weights *= [KIND_WEIGHTS.get(name, 1.0) for name in kind]
     odds = np.zeros(len(known))
     for half in (0, 1):
         taken = seed % 2 != half

@@ -24,9 +24,6 @@ _LOOK_THROUGH_MM = 30.0
 _SAME_SURFACE_MM = 20.0
 _STEEPEST_SLOPE = 1.5
 _SMOOTHING_PIXELS = 1.5
-_AGREEING_PIXELS = 2.5
-"""Blur for the cues of evidence. It is wide for noise of 2 to 6 mm: 1.5 took twice as many people for none,
-and 3.5 lost features (tools/calibrate_registration.py)."""
 _WINDOW_PIXELS = 4.0
 _FEATURE_PIXELS = 5.0
 _FLAT_SLOPE_SQUARED = 0.01
@@ -230,8 +227,8 @@ class FaceImage:
         common = distance < _SAME_SURFACE_MM
         if common.sum() < _FEWEST_PIXELS:
             return ReliefAgreement(0.0, 0.0)
-        scan, used = self._relief(seen, common, _AGREEING_PIXELS)
-        model, _ = self._relief(depth, common, _AGREEING_PIXELS)
+        scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
+        model, _ = self._relief(depth, common, _SMOOTHING_PIXELS)
         weights = self._weights * used
         both, of_scan, of_model = (
             float((weights * (a * b).sum(0)).sum()) + 1e-12
