@@ -127,6 +127,7 @@ class AnnotatedSurface:
     def front(self) -> FloatArray:
         """(3,) mm: where the z axis leaves the face. There faces of every size are laid on the model."""
         vertices, _ = self.surface(1)
+        # Of points as near to the axis, the foremost.
         return vertices[np.argmin(np.hypot(*vertices[:, :2].T) - 1e-6 * vertices[:, 2])]
 
     @cached_property

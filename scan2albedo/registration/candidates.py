@@ -29,6 +29,7 @@ from scan2albedo.registration.texture_evidence import TextureWitness
 _CONVINCING = 3.0
 """Log odds of a face (95 %) beyond which no further poses are refined."""
 _CONVINCING_PERSON = 0.95
+"""The same of its proportions."""
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 _MORE_CANDIDATES = 24
