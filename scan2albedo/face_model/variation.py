@@ -121,7 +121,7 @@ def shape_modes(model: AnnotatedFaceModel, weights: FloatArray) -> FloatArray:
     """Return (K, C, 3) displacements in mm of the model's control points, each one standard deviation.
 
     The head's width, height and depth, bumps of identities, expressions and captures, and smooth waves. None
-    moves, turns or scales the face as a whole, its control points weighed by `weights` (C,). A model without
+    moves, turns or scales the control points as a whole, weighed by `weights` (C,). A model without
     landmarks has no bumps.
     """
     rest = model.control_vertices
