@@ -16,7 +16,7 @@ from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.registration.candidates import Candidate, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.robust_icp import residuals
+from scan2albedo.registration.robust_icp import Note, residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
@@ -43,7 +43,7 @@ class Acceptance:
     """The probability that the best candidate is the pose of a face, and the search's note for the plan."""
 
     confidence: float
-    note: tuple[str, bool, str, str]
+    note: Note
 
 
 def accepted(

@@ -14,7 +14,7 @@ from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, 
 from scan2albedo.optimization import AnnealingOptions, AnnealingResult, simulated_annealing
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.relief import DepthFrame, depth_image, render_depth
-from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm, tightened
+from scan2albedo.registration.robust_icp import Note, rigid_distance_mm, tightened
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.shaped_icp import shaped_icp
 from scan2albedo.registration.template import Template
@@ -25,8 +25,6 @@ _LARGEST_SHIFT_MM = 8.0
 _LOOK_THROUGH_MM = 30.0
 _IMAGE_SIZE = 64
 _CHECK_SIGMAS_MM = (0.5, 2.0)
-
-Note = tuple[str, bool, str, str]
 
 
 @dataclass(frozen=True)
@@ -186,7 +184,7 @@ def _scan_slopes(depth: FloatArray, weights: FloatArray) -> tuple[IntArray, Floa
 def annealed(
     scan: PreparedScan,
     template: Template,
-    start: Tightened,
+    start: Similarity,
     options: RegistrationOptions,
     meter: Meter,
     seed: int,
@@ -199,18 +197,17 @@ def annealed(
     falls at two scales.
     """
     if options.annealing_evaluations == 0:
-        return Annealed(start.pose, None, ("depth_annealing", False, "switched off", "0 evaluations"))
+        return Annealed(start, None, ("depth_annealing", False, "switched off", "0 evaluations"))
     if meter.exhausted:
-        return Annealed(start.pose, None, ("depth_annealing", False, "the budget had ended", ""))
+        return Annealed(start, None, ("depth_annealing", False, "the budget had ended", ""))
     if not options.force_annealing:
         reason = "no gain measured over the ICP that knows people's shapes; force it to compare"
-        evidence = f"tight ICP {'ran' if start.ran else 'left out'}"
-        return Annealed(start.pose, None, ("depth_annealing", False, reason, evidence))
+        return Annealed(start, None, ("depth_annealing", False, reason, ""))
     found = anneal_depth_derivatives(
         scan.vertices,
         scan.faces,
         template,
-        start.pose,
+        start,
         size=_IMAGE_SIZE,
         evaluations=options.annealing_evaluations,
         seed=seed,
@@ -223,13 +220,13 @@ def annealed(
     meter.count(unseen.evaluations)
     before, after = (
         [rigid_distance_mm(scan.samples, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]
-        for p in (start.pose, polished.pose)
+        for p in (start, polished.pose)
     )
     better = all(a < b for a, b in zip(after, before, strict=True))
-    note = _annealing_note(better, found, start.pose, polished.pose, before, after, meter.evaluations)
+    note = _annealing_note(better, found, start, polished.pose, before, after, meter.evaluations)
     if better:
         return Annealed(polished.pose, found.error, note)
-    return Annealed(start.pose, found.start_error, note)
+    return Annealed(start, found.start_error, note)
 
 
 def _annealing_note(

@@ -16,7 +16,7 @@ from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.robust_icp import rms_mm, tightened
+from scan2albedo.registration.robust_icp import Note, rms_mm, tightened
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
@@ -42,7 +42,7 @@ class Registration:
     """Objective evaluations and ICP iterations spent."""
     trace: Trace
     """Stages "icp", "shaped_icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced."""
-    notes: tuple[tuple[str, bool, str, str], ...] = ()
+    notes: tuple[Note, ...] = ()
     """What the steps inside decided, for the plan."""
     face_scale: float = 1.0
     """Size of the face relative to the model's; `model_from_scan` is rigid and does not contain it. A face of
@@ -105,7 +105,7 @@ def register(
     if best.evidence is not None and not tight.ran:
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
-    final = annealed(prepared, person, tight, options, annealing, seed)
+    final = annealed(prepared, person, tight.pose, options, annealing, seed)
     low, high = HUMAN_SCALE
     if not low <= final.pose.scale <= high:
         warnings.warn(
@@ -122,6 +122,6 @@ def register(
         confidence=acceptance.confidence,
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(acceptance.note, final.note),
+        notes=(acceptance.note, tight.note, final.note),
         face_scale=final.pose.scale,
     )

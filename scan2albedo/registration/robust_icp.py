@@ -166,12 +166,21 @@ def _stepped(
     return moved, max(float(np.rad2deg(np.linalg.norm(step[:3]))), float(np.linalg.norm(step[3:6])))
 
 
+Note = tuple[str, bool, str, str]
+"""Step, whether it counts, reason and evidence: a row of the plan."""
+
+
 @dataclass(frozen=True)
 class Tightened:
-    """The pose of the tight ICP; where it did not run, the pose is as it was."""
+    """The pose of the tight ICP, or where it was left out the pose as it was, and the note for the plan."""
 
     pose: Similarity
-    ran: bool
+    note: Note
+
+    @property
+    def ran(self) -> bool:
+        """Whether the pose is that of the tight ICP."""
+        return self.note[1]
 
 
 def tightened(
@@ -184,7 +193,7 @@ def tightened(
     it does without budget. Records the loss at the last scale.
     """
     if meter.exhausted:
-        return Tightened(start, False)
+        return Tightened(start, ("tight_icp", False, "the budget had ended", ""))
     samples, weights = template.samples, template.rigidity
 
     def record(pose: Similarity) -> None:
@@ -193,15 +202,17 @@ def tightened(
     meter.count(_NARROWING_STEPS)
     record(start)
     pose = robust_icp(scan, samples, weights, start, iterations=_NARROWING_STEPS, sigma_mm=_NARROWING_MM)
-    if residuals(scan, samples, pose).quantile_mm(weights, _RIGID_PART) > _NOISE_MM:
-        return Tightened(start, False)
+    near_mm = residuals(scan, samples, pose).quantile_mm(weights, _RIGID_PART)
+    evidence = f"{100 * _RIGID_PART:.0f} % of the rigid face within {near_mm:.2f} mm (limit {_NOISE_MM} mm)"
+    if near_mm > _NOISE_MM:
+        return Tightened(start, ("tight_icp", False, "the model is not of the same person", evidence))
     record(pose)
     pose, steps, _ = settled_icp(
         scan, samples, weights, pose, sigma_mm=_TIGHTEST_MM, iterations=settling_iterations
     )
     meter.count(steps)
     record(pose)
-    return Tightened(pose, True)
+    return Tightened(pose, ("tight_icp", True, "the model is of the same person", evidence))
 
 
 def rigid_distance_mm(

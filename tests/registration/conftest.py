@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from scan2albedo import RawScan
+from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
-from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_angle_rad, transform_points
+from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
 from scan2albedo.synthetic import RawLikeOptions, raw_like
 from scan2albedo.synthetic.face_shape import person
 
@@ -74,6 +75,22 @@ def ict_scan(ict, model) -> Callable[..., PosedScan]:
         model_from_shape = model_from_generic @ procrustes(vertices[:FACE_PART], generic[:FACE_PART])
         scan, scan_from_shape = raw_like(vertices, ict["faces"], seed, options=RawLikeOptions(**options))
         return PosedScan(scan, model_from_shape @ np.linalg.inv(scan_from_shape))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def ict_scan_of_template(ict) -> Callable[[str, int], tuple[AnnotatedFaceModel, PosedScan]]:
+    """Return the generic published face as a model, and a raw-like scan of it with an expression."""
+    generic, faces = ict["generic_neutral"], ict["faces"]
+    kept = faces[(faces < FACE_PART).all(1)]
+    used = np.unique(kept)
+    template = AnnotatedFaceModel.from_mesh(generic[used], np.searchsorted(used, kept))
+    model_from_generic = compose(np.eye(3), -generic[used].mean(0))
+
+    def make(shape: str, seed: int) -> tuple[AnnotatedFaceModel, PosedScan]:
+        scan, scan_from_shape = raw_like(ict[shape], faces, seed)
+        return template, PosedScan(scan, model_from_generic @ invert_rigid(scan_from_shape))
 
     return make
 
