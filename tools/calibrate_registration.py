@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -42,7 +42,6 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 from scan2albedo.synthetic import StereoScanOptions, stereo_scan
-from scan2albedo.synthetic.stereo_features import FEATURES
 
 SIGNS = {"relief": 1, "local": 1, "distance": -1, "share": 1}
 RIGHT_DEG, RIGHT_MM = 10.0, 15.0
@@ -52,7 +51,9 @@ SIZE_SD = 0.07
 WRONG_POSE_WEIGHT = 0.2
 """Of a wrong pose on a scan that has a right one: there are several of each."""
 RIDGE = 0.0003
-HARD = StereoScanOptions(noise_mm=(1.0, 3.0), holes=(10, 40), reach_mm=(70.0, 170.0))
+HARD = StereoScanOptions(noise_mm=(1.0, 6.0), holes=(10, 60), reach_mm=(70.0, 170.0))
+SCRAP_WEIGHT = 2.0
+"""Of poses on scraps: a refusal looks at more poses than this does, and scraps resemble faces most."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,7 @@ def _person(seed: int, rng: np.random.Generator) -> Case:
 
 
 def _hard_person(seed: int, rng: np.random.Generator) -> Case:
-    worn = tuple(name for name in FEATURES if rng.uniform() < 0.4)
-    return _sized(face_case(*stereo_scan(seed, options=replace(HARD, features=worn))), rng)
+    return _sized(face_case(*stereo_scan(seed, options=HARD)), rng)
 
 
 def _clean_person(seed: int, rng: np.random.Generator) -> Case:
@@ -240,7 +240,7 @@ def _print_fit(rows: list[Row]) -> None:
     seed, kind = np.array([row.seed for row in known]), np.array([row.kind for row in known])
     has_right = {(row.kind, row.seed) for row in known if row.right}
     beside = np.array([not row.right and (row.kind, row.seed) in has_right for row in known])
-    weights = np.where(beside, WRONG_POSE_WEIGHT, 1.0)
+    weights = np.where(beside, WRONG_POSE_WEIGHT, np.where(kind == "scrap", SCRAP_WEIGHT, 1.0))
     odds = np.zeros(len(known))
     for half in (0, 1):
         taken = seed % 2 != half

@@ -34,6 +34,8 @@ _OTHER_FACE_MM = 100.0
 """Poses farther apart than a face is wide are of another one."""
 _LIKE_A_FACE = 0.55
 """Likeness (`FaceScores`) at which a pose that was not looked at closely is told of as another face."""
+_TOLD_NOISE_MM = 1.0
+"""Noise from which a message has it."""
 _TOLD_PROPORTION = 1.2
 """Proportion relative to the model's from which a message has it; most people's are less."""
 
@@ -192,6 +194,8 @@ def _cues_text(candidate: Candidate) -> str:
         f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm {found.relief.local:.2f}, "
         f"{found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face"
     )
+    if found.relief.noise_mm > _TOLD_NOISE_MM:
+        text += f" with {found.relief.noise_mm:.1f} mm of noise"
     said = candidate.color_log_odds
     if said:
         text += (

@@ -18,9 +18,11 @@ from scan2albedo.registration.template import Template
 
 _MOST_RMS_MM = 10.0
 _LEAST_SHARE = 0.02
-_INTERCEPT = -9.49
-_WEIGHTS = {"relief": 14.23, "local": 8.1, "distance": -0.62, "share": 2.04}
-"""Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py --scans 80."""
+_NOISE_IN_DISTANCE = 0.3
+"""Part of the noise's variance that the squared distance holds: it is to samples averaged over 4 mm."""
+_INTERCEPT = -9.95
+_WEIGHTS = {"relief": 13.42, "local": 4.51, "distance": -0.52, "share": 2.06}
+"""Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py --scans 100."""
 _USUAL_PROPORTIONS = np.array([-0.03, -0.06, -0.04])
 """People's mean of `shaped_icp.proportions`: half-way from the template's to that of light-stage people."""
 _STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.32, 0.025
@@ -48,11 +50,13 @@ class Evidence:
 
     @property
     def cues(self) -> dict[str, float]:
-        """The values that are weighed, each finite."""
+        """The values that are weighed, each finite, as they would be about without the scan's noise."""
+        local, whole = self.relief.without_noise()
+        noise = _NOISE_IN_DISTANCE * self.relief.noise_mm**2
         return {
-            "relief": self.relief.whole,
-            "local": self.relief.local,
-            "distance": min(self.rms_mm, _MOST_RMS_MM) ** 2,
+            "relief": whole,
+            "local": local,
+            "distance": max(min(self.rms_mm, _MOST_RMS_MM) ** 2 - noise, 0.0),
             "share": float(np.log(max(self.share, _LEAST_SHARE))),
         }
 
@@ -81,6 +85,6 @@ def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: M
         shaped.coefficients,
         float(areas[measured.inlier].sum() / areas.sum()),
         measured.trimmed_rms_mm(areas),
-        template.image.agreement(scan.vertices, scan.faces, shaped.pose.inverse(), surface),
+        template.image.agreement(scan.vertices, scan.faces, scan.noise, shaped.pose.inverse(), surface),
         proportions(scan.samples, template, shaped),
     )

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
+from scan2albedo.registration.scan_noise import SurfaceNoise
 from scan2albedo.registration.scan_preparation import NearestGrid
 
 Mask = BoolArray
@@ -22,6 +23,7 @@ _FEWEST_SAMPLES = 60
 _SIZE = 72
 _LOOK_THROUGH_MM = 30.0
 _SAME_SURFACE_MM = 20.0
+_SAME_POINT_MM = 10.0
 _STEEPEST_SLOPE = 1.5
 _SMOOTHING_PIXELS = 1.5
 _WINDOW_PIXELS = 4.0
@@ -29,6 +31,13 @@ _FEATURE_PIXELS = 5.0
 _FLAT_SLOPE_SQUARED = 0.01
 _FEWEST_PIXELS = 64
 _ALLOWED_RMS_MM = 7.0
+_NOISE_LEFT = 4.0
+"""Noise of blurred slopes, relative to that of independent depths of the vertices: those between vertices are
+interpolated, so that a blur lessens it less. Chosen so that people agree as much with noise as without."""
+_LEAST_VARIANCE = 0.1
+"""Of slopes that noise is compared with: a third of a face's, so that a flat scrap is not excused."""
+_LEAST_SIGNAL = 0.5
+"""Noise excuses no more than this: most of what it hides is not known to be there."""
 _ON_EDGE = 1e-9
 
 
@@ -175,11 +184,23 @@ class ReliefAgreement:
     """How the depth image of a scan agrees with that of the template in the same shape.
 
     `local` is the correlation of the depth derivatives, less their quadratic trend, averaged over windows of
-    about 3 cm, `whole` that over all windows together.
+    about 3 cm, `whole` that over all windows together. `noise_mm` is that of the scan's vertices there, and
+    `signal` the part of the variance of its slopes that it does not explain, 0.5 at least.
     """
 
     local: float
     whole: float
+    noise_mm: float = 0.0
+    signal: float = 1.0
+
+    def without_noise(self) -> tuple[float, float]:
+        """Return `local` and `whole` as they would be without noise: divided by the root of `signal` [1]_.
+
+        .. [1] C. Spearman, "The proof and measurement of association between two things", 1904: correction
+           for attenuation.
+        """
+        root = float(np.sqrt(self.signal))
+        return min(self.local / root, 1.0), min(self.whole / root, 1.0)
 
 
 class FaceImage:
@@ -216,7 +237,12 @@ class FaceImage:
         return FaceScores(coverage, correlation, rms_mm)
 
     def agreement(
-        self, vertices: FloatArray, faces: IntArray, model_from_scan: FloatArray, surface: FloatArray
+        self,
+        vertices: FloatArray,
+        faces: IntArray,
+        noise: SurfaceNoise,
+        model_from_scan: FloatArray,
+        surface: FloatArray,
     ) -> ReliefAgreement:
         """Compare a scan under a (4, 4) transform with the model's mesh moved to `surface` (V, 3)."""
         seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
@@ -235,7 +261,32 @@ class FaceImage:
             for a, b in ((scan, model), (scan, scan), (model, model))
         )
         local = _local_correlation(scan, model, used, self._weights)
-        return ReliefAgreement(local, both / float(np.sqrt(of_scan * of_model)))
+        on_face = self._shown(vertices, model_from_scan, np.where(common, seen, np.inf))
+        noise_mm, area_mm2 = noise.among(on_face)
+        scale = float(np.linalg.norm(model_from_scan[0, :3]))
+        of_noise = self._slope_noise(noise_mm * scale, area_mm2 * scale**2)
+        variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
+        signal = max(1 - of_noise / variance, _LEAST_SIGNAL)
+        return ReliefAgreement(local, both / float(np.sqrt(of_scan * of_model)), noise_mm, signal)
+
+    def _slope_noise(self, noise_mm: float, area_mm2: float) -> float:
+        """Return the variance of blurred slopes (both axes) that noise of vertices, one in an area, makes.
+
+        Of independent depths under a Gaussian blur s it would be noise^2 area / (4 pi s^4).
+        """
+        blur_mm = _SMOOTHING_PIXELS * self.frame.pixel
+        return float(_NOISE_LEFT * noise_mm**2 * area_mm2 / (4 * np.pi * blur_mm**4))
+
+    def _shown(self, vertices: FloatArray, model_from_scan: FloatArray, seen: FloatArray) -> Mask:
+        """Return which vertices (V,) lie on the surface that a depth image (S, S) shows."""
+        points = vertices @ model_from_scan[:3, :3].T + model_from_scan[:3, 3]
+        middle = (_SIZE - 1) / 2
+        column = np.rint((points[:, 0] - self.frame.center[0]) / self.frame.pixel + middle)
+        row = np.rint(middle - (points[:, 1] - self.frame.center[1]) / self.frame.pixel)
+        shown = (column >= 0) & (column < _SIZE) & (row >= 0) & (row < _SIZE)
+        at = seen[row[shown].astype(int), column[shown].astype(int)]
+        shown[shown] = np.abs(points[shown, 2] - at) < _SAME_POINT_MM
+        return shown
 
     def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""

@@ -16,6 +16,7 @@ from scan2albedo.geometry.mesh import far_faces, turned_against_neighbours
 from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
 from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.scan_noise import SurfaceNoise
 
 _FEWEST_VERTICES = 50
 _FEWEST_SAMPLES = 150
@@ -88,6 +89,11 @@ class PreparedScan:
     def grid(self) -> NearestGrid:
         """The voxel grid over the samples."""
         return NearestGrid.of(self.samples, cell_mm=_CELL_MM, margin_mm=_MARGIN_MM)
+
+    @cached_property
+    def noise(self) -> SurfaceNoise:
+        """What its vertices say of the noise."""
+        return SurfaceNoise.of(self.vertices, self.faces)
 
     def inside_out(self) -> PreparedScan:
         """Return the scan with the normals of its samples turned over."""

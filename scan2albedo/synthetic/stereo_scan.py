@@ -82,7 +82,7 @@ def stereo_scan(
 
     Two pods see the head. Stereo loses what is smooth, glassy or thin: strips behind glasses are missing, and
     their rims are loose shreds; an open mouth is a pit. Mismatches are patches along the line of sight, up to
-    1.3 m off. ValueError for an unknown feature or scrap.
+    1.3 m off. ValueError for an unknown feature or scrap, and where holes leave nothing.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def stereo_scan_of(
     Raises
     ------
     ValueError
-        For landmarks of another shape, an unknown feature or scrap.
+        For landmarks of another shape, an unknown feature or scrap, and where holes leave nothing.
     """
     points = np.asarray(landmarks, np.float64)
     if points.shape != (68, 3):
@@ -180,6 +180,8 @@ def _scanned(
     else:
         count = int(rng.integers(*options.holes, endpoint=True))
         mesh = with_holes(mesh, mesh[0][rng.choice(len(mesh[0]), count)], rng.uniform(3, 12, count))
+    if len(mesh[1]) == 0:
+        raise ValueError(f"nothing is left of the head: fewer holes or more reach are needed, not {options}")
     loose = crumbs(mesh[0], rng, int(rng.integers(*options.pieces, endpoint=True)) - 1)
     share = float(np.exp(rng.uniform(*np.log(options.stray))))
     posed, faces = join([mesh, *loose, *_stray(mesh[0], share, rng)])

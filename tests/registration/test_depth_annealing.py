@@ -11,7 +11,7 @@ from scan2albedo.registration.depth_annealing import (
     anneal_depth_derivatives,
     annealed,
 )
-from scan2albedo.registration.robust_icp import Tightened, rigid_distance_mm
+from scan2albedo.registration.robust_icp import rigid_distance_mm
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
@@ -79,9 +79,8 @@ def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, 
     turn = rotation_from_vector(np.radians(off_deg) * np.array([0.6, -0.64, 0.48]))
     start = Similarity(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])
     meter = Meter("depth_annealing", "objective")
-    unsettled = Tightened(start, False)
     options = RegistrationOptions(force_annealing=True)
-    found = annealed(scan, template, unsettled, options, meter, 0)
+    found = annealed(scan, template, start, options, meter, 0)
     for sigma_mm in (0.5, 2.0):
         before, after = (rigid_distance_mm(scan.samples, template, p, sigma_mm) for p in (start, found.pose))
         assert after <= before

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
 from scan2albedo.registration.relief import (
@@ -13,6 +14,7 @@ from scan2albedo.registration.relief import (
     depth_image,
     without_quadratic_trend,
 )
+from scan2albedo.registration.scan_noise import SurfaceNoise
 
 
 def pixel_centres(frame):
@@ -147,10 +149,11 @@ def test_correlation_of_nothing_is_zero():
 
 def test_the_model_agrees_with_itself_and_its_back_does_not(image, model):
     vertices, faces = model.surface(2)
-    same = image.agreement(vertices, faces, np.eye(4), image.vertices)
+    noise = SurfaceNoise.of(vertices, faces)
+    same = image.agreement(vertices, faces, noise, np.eye(4), image.vertices)
     assert same.whole > 0.99
     assert same.local > 0.9
-    other = image.agreement(vertices * [1, -1, 1], faces, np.eye(4), image.vertices)
+    other = image.agreement(vertices * [1, -1, 1], faces, noise, np.eye(4), image.vertices)
     assert other.whole < 0.6
     assert other.local < 0.6
 
@@ -158,12 +161,37 @@ def test_the_model_agrees_with_itself_and_its_back_does_not(image, model):
 def test_a_ball_agrees_little(image):
     ball = trimesh.creation.icosphere(5, 95.0)
     points = np.asarray(ball.vertices) + [0, 0, image.vertices[:, 2].max() - 105]
-    found = image.agreement(points, np.asarray(ball.faces), np.eye(4), image.vertices)
+    faces = np.asarray(ball.faces)
+    found = image.agreement(points, faces, SurfaceNoise.of(points, faces), np.eye(4), image.vertices)
     assert found.whole < 0.4
     assert found.local < 0.4
 
 
 def test_nothing_common_is_no_agreement(image, model):
     vertices, faces = model.surface(1)
-    found = image.agreement(vertices + [500, 0, 0], faces, np.eye(4), image.vertices)
+    noise = SurfaceNoise.of(vertices, faces)
+    found = image.agreement(vertices + [500, 0, 0], faces, noise, np.eye(4), image.vertices)
     assert (found.local, found.whole) == (0, 0)
+
+
+@pytest.mark.parametrize("noise_mm", [0.5, 1.0, 2.0, 4.0])
+def test_what_noise_takes_from_the_agreement_is_given_back(image, model, noise_mm):
+    vertices, faces = model.surface(1)
+    clean = image.agreement(vertices, faces, SurfaceNoise.of(vertices, faces), np.eye(4), image.vertices)
+    rng = np.random.default_rng(4)
+    noisy = vertices + rng.normal(scale=noise_mm, size=(len(vertices), 1)) * vertex_normals(vertices, faces)
+    found = image.agreement(noisy, faces, SurfaceNoise.of(noisy, faces), np.eye(4), image.vertices)
+    assert found.whole < clean.whole
+    local, whole = found.without_noise()
+    assert whole > 0.99
+    assert clean.local - 0.01 < local < clean.local + 0.05
+
+
+def test_noise_excuses_no_other_shape(image):
+    ball = trimesh.creation.icosphere(5, 95.0)
+    points, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    points = points * (1 + np.random.default_rng(2).normal(scale=3 / 95, size=(len(points), 1)))
+    points = points + [0, 0, image.vertices[:, 2].max() - 105]
+    found = image.agreement(points, faces, SurfaceNoise.of(points, faces), np.eye(4), image.vertices)
+    assert found.noise_mm > 1.5
+    assert max(found.without_noise()) < 0.5

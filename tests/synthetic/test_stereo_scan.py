@@ -125,3 +125,8 @@ def test_a_scrap_shows_no_face(scrap):
 def test_a_scrap_of_an_unknown_place_is_refused():
     with pytest.raises(ValueError, match="unknown scrap 'knee'"):
         stereo_scan(0, options=StereoScanOptions(scrap="knee"))
+
+
+def test_holes_that_leave_nothing_are_named():
+    with pytest.raises(ValueError, match="nothing is left of the head: fewer holes"):
+        stereo_scan(0, options=StereoScanOptions(reach_mm=(20.0, 20.0), holes=(600, 600)))
