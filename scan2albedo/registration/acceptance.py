@@ -20,10 +20,10 @@ from scan2albedo.registration.robust_icp import Note, residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
-LEAST_PROBABILITY = 0.25
-"""Of a face, below which a scan is refused: hair alone and scraps of a head reach 0.2."""
-_BEYOND_DOUBT = 4.0
-"""Log odds of a face (98 %) at which it is not asked whether the scan is inside out."""
+LEAST_PROBABILITY = 0.4
+"""Of a face, below which a scan is refused: 2 or 3 of 100 scraps of heads reach it."""
+_BEYOND_DOUBT = 5.0
+"""Log odds of a face (99 %) at which it is not asked whether the scan is inside out."""
 _CLEARLY_OUTWARD = 0.12
 _NEAR_MM = 10.0
 _FACING_AWAY = 0.35

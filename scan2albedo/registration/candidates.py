@@ -26,8 +26,8 @@ from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
 
-_CONVINCING = 3.0
-"""Log odds of a face (95 %) beyond which no further poses are refined."""
+_CONVINCING = 4.0
+"""Log odds of a face (98 %) beyond which no further poses are refined."""
 _CONVINCING_PERSON = 0.95
 """The same of its proportions."""
 _MOST_LOG_ODDS = 8.0
