@@ -28,7 +28,7 @@ from scan2albedo.registration import register
 
 SAME_AXES_DEG = 25.0
 """Templates look up or down by some degrees; only templates turned further get other axes."""
-MIN_CONFIDENCE = 0.3
+MIN_CONFIDENCE = 0.5
 REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
 INNER = slice(17, 68)
