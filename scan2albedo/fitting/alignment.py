@@ -55,8 +55,8 @@ def refine_similarity(
         sum_i w_i [ (n_i . d_i)^2 + t |d_i - (n_i . d_i) n_i|^2 ],   d_i = y_i - x_i,
 
     with the closest points y_i, normals n_i and gated robust weights renewed every iteration. `rest` (C, 3)
-    are the control points, `weight` (N,) area times rigidity of each sample; the distance gate shrinks from
-    the first of `gates` to the last.
+    are the control points, `weight` (N,) of each sample its area times how much a motion shows there; the
+    distance gate shrinks from the first of `gates` to the last.
     """
     points = samples.matrix @ rest
     pose = Similarity(np.eye(3), np.zeros(3))

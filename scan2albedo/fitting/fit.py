@@ -152,11 +152,13 @@ def _refined(
     surface: ScanSurface, model: AnnotatedFaceModel, options: FitOptions, meter: Meter, name: str
 ) -> Similarity:
     samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
+    # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
+    relief = samples.relief(samples.matrix @ model.control_vertices)
     similarity = refine_similarity(
         surface,
         samples,
         model.control_vertices,
-        samples.area * samples.rigidity,
+        samples.area * samples.rigidity * relief,
         (ForceGates.at(options, 0.0), ForceGates.at(options, 1.0)),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,

@@ -13,10 +13,14 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
-from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_areas
+from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
 RIM_MM = 30.0
+_AROUND_MM = 15.0
+_LEAST_RELIEF, _MOST_RELIEF = 0.005, 0.3
+"""What a flat sample still counts for, and the turn of the normals (1 - cosine) beyond which none counts
+more: nose, lids, lips and ears reach it."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,22 @@ class SurfaceSamples:
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""
         return np.asarray(surface_normals(points, self.faces)[0])
+
+    def relief(self, points: FloatArray) -> FloatArray:
+        """Return (N,) how much the surface at positions (N, 3) turns away from that within 15 mm.
+
+        It is 1 - cosine between the normal and the mean normal: that of features, where a motion along the
+        surface shows.
+        """
+        normals = self.normals(points)
+        tree = cKDTree(points)
+        near = tree.sparse_distance_matrix(tree, _AROUND_MM, output_type="coo_matrix")
+        shape = (len(points), len(points))
+        # The matrix leaves out distances of zero: each sample itself.
+        around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()
+        mean = normalized(around @ normals + self.area[:, None] * normals)
+        turned = 1 - np.einsum("ij,ij->i", normals, mean)
+        return np.asarray(_LEAST_RELIEF + np.minimum(turned, _MOST_RELIEF))
 
     def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""
