@@ -62,7 +62,7 @@ CASES: dict[str, Callable[[int], Case]] = {
 
 
 def _at_any_scale(scan: RawScan) -> Registration:
-    _, found = registered_at_any_scale(ScaledScan(scan, 1.0, True), lambda scan: (scan, plainly(scan)))
+    _, found = registered_at_any_scale(ScaledScan(scan, True), lambda scan: (scan, plainly(scan)))
     return found
 
 

@@ -23,6 +23,7 @@ from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.frame_files import StartFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
 from scan2albedo.recognition.app.files import IdentificationRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
@@ -38,6 +39,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
+    "landmarks": LandmarksRecord,
     "annotated_face_model": FaceModelFile,
     "application": ApplicationRecord,
     "batch": BatchRecord,

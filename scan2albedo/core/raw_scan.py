@@ -52,8 +52,8 @@ class RawScan:
     """A raw scan; inputs are checked and converted, never mutated.
 
     Raises ScanError for wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face
-    indices out of range, or a name that names no folder; TypeError for colours in integers. Warns of colours
-    that are hardly linear light, unless `notes` say so already.
+    indices out of range, a unit of no length, or a name that names no folder; TypeError for colours in
+    integers. Warns of colours that are hardly linear light, unless `notes` say so already.
     """
 
     vertices: NDArray[np.float64]
@@ -70,6 +70,8 @@ class RawScan:
     """Used in messages and output folders."""
     notes: tuple[str, ...] = ()
     """What loading decided and repaired (unit, dropped faces, missing texture), one sentence each."""
+    mm_per_unit: float = 1.0
+    """Millimetres per unit of the file that it was read from."""
 
     def __post_init__(self) -> None:
         if not is_folder_name(self.name):
@@ -78,6 +80,8 @@ class RawScan:
                 f"`name` of up to {LONGEST_NAME} bytes"
             )
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
+        if not 0 < self.mm_per_unit < np.inf:
+            raise ScanError(f"{self.name}: mm_per_unit is {self.mm_per_unit}, expected a length above 0")
         vertices = self._checked("vertices", self.vertices, np.float64, (None, 3))
         faces = self._checked("faces", self.faces, np.int64, (None, 3))
         object.__setattr__(self, "vertices", vertices)

@@ -12,6 +12,7 @@ from scan2albedo.core import Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.fitting.landmark_deviation import landmark_deviation_mm
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesResult, imbalance_mm
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -65,6 +66,8 @@ class FittedFace:
     """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
     (``imbalance_mm``), and the RMS logarithm of how its edges were stretched (``strain``): for
     result.json."""
+    landmark_deviation_mm: FloatArray | None = None
+    """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""
 
 
 def fitted_face(
@@ -101,13 +104,15 @@ def fitted_face(
             "the pose is wrong, or the scan holds too little of a face"
         )
     _warn_of_strain(metrics["strain"], name)
+    landmarks = model.landmarks_of(control)
+    deviation = None if landmarks is None else landmark_deviation_mm(landmarks, vertices, residual)
     return FittedFace(
         vertices=vertices,
         faces=subdivision.faces,
         uv=model.refined_uv(options.result_levels),
         region=model.region[subdivision.parent],
         control_points=control,
-        landmarks=model.landmarks_of(control),
+        landmarks=landmarks,
         residual_mm=residual,
         model_from_scan=model_from_scan,
         template_vertices=model.template_of(control),
@@ -117,6 +122,7 @@ def fitted_face(
         trace=deformation.meter.trace,
         model=model,
         metrics={**metrics, "scale": scale},
+        landmark_deviation_mm=deviation,
     )
 
 

@@ -120,6 +120,7 @@ def _loaded(
         vertex_color_linear=mesh.vertex_color_linear,
         name=name or scan_name(file),
         notes=tuple(notes),
+        mm_per_unit=factor,
     )
 
 

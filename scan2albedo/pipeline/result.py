@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.atomic import result_folder, unfinished_files
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.leftovers import is_hidden_path
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
@@ -49,6 +52,8 @@ FILES = frozenset(
         "fitted.glb",
         "template.obj",
         "registration.json",
+        "landmarks.json",
+        "landmarks.csv",
         "trace.csv",
         "error_vs_time.png",
         "overview.png",
@@ -98,6 +103,14 @@ class ProcessResult:
     def notes(self) -> tuple[str, ...]:
         """What loading decided and repaired, and what is doubtful, one sentence each."""
         return (*self.scan.notes, *self.messages)
+
+    @property
+    def landmarks_scan(self) -> FloatArray | None:
+        """(68, 3): the fit's landmarks in the scan's own frame and unit; None without a fit or landmarks."""
+        if self.fitted is None or self.fitted.landmarks is None:
+            return None
+        in_mm = transform_points(invert_rigid(self.fitted.model_from_scan), self.fitted.landmarks)
+        return in_mm / self.scan.mm_per_unit
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
@@ -226,6 +239,9 @@ def write_result(
                 write_obj(staging / "template.obj", fitted.template_vertices, fitted.model.template_faces)
         if poses is not None:
             write_record(staging / "registration.json", poses)
+        if (landmarks := _landmarks_record(result)) is not None:
+            write_record(staging / "landmarks.json", landmarks)
+            write_landmarks_csv(staging / "landmarks.csv", landmarks)
         files = (*sorted(path.name for path in staging.iterdir()), RESULT_FILE)
         write_record(staging / RESULT_FILE, record.model_copy(update={"files": files}))
     return folder
@@ -240,6 +256,16 @@ def _registration_record(registration: Registration, fitted: FittedFace | None) 
         converged=registration.converged,
         confidence=registration.confidence,
         iterations=registration.iterations,
+    )
+
+
+def _landmarks_record(result: ProcessResult) -> LandmarksRecord | None:
+    fitted, in_scan = result.fitted, result.landmarks_scan
+    if fitted is None or fitted.landmarks is None or in_scan is None:
+        return None
+    assert fitted.landmark_deviation_mm is not None
+    return LandmarksRecord.of(
+        fitted.landmarks, in_scan, fitted.landmark_deviation_mm, result.scan.mm_per_unit
     )
 
 

@@ -33,16 +33,15 @@ Register = Callable[[RawScan], tuple[RawScan, Registration]]
 
 @dataclass(frozen=True)
 class ScaledScan:
-    """A scan with what a unit of its file was taken for, and whether its size `fits` a head with that."""
+    """A scan, and whether its size `fits` a head with what a unit of its file was taken for."""
 
     scan: RawScan
-    mm_per_unit: float
     fits: bool
 
 
 def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) -> ScaledScan:
     """Load a scan as `load_scan` does; one of no head's size in any unit becomes as long as a head."""
-    taken: list[tuple[float, bool]] = []
+    fits: list[bool] = []
 
     def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
         try:
@@ -52,13 +51,13 @@ def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) 
             if not 0 < extent < np.inf:
                 raise
             factor, note = _EXTENTS_MM[0] / extent, f"unit: none fits (largest extent {extent:.4g} units)"
-            taken.append((factor, False))
+            fits.append(False)
         else:
-            taken.append((factor, True))
+            fits.append(True)
         return factor, note
 
     scan = load_scan_with(file, decide, name=name, textures=textures)
-    return ScaledScan(scan, *taken[-1])
+    return ScaledScan(scan, fits[-1])
 
 
 def registered_at_any_scale(scaled: ScaledScan, register: Register) -> tuple[RawScan, Registration]:
@@ -104,10 +103,15 @@ def _as_large_as_heads(scaled: ScaledScan, register: Register) -> RawScan | None
             if found.confidence >= _SURE:
                 factor = tried_mm / extent / found.face_scale
                 note = (
-                    f"unit: 1 unit is {scaled.mm_per_unit * factor:.4g} mm (largest extent "
+                    f"unit: 1 unit is {scan.mm_per_unit * factor:.4g} mm (largest extent "
                     f"{extent * factor:.4g} mm), by the size of the face, as if it were an average one; give "
                     "the unit if you know it"
                 )
                 others = (n for n in scan.notes if not n.startswith("unit: "))
-                return replace(scan, vertices=scan.vertices * factor, notes=(note, *others))
+                return replace(
+                    scan,
+                    vertices=scan.vertices * factor,
+                    notes=(note, *others),
+                    mm_per_unit=scan.mm_per_unit * factor,
+                )
     return None

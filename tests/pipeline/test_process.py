@@ -20,8 +20,10 @@ from scan2albedo.albedo.options import OPTIONAL_STEPS
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline import process as pipeline_process
 from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
@@ -44,6 +46,8 @@ FILES = {
     "skin.png",
     "fitted.glb",
     "registration.json",
+    "landmarks.json",
+    "landmarks.csv",
     "trace.csv",
     "error_vs_time.png",
     "overview.png",
@@ -101,7 +105,7 @@ def test_every_file_of_the_contract_is_there_and_none_else(result):
 
 
 def test_json_files_agree_with_their_schemas(result):
-    for name in ("result", "registration"):
+    for name in ("result", "registration", "landmarks"):
         schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text())
         jsonschema.validate(json.loads((result.out / f"{name}.json").read_text()), schema)
     written = json.loads((result.out / "result.json").read_text())
@@ -109,6 +113,25 @@ def test_json_files_agree_with_their_schemas(result):
     poses = json.loads((result.out / "registration.json").read_text())
     np.testing.assert_array_equal(poses["model_from_scan"], result.registration.model_from_scan)
     np.testing.assert_array_equal(poses["fitted_from_scan"], poses["model_from_scan"])
+
+
+def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
+    table = np.genfromtxt(
+        result.out / "landmarks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    )
+    on_scan = np.stack([table[f"scan_{axis}"] for axis in "xyz"], 1)
+    np.testing.assert_allclose(on_scan, result.landmarks_scan, rtol=1e-6)
+    written = json.loads((result.out / "landmarks.json").read_text())
+    assert written["mm_per_unit"] == 1
+    assert [point["number"] for point in written["landmarks"]] == list(range(68))
+    np.testing.assert_array_equal([p["model_mm"] for p in written["landmarks"]], result.fitted.landmarks)
+    np.testing.assert_array_equal([p["scan"] for p in written["landmarks"]], result.landmarks_scan)
+    off = ClosestPointQuery(result.scan.vertices, result.scan.faces).query(on_scan[17:]).distance
+    assert np.median(off) < 0.5
+    write_obj(tmp_path / "cm.obj", result.scan.vertices / 10, result.scan.faces)
+    again = s2a.process(tmp_path / "cm.obj", unit="cm", size=64, skip=["albedo"])
+    assert again.scan.mm_per_unit == 10
+    assert np.linalg.norm(10 * again.landmarks_scan - on_scan, axis=1)[17:].max() < 0.5
 
 
 def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result, case):

@@ -56,11 +56,11 @@ def test_a_doubtful_face_of_unknown_size_is_refused(case):
         return of, doubtful
 
     with pytest.raises(NoFaceError, match="as it is"):
-        registered_at_any_scale(ScaledScan(scan, 1.0, True), register)
+        registered_at_any_scale(ScaledScan(scan, True), register)
     assert len(tried) == 5
     assert len({float(np.ptp(each.vertices)) for each in tried}) == 5
     with pytest.raises(NoFaceError, match="at any scale"):
-        registered_at_any_scale(ScaledScan(scan, 1.0, False), lambda of: (of, register(of)[1]))
+        registered_at_any_scale(ScaledScan(scan, False), lambda of: (of, register(of)[1]))
 
 
 def test_what_fits_is_registered_once(case):
@@ -72,5 +72,5 @@ def test_what_fits_is_registered_once(case):
         return of, sure
 
     scan = replace(case[0], name="once")
-    assert registered_at_any_scale(ScaledScan(scan, 1.0, True), register) == (scan, sure)
+    assert registered_at_any_scale(ScaledScan(scan, True), register) == (scan, sure)
     assert calls == [scan]

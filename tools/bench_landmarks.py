@@ -1,0 +1,165 @@
+"""Landmarks of fits beside those placed by hand: error by feature, and what the stated deviation is worth.
+
+    OMP_NUM_THREADS=1 python tools/bench_landmarks.py [--expressions] [--json FILE]
+
+"james" and "flame_scan" are real scans with points placed by hand, "traced" path-traced whole heads,
+the others light-stage shapes made raw, with `--expressions` each of twelve at weights .6 and 1. Every scan is
+registered and fitted with the default model, without any help. Errors are mean distances in mm over the 51
+inner points of iBUG-68. The last lines show how many coordinates lie within one and two of their stated
+standard deviations: 68 % and 95 % where it is right. Needs ../shared/data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from benchmarks.scan_files import DATA, face_data
+
+import scan2albedo as s2a
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.synthetic import raw_like
+
+FEATURES = {
+    "brows": range(17, 27),
+    "bridge": range(27, 31),
+    "nostrils": range(31, 36),
+    "eyes": range(36, 48),
+    "lips": range(48, 68),
+}
+INNER = slice(17, 68)
+KEY_POINTS = (51, 39, 42, 48, 54)
+"""The five that autofacemonker has, too."""
+NEUTRAL = ("generic_neutral", "person1", "person2", "person3", "person4")
+WEIGHTS = (0.6, 1.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scan and its landmarks (68, 3) in mm in the scan's frame, NaN where nobody placed one."""
+
+    group: str
+    name: str
+    scan: s2a.RawScan
+    landmarks: FloatArray
+
+
+@dataclass(frozen=True)
+class Row:
+    """Offsets of the landmarks found from those placed (68, 3), and stated deviations (68,), mm."""
+
+    group: str
+    name: str
+    offset_mm: FloatArray
+    deviation_mm: FloatArray
+    cpu_s: float
+
+    @property
+    def error_mm(self) -> FloatArray:
+        """(68,)"""
+        return np.linalg.norm(self.offset_mm, axis=1)
+
+
+def cases(*, expressions: bool) -> Iterator[Case]:
+    given = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
+    yield Case("james", "james", s2a.load_scan(face_data("james.obj")), given)
+    inner = 1000 * np.loadtxt(face_data("flame_scan_ibug51.csv"), delimiter=",")
+    given = np.concatenate([np.full((17, 3), np.nan), inner])
+    yield Case("flame_scan", "flame_scan", s2a.load_scan(face_data("flame_scan.obj")), given)
+    for file in sorted((DATA / "traced").glob("p*_truth.npz")):
+        name = file.stem.removesuffix("_truth")
+        with np.load(file) as truth:
+            placed = truth["vertices_mm"][truth["landmarks68"]]
+            given = transform_points(truth["scan_from_truth"], placed) * float(truth["unit_mm"])
+        yield Case("traced", name, s2a.load_scan(file.with_name(f"{name}.obj")), given)
+    yield from _light_stage(expressions=expressions)
+
+
+def _light_stage(*, expressions: bool) -> Iterator[Case]:
+    with np.load(face_data("ict_faces.npz")) as data:
+        shapes = {name: data[f"shape_{name}"].astype(float) for name in NEUTRAL}
+        faces, at = data["faces"].astype(np.int64), data["landmarks68"].astype(np.int64)
+
+    def case(group: str, name: str, shape: FloatArray, seed: int) -> Case:
+        scan, scan_from_shape = raw_like(shape, faces, seed)
+        return Case(group, name, scan, transform_points(scan_from_shape, shape[at]))
+
+    for seed, (name, shape) in enumerate(shapes.items()):
+        yield case("neutral", name, shape, seed)
+    if not expressions:
+        return
+    with np.load(face_data("ict_expressions.npz")) as data:
+        moves = {name: data[name].astype(float) for name in sorted(data)}
+    for seed, (name, move) in enumerate(moves.items()):
+        person, shape = list(shapes.items())[seed % len(shapes)]
+        for weight in WEIGHTS:
+            yield case(name, f"{person} {weight}", shape + weight * move, 100 + seed)
+
+
+def measured(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
+    """Register and fit a scan, and compare its landmarks in the model's frame."""
+    begin = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fitted = s2a.fit(case.scan, model, s2a.register(case.scan, model))
+    cpu_s = time.process_time() - begin
+    assert fitted.landmarks is not None
+    assert fitted.landmark_deviation_mm is not None
+    offset = fitted.landmarks - transform_points(fitted.model_from_scan, case.landmarks)
+    return Row(case.group, case.name, offset, fitted.landmark_deviation_mm, cpu_s)
+
+
+def line(label: str, rows: list[Row]) -> str:
+    """Return the mean error of 51 points and of each feature, the largest and the CPU seconds of rows."""
+    error = np.stack([row.error_mm for row in rows])
+    parts = "".join(f"{error[:, list(points)].mean():10.2f}" for points in FEATURES.values())
+    seconds = np.mean([row.cpu_s for row in rows])
+    return f"{label:28}{error[:, INNER].mean():8.2f}{parts}{error[:, INNER].max():10.1f}{seconds:8.1f}"
+
+
+def print_deviations(rows: list[Row]) -> None:
+    """Print by feature the stated deviations, the real ones, and the coordinates within one and two."""
+    offset = np.stack([row.offset_mm for row in rows])
+    stated = np.stack([row.deviation_mm for row in rows])[..., None]
+    print(f"\n{'deviation along an axis, mm':28}{'stated':>8}{'real':>8}{'within 1':>10}{'within 2':>10}")
+    for name, points in (("jaw line", range(17)), *FEATURES.items(), ("all 51", range(17, 68))):
+        here = np.abs(offset[:, list(points)])
+        ratio = here / stated[:, list(points)]
+        real = np.sqrt(np.nanmean(here**2))
+        print(
+            f"{name:28}{stated[:, list(points)].mean():8.2f}{real:8.2f}"
+            f"{np.nanmean(ratio < 1):10.0%}{np.nanmean(ratio < 2):10.0%}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--expressions", action="store_true", help="also twelve expressions at two weights")
+    parser.add_argument("--json", type=Path, help="file for all offsets")
+    arguments = parser.parse_args()
+    model = s2a.AnnotatedFaceModel.default()
+    s2a.register(s2a.load_scan(face_data("humface.ply")), model)  # compiles
+    print(f"{'':28}{'51':>8}" + "".join(f"{name:>10}" for name in (*FEATURES, "largest")) + f"{'CPU s':>8}")
+    rows = []
+    for case in cases(expressions=arguments.expressions):
+        rows.append(measured(case, model))
+        print(line(f"{case.group} {case.name}" if case.group != case.name else case.name, rows[-1:]))
+    print()
+    for group in dict.fromkeys(row.group for row in rows):
+        print(line(group, [row for row in rows if row.group == group]))
+    james = next(row for row in rows if row.group == "james")
+    print(f"james, five key points: {james.error_mm[list(KEY_POINTS)].mean():.2f} mm")
+    print_deviations(rows)
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(r) for r in rows], default=np.ndarray.tolist))
+
+
+if __name__ == "__main__":
+    main()
