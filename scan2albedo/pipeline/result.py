@@ -263,10 +263,10 @@ def _landmarks_record(result: ProcessResult) -> LandmarksRecord | None:
     fitted, in_scan = result.fitted, result.landmarks_scan
     if fitted is None or fitted.landmarks is None or in_scan is None:
         return None
-    assert fitted.landmark_deviation_mm is not None
-    return LandmarksRecord.of(
-        fitted.landmarks, in_scan, fitted.landmark_deviation_mm, result.scan.mm_per_unit
-    )
+    deviation_mm = fitted.landmark_deviation_mm
+    if deviation_mm is None:
+        return None
+    return LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, result.scan.mm_per_unit)
 
 
 def _result_record(result: ProcessResult) -> ResultRecord:
