@@ -11,6 +11,7 @@ import numpy as np
 from scan2albedo.applications.pictures import auto_exposure
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
+from scan2albedo.core.arguments import described
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.version import VERSION
@@ -82,9 +83,16 @@ def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
     ApplicationError
         When a file is missing, cannot be read, or belongs to another result; the message names it. When the
         result has no albedo.
+    TypeError
+        For anything else than a path and a result.
     """
     if isinstance(source, str | Path):
         return _from_folder(Path(source))
+    if not hasattr(source, "albedo"):
+        raise TypeError(
+            f"load_result: source is {described(source)}, expected str or Path of a result's folder or a "
+            "ProcessResult"
+        )
     estimate, fitted, image = source.albedo, source.fitted, source.geometry_image
     if estimate is None:
         raise ApplicationError(

@@ -133,6 +133,13 @@ def relight(
     for lamp in lights:
         advice = "make one with PointLight(azimuth_rad, elevation_rad)"
         require_type(lamp, PointLight, "relight: one of lights", advice)
+    require_type(options, RelightOptions, "relight: options", "make them with RelightOptions()")
+    require_type(
+        environment,
+        (EnvironmentLight, type(None)),
+        "relight: environment",
+        "give a picture as environment_linear, soft light as an EnvironmentLight",
+    )
     if environment_linear is not None:
         require_linear("relight: environment_linear", environment_linear)
     alone = environment_linear is None and environment is None

@@ -56,6 +56,7 @@ def swap_texture(
     """
     for name, face in (("a", a), ("b", b)):
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
+    require_type(options, SwapOptions, "swap_texture: options", "make them with SwapOptions()")
     shape, skin = on_common_chart(a, b)
     gain = _gain(skin, shape) if options.match_level else 1.0
     albedo = gain * skin.albedo_linear.astype(np.float64)

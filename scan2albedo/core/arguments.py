@@ -47,6 +47,8 @@ def described(value: object) -> str:
 def require_linear(name: str, values: ArrayLike) -> None:
     """Raise TypeError for colours in integers, which are sRGB in nearly every file."""
     kind = np.asarray(values).dtype
+    if kind.kind in "OSU":
+        raise TypeError(f"{name} is {described(values)}, expected an array of linear colours")
     if kind.kind in "iub":
         raise TypeError(
             f"{name} holds {kind}, expected floats of linear light, 1 = display white; decode sRGB of 8 bits "

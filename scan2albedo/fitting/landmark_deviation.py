@@ -10,7 +10,16 @@ from scan2albedo.core.arrays import FloatArray
 _NEAR_MM = 12.0
 _UNSEEN_MM = 4.0
 """Deviation, along an axis, of a point around which there is no scan."""
-_FEATURES_MM = {(0, 17): 4.7, (17, 27): 1.6, (27, 31): 1.1, (31, 36): 0.9, (36, 48): 1.5, (48, 68): 2.1}
+_FEATURES_MM = {
+    (0, 1): 8.0,
+    (1, 16): 4.2,
+    (16, 17): 8.0,
+    (17, 27): 1.6,
+    (27, 31): 1.1,
+    (31, 36): 0.9,
+    (36, 48): 1.5,
+    (48, 68): 2.1,
+}
 """Deviation along an axis by iBUG-68 numbers, as `tools/bench_landmarks.py --expressions` finds it."""
 
 

@@ -6,7 +6,8 @@ import csv
 from io import StringIO
 from pathlib import Path
 
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, ScanError
+from scan2albedo.io.limits import TABLE_BYTES, require_at_most, require_regular
 
 _DELIMITERS = ",;\t"
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
@@ -15,12 +16,16 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
     """Return the text of a UTF-8 file, with or without a byte order mark.
 
-    Raises `error`, which calls the file `what`, when it cannot be read or is no text.
+    Raises `error`, which calls the file `what`, when it cannot be read, is no file or no text.
     """
     try:
+        require_regular(file)
+        require_at_most(str(file), "bytes", file.stat().st_size, TABLE_BYTES, "split it")
         data = file.read_bytes()
     except OSError as cause:
         raise error(f"{what} cannot be read ({cause.strerror or cause}); {advice}") from cause
+    except ScanError as cause:
+        raise error(f"{what} cannot be read ({cause}); {advice}") from cause
     if data.startswith(_UTF16):
         raise error(f"{what} is UTF-16 text; save it as CSV in UTF-8")
     try:

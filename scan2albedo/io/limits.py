@@ -34,6 +34,8 @@ PICTURE_BYTES = 3 << 28
 """Of a picture's samples: three 32-bit floats for each of `PIXELS`."""
 LIBRARY_BYTES = 1 << 24
 """Of the MTL files of a scan together, where a material takes some 200 bytes."""
+TABLE_BYTES = 1 << 26
+"""Of a list or table that a person wrote: a million paths."""
 NAME_BYTES = 1 << 12
 """Of the name of a material or file, with its options: paths are shorter."""
 NAME_LINES = 1 << 21
@@ -78,7 +80,7 @@ def require_regular(file: Path) -> None:
     """Raise ScanError for a pipe, a device or a socket, which may never end; OSError for a missing file."""
     mode = file.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise ScanError(f"{file}: is a pipe or a device, not a file; give the file that holds the scan")
+        raise ScanError(f"{file}: is a pipe or a device, not a file; give a file")
 
 
 def require_file(file: Path, limit: int = FILE_BYTES, advice: str = "make it smaller") -> int:

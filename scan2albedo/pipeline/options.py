@@ -112,7 +112,9 @@ class ProcessOptions:
 
         size = self.texels
         if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= LARGEST_SIZE:
-            raise ValueError(f"size is {size}, expected at least {SMALLEST_SIZE}, at most {LARGEST_SIZE}")
+            raise ValueError(
+                f"size is {size!r}, expected a whole number from {SMALLEST_SIZE} to {LARGEST_SIZE}"
+            )
         if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
             raise ValueError(f"lights is {self.lights!r}, expected 'auto' or a whole number from 1 to 4")
         if self.brdf not in BRDFS:

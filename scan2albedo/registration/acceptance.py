@@ -202,4 +202,8 @@ def _cues_text(candidate: Candidate) -> str:
             f", its colours speak {'for' if said > 0 else 'against'} it by {abs(said):.1f} in the log odds"
         )
     unlike = np.exp(np.abs(found.proportions)).max()
-    return text + (f", proportions {unlike:.2f} times the model's" if unlike > _TOLD_PROPORTION else "")
+    return text + (
+        f", proportions of width, height and depth {unlike:.2f} times the model's"
+        if unlike > _TOLD_PROPORTION
+        else ""
+    )

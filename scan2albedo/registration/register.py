@@ -70,7 +70,7 @@ def register(
 
     Warns when the face has a size that no person's has, or the scan holds a second face. Raises
     RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
-    when `seed` is no whole number of 0 or more; TypeError for other objects than a scan and a model;
+    when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model and options;
     MissingDependencyError when Open3D cannot be loaded.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
@@ -91,6 +91,7 @@ def register(
     """
     require_type(scan, RawScan, "register: scan", "load_scan(path) returns one")
     require_type(model, AnnotatedFaceModel, "register: model", "AnnotatedFaceModel.default() returns one")
+    require_type(options, RegistrationOptions, "register: options", "make them with RegistrationOptions()")
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)
     prepared = prepared_scan(scan, options)

@@ -55,6 +55,27 @@ def test_a_pose_is_a_registration_or_an_array():
         s2a.fit(SCAN, MODEL, None)
 
 
+@pytest.mark.parametrize("wrong", [{}, 3, "draft"])
+def test_options_are_those_of_the_function(wrong):
+    face = s2a.applications.ProcessedFace.of(
+        "flat", GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool)), np.ones((8, 8, 3), np.float32)
+    )
+    for call, expected in (
+        (lambda: s2a.register(SCAN, MODEL, options=wrong), "register: options is .*, expected Registration"),
+        (lambda: s2a.fit(SCAN, MODEL, np.eye(4), options=wrong), "fit: options is .*, expected FitOptions"),
+        (lambda: s2a.applications.relight(face, options=wrong), "relight: options is .*, expected Relight"),
+        (lambda: s2a.applications.swap_texture(face, face, options=wrong), "swap_texture: options is .*"),
+    ):
+        with pytest.raises(TypeError, match=expected):
+            call()
+
+
+@pytest.mark.parametrize("wrong", [None, 3, MODEL])
+def test_results_are_folders_or_results(wrong):
+    with pytest.raises(TypeError, match=r"load_result: source is .*, expected str or Path"):
+        s2a.applications.load_result(wrong)
+
+
 def test_lights_are_a_list_of_lights():
     face = s2a.applications.ProcessedFace.of(
         "flat", GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool)), np.ones((8, 8, 3), np.float32)
@@ -64,6 +85,12 @@ def test_lights_are_a_list_of_lights():
         s2a.applications.relight(face, light)
     with pytest.raises(TypeError, match="relight: one of lights is an object of tuple, expected PointLight"):
         s2a.applications.relight(face, [(0, 0)])
+    with pytest.raises(TypeError, match=r"relight: environment is an array .*, expected EnvironmentLight or"):
+        s2a.applications.relight(face, environment=np.ones((4, 8, 3)))
+    with pytest.raises(
+        TypeError, match=r"environment_linear is the text .x\.hdr., expected an array of linear"
+    ):
+        s2a.applications.relight(face, environment_linear="x.hdr")
     with pytest.raises(TypeError, match="environment_linear holds uint8, expected floats of linear light"):
         s2a.applications.relight(face, environment_linear=np.full((4, 8, 3), 200, np.uint8))
 

@@ -1,5 +1,7 @@
 """Tables that people write: separators, line numbers, and what is said of files that are none."""
 
+import os
+
 import pytest
 
 from scan2albedo.errors import BatchError
@@ -47,3 +49,15 @@ def test_faults_of_a_table_are_named_with_their_line(tmp_path):
 
 def test_a_short_row_has_empty_cells():
     assert cells_by_column(["a", "b"], ["1"], "line 2", BatchError) == {"a": "1", "b": ""}
+
+
+def test_pipes_devices_and_endless_lists_are_not_read(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    for name in ("pipe.csv", "zero.csv"):
+        with pytest.raises(BatchError, match=rf"list {name} cannot be read .*a pipe or a device"):
+            text_of(tmp_path / name)
+    (tmp_path / "long.csv").write_text("a" * 100)
+    monkeypatch.setattr("scan2albedo.io.csv_tables.TABLE_BYTES", 99)
+    with pytest.raises(BatchError, match=r"list long\.csv cannot be read .*100 bytes are more than the 99"):
+        text_of(tmp_path / "long.csv")
