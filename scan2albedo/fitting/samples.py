@@ -18,7 +18,7 @@ from scan2albedo.geometry.operators import vertex_average
 
 RIM_MM = 30.0
 _AROUND_MM = 15.0
-_LEAST_RELIEF, _MOST_RELIEF = 0.02, 0.3
+_LEAST_RELIEF, _MOST_RELIEF = 0.1, 0.3
 """What a flat sample still counts for, and the turn of the normals (1 - cosine) beyond which none counts
 more: nose, lids, lips and ears reach it."""
 
