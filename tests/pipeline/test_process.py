@@ -284,7 +284,7 @@ def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(case):
         ({"lights": 1.5}, "lights is 1.5"),
         ({"lights": 99}, "lights is 99"),
         ({"unit": "yard"}, "unit is 'yard', expected one of auto, mm"),
-        ({"size": 2}, "at least 8"),
+        ({"size": 2}, "from 8 to 16384"),
         ({"size": 64.5}, "size is 64.5"),
         ({"size": 10**9}, "at most 16384"),
     ):
