@@ -29,6 +29,7 @@ from scan2albedo.registration import register
 SAME_AXES_DEG = 25.0
 """Templates look up or down by some degrees; only templates turned further get other axes."""
 MIN_CONFIDENCE = 0.5
+"""Of the pose of a template's face, below which it is more likely wrong than right."""
 REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
 INNER = slice(17, 68)

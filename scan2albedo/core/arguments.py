@@ -45,7 +45,7 @@ def described(value: object) -> str:
 
 
 def require_linear(name: str, values: ArrayLike) -> None:
-    """Raise TypeError for colours in integers, which are sRGB in nearly every file."""
+    """Raise TypeError for what are no numbers, and for integers, which are sRGB in nearly every file."""
     kind = np.asarray(values).dtype
     if kind.kind in "OSU":
         raise TypeError(f"{name} is {described(values)}, expected an array of linear colours")

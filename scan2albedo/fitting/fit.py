@@ -89,8 +89,8 @@ def fit(
     """
     require_type(scan, RawScan, "fit: scan", "load_scan(path) returns one")
     require_type(model, AnnotatedFaceModel, "fit: model", "AnnotatedFaceModel.default() returns one")
-    chosen = options or FitOptions()
     require_type(options, (FitOptions, type(None)), "fit: options", "make them with FitOptions()")
+    chosen = options or FitOptions()
     pose = _pose_of(reg)
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     surface = _scan_surface(scan, model, pose, chosen)

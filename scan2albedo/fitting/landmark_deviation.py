@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import FloatArray
 
 _NEAR_MM = 12.0
+"""The surface around a landmark that shows it: about an eye's height."""
 _UNSEEN_MM = 4.0
 """Deviation, along an axis, of a point around which there is no scan."""
 _FEATURES_MM = {
@@ -20,7 +21,8 @@ _FEATURES_MM = {
     (36, 48): 1.5,
     (48, 68): 2.1,
 }
-"""Deviation along an axis by iBUG-68 numbers, as `tools/bench_landmarks.py --expressions` finds it."""
+"""Deviation in mm along an axis by iBUG-68 numbers (begin, end): what `tools/bench_landmarks.py
+--expressions` found on its faces. No others have judged it."""
 
 
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:

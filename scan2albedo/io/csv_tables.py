@@ -7,7 +7,7 @@ from io import StringIO
 from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError, ScanError
-from scan2albedo.io.limits import TABLE_BYTES, require_at_most, require_regular
+from scan2albedo.io.limits import TABLE_BYTES, read_bytes
 
 _DELIMITERS = ",;\t"
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
@@ -19,9 +19,7 @@ def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoErro
     Raises `error`, which calls the file `what`, when it cannot be read, is no file or no text.
     """
     try:
-        require_regular(file)
-        require_at_most(str(file), "bytes", file.stat().st_size, TABLE_BYTES, "split it")
-        data = file.read_bytes()
+        data = read_bytes(file, TABLE_BYTES, "split it")
     except OSError as cause:
         raise error(f"{what} cannot be read ({cause.strerror or cause}); {advice}") from cause
     except ScanError as cause:

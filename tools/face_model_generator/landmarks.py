@@ -61,8 +61,10 @@ AS_ANNOTATED = {
 }  # fmt: skip
 """Where annotators of iBUG-68 put a point, in the front view, relative to the anatomical one: the bridge
 begins level with the upper lids, not at the nasion, and ends at the tip's front; the corners of the eye are
-those of the lids, without the caruncle; the inner ends of the brows lie below the brow's ridge. Rounded to
-0.5 mm, over annotated faces of three sources."""
+those of the lids, without the caruncle; the inner ends of the brows lie below the brow's ridge. From the
+mean offsets of fits on the very faces that tools/bench_landmarks.py measures (light-stage, james,
+flame_scan), rounded to 0.5 mm: its figures do not show what they are worth on others. Offsets from two of
+the sources hardly help the third, and make james worse."""
 
 _BROW = {22: (11.5, 19.0), 23: (24.0, 22.0), 24: (38.0, 22.8), 25: (49.5, 20.0), 26: (58.5, 12.8)}
 _CHIN = {9: (15.5, -115.5), 10: (30.0, -110.0)}
