@@ -220,6 +220,7 @@ class _Run:
         finally:
             with _undisturbed():
                 self.layout.end_run()
+                self.take_finished()
                 remove_leftovers(*self.layout.folders)
                 self.write(status)
         return BatchReport(
@@ -230,6 +231,13 @@ class _Run:
             self.resumed.files_verified,
             tuple(self.notes),
         )
+
+    def take_finished(self) -> None:
+        """Take up scans that a worker finished, but whose answer was not awaited when the run was ended."""
+        for name in (scan.name for scan in self.manifest.scans if scan.name not in self.rows):
+            row = self.layout.row(name)
+            if row is not None and row.run == self.run:
+                self.rows[name] = row
 
     def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""

@@ -79,3 +79,15 @@ def test_a_task_that_raises_outside_of_the_stages_fails_alone(scans_in, tmp_path
     report = run_batch(scans_in("a", "bad", "b"), tmp_path / "out", options=TINY, jobs=1)
     assert report.failures == {"bad": "RecursionError: too"}
     assert report.progress.done == 2
+
+
+def test_what_a_worker_finished_just_before_an_interrupt_is_done(scans_in, tmp_path, monkeypatch):
+    def interrupted(tasks, layout, jobs):
+        layout.keep(tasks[0].record("done"))
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr("scan2albedo.batch.run.run_in_processes", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(scans_in("a", "b"), tmp_path / "out", options=TINY, jobs=1)
+    assert statuses(tmp_path / "out") == {"a": "done", "b": "not run"}

@@ -393,7 +393,7 @@ def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_
     assert os.listdir(tmp_path) != []
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, complaint
     assert "interrupted" in complaint
     assert os.listdir(tmp_path) == []
 
