@@ -95,4 +95,4 @@ def test_lamps_are_counted_and_absent_parts_left_out_on_forty_scenes():
         absent += len(without)
         left_out += sum(not estimate.plan.ran(f"albedo.{part}") for part in without)
     assert counted >= 38
-    assert left_out >= 0.94 * absent
+    assert left_out >= 0.95 * absent

@@ -41,7 +41,7 @@ def test_an_expression_of_one_side_is_none_of_two_people(model, expression):
     moved = sum(displacement(bump, rest, model.landmarks) for bump in EXPRESSION_BUMPS[expression])
     of_one_side = np.clip(0.5 + rest[:, :1] / 20, 0, 1) * moved
     fitted = fitted_to(model, someone(model, 4) + 1.5 * of_one_side)
-    assert asymmetry(fitted).unlikeness < 0.97
+    assert asymmetry(fitted).unlikeness < 0.9
     assert list(doubts(fitted)) == []
 
 

@@ -46,25 +46,10 @@ def half_landmarks(curves: dict[str, FloatArray], middle: Midline, skin: Section
     sets |= {
         number: np.array(middle[name]) for number, name in ((8, "gn"), (27, "n"), (30, "prn"), (33, "sn"))
     }
-    sets |= {28: 0.7 * sets[27] + 0.3 * sets[30], 29: 0.4 * sets[27] + 0.6 * sets[30]}
+    sets |= {28: (2 * sets[27] + sets[30]) / 3, 29: (sets[27] + 2 * sets[30]) / 3}
     sets |= {34: 0.5 * (sets[33] + crease), 35: crease}
-    sets |= _contour(curves["outline"], skin)
-    return {number: point + [*AS_ANNOTATED.get(number, (0.0, 0.0)), 0.0] for number, point in sets.items()}
+    return sets | _contour(curves["outline"], skin)
 
-
-AS_ANNOTATED = {
-    22: (0.0, -4.0), 23: (0.5, -3.0), 24: (-0.5, -1.5), 25: (-1.0, -0.5), 26: (-1.0, -0.5),
-    27: (0.0, -3.5), 28: (0.0, -3.0), 29: (0.0, -2.5), 30: (0.0, 2.0),
-    33: (0.0, -0.5), 34: (0.0, -0.5), 35: (0.0, -1.0),
-    42: (2.5, -0.5), 43: (0.5, -2.0), 44: (-1.0, -1.0), 45: (-1.5, 0.0), 46: (-0.5, -1.0), 47: (0.0, -0.5),
-    51: (0.0, -1.5), 52: (0.5, -1.0), 53: (-0.5, 1.5), 54: (-0.5, 1.5), 56: (-0.5, 0.5), 57: (0.0, 0.5),
-}  # fmt: skip
-"""Where annotators of iBUG-68 put a point, in the front view, relative to the anatomical one: the bridge
-begins level with the upper lids, not at the nasion, and ends at the tip's front; the corners of the eye are
-those of the lids, without the caruncle; the inner ends of the brows lie below the brow's ridge. From the
-mean offsets of fits on the very faces that tools/bench_landmarks.py measures (light-stage, james,
-flame_scan), rounded to 0.5 mm: its figures do not show what they are worth on others. Offsets from two of
-the sources hardly help the third, and make james worse."""
 
 _BROW = {22: (11.5, 19.0), 23: (24.0, 22.0), 24: (38.0, 22.8), 25: (49.5, 20.0), 26: (58.5, 12.8)}
 _CHIN = {9: (15.5, -115.5), 10: (30.0, -110.0)}
