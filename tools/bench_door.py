@@ -1,13 +1,14 @@
 """What the door lets in: faces in raw stereo, and everything else.
 
-    OMP_NUM_THREADS=1 python tools/bench_door.py [--stereo 1000] [--ict 300] [--hard 400] [--scraps 300]
-        [--reliefs 200] [--objects] [--repeat 20 [--fit]] [--told] [--offset 0] [--jobs 1] [--json FILE]
-        [--figure FILE.png]
+    OMP_NUM_THREADS=1 python tools/bench_door.py [--stereo 1000] [--ict 300] [--hard 400] [--placed 60]
+        [--scraps 300] [--reliefs 200] [--objects] [--repeat 20 [--fit]] [--told] [--offset 0] [--jobs 1]
+        [--json FILE] [--figure FILE.png]
 
 "stereo" are random people of `synthetic.stereo_scan`, "ict" mixtures of light-stage people and expressions
 captured in the same way, "hard" both with up to 6 mm of noise, more holes and less of the face (there is
-shown what confidence is worth), "scraps" captures of both that show no face, "reliefs" random reliefs and
-bodies (every tenth also without a known unit), "objects" 43 things. A pose is right within 10 degrees and
+shown what confidence is worth; --placed gives five landmarks to these, then with one 25 mm off), "scraps"
+captures of both that show no face, "reliefs" random reliefs and bodies (every tenth also without a known
+unit), "objects" 43 things. A pose is right within 10 degrees and
 15 mm (mean over 68 landmarks) of the one that lays brows, nose and eyes on the model's. "sure misses" were
 accepted with a confidence of 0.5 and more. The bins of confidence hold all scans of the parts that ran; a
 refused scan counts when its error has a `confidence` (a refused face as right, or as its error's
@@ -33,7 +34,15 @@ import numpy as np
 from benchmarks.door_objects import wrong_object, wrong_objects
 from benchmarks.door_repeat import CAPTURES, SHAPES, Capture, captured, print_repeats
 from benchmarks.door_rows import Reliability, Row, judged, plainly, print_part
-from benchmarks.door_scans import Case, hard_person, light_stage_person, own_person, relief, scrap
+from benchmarks.door_scans import (
+    Case,
+    hard_person,
+    light_stage_person,
+    own_person,
+    relief,
+    scrap,
+    with_landmarks,
+)
 from benchmarks.door_told import print_told
 
 from scan2albedo.core import RawScan
@@ -41,6 +50,7 @@ from scan2albedo.pipeline.scale_search import ScaledScan, registered_at_any_scal
 from scan2albedo.registration import Registration
 
 ANY_UNIT = "reliefs, any unit"
+PLACED, ONE_WRONG = "hard, five landmarks", "hard, one of five wrong"
 _EVERY = 10
 """Of so many reliefs one is also registered without a known unit."""
 
@@ -54,6 +64,8 @@ CASES: dict[str, Callable[[int], Case]] = {
     "stereo": own_person,
     "ict": light_stage_person,
     "hard": hard_person,
+    PLACED: lambda number: with_landmarks(hard_person(number), number),
+    ONE_WRONG: lambda number: with_landmarks(hard_person(number), number, one_wrong=True),
     "scraps": scrap,
     "reliefs": relief,
     ANY_UNIT: relief,
@@ -98,6 +110,7 @@ def run(arguments: argparse.Namespace) -> list[Row]:
     """Run the parts asked for, print their tables, and return their rows."""
     rows: list[Row] = []
     counts = {name: getattr(arguments, name) for name in ("stereo", "ict", "hard", "scraps", "reliefs")}
+    counts |= {PLACED: arguments.placed, ONE_WRONG: arguments.placed}
     counts[ANY_UNIT] = -(-arguments.reliefs // _EVERY)
     for part, count in counts.items():
         tasks = [(part, arguments.offset + number) for number in range(count)]
@@ -121,6 +134,7 @@ def main() -> None:
     parser.add_argument("--stereo", type=int, default=0, metavar="N", help="random people")
     parser.add_argument("--ict", type=int, default=0, metavar="N", help="light-stage people")
     parser.add_argument("--hard", type=int, default=0, metavar="N", help="people in far worse captures")
+    parser.add_argument("--placed", type=int, default=0, metavar="N", help="the same with landmarks given")
     parser.add_argument("--scraps", type=int, default=0, metavar="N", help="scraps that show no face")
     parser.add_argument("--reliefs", type=int, default=0, metavar="N", help="random reliefs and bodies")
     parser.add_argument("--objects", action="store_true", help="43 things that are no faces")

@@ -16,7 +16,7 @@ from scan2albedo.io.load_scan import SUPPORTED_SCANS
 from scan2albedo.pipeline.options import ProcessOptions, option_of_text
 
 SCAN = "scan"
-OWN_OPTIONS = ("unit", "model", "lights", "seed")
+OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
 """Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
 
 _TABLES = (".csv", ".tsv")
@@ -40,7 +40,7 @@ class ManifestScan:
     """Place in the manifest, for messages."""
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
-        """Return the batch's options with those that the line sets; a model's path starts from `folder`.
+        """Return the batch's options with those that the line sets; paths start from `folder`.
 
         Raises `BatchError` when a cell is not a valid option.
         """
@@ -51,7 +51,9 @@ class ManifestScan:
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error
         if "model" in given and given["model"] not in ("default", "none"):
-            return replace(chosen, model=str((folder / given["model"]).absolute()))
+            chosen = replace(chosen, model=str((folder / given["model"]).absolute()))
+        if "landmarks" in given:
+            chosen = replace(chosen, landmarks=str((folder / given["landmarks"]).absolute()))
         return chosen
 
 
@@ -76,8 +78,8 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     """Return the scans of a manifest: of a table, a list of paths, or a folder.
 
     - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
-      (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`. Cells of other
-      columns are kept as they are.
+      (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`, `landmarks`.
+      Cells of other columns are kept as they are.
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
 

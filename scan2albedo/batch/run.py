@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
@@ -30,6 +31,7 @@ from scan2albedo.errors import BatchError, ModelError, needs_extra
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import file_sha256, files_of_scan
 from scan2albedo.io.leftovers import remove_leftovers
+from scan2albedo.io.placed_landmarks import landmarks_file
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.options import ProcessOptions
 
@@ -127,6 +129,8 @@ def _tasks(
         raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
     if options.model not in ("default", "none"):
         options = replace(options, model=str(Path(options.model).absolute()))
+    if options.landmarks is not None:
+        options = replace(options, landmarks=_landmarks_of_all(options.landmarks, len(manifest.scans)))
     if options.textures is not None:
         options = replace(options, textures=str(Path(options.textures).absolute()))
     for scan in manifest.scans:
@@ -141,7 +145,7 @@ def _tasks(
                 path=str(scan.path),
                 out=str(layout.out),
                 options=chosen,
-                options_sha256=_options_sha256(chosen, models[model]),
+                options_sha256=_options_sha256(chosen, models[model], scan.path),
                 model_sha256=models[model],
                 run=run,
                 version=VERSION,
@@ -166,12 +170,22 @@ def _model_sha256(model: str) -> str | None:
         ) from error
 
 
-def _options_sha256(options: ProcessOptions, model_hash: str | None) -> str:
-    """Return the SHA-256 of options, package version and model."""
+def _landmarks_of_all(landmarks: Any, count: int) -> str:
+    """Return the absolute path of a batch's landmarks; ValueError for those that cannot be of all scans."""
+    if not isinstance(landmarks, str) or (count > 1 and not Path(landmarks).is_dir()):
+        raise ValueError("a batch's landmarks are a folder with files named after the scans")
+    return str(Path(landmarks).absolute())
+
+
+def _options_sha256(options: ProcessOptions, model_hash: str | None, scan: Path) -> str:
+    """Return the SHA-256 of options, package version, model and the landmarks of a scan."""
     hashed = {"version": VERSION, "model_sha256": model_hash, **options.plain()}
     if options.model not in ("default", "none"):
         hashed["model"] = Path(str(options.model)).name  # its place does not count
     del hashed["textures"]  # those that a scan uses are part of the input
+    del hashed["landmarks"]
+    if isinstance(options.landmarks, str) and (file := landmarks_file(options.landmarks, scan)) is not None:
+        hashed["landmarks"] = file_sha256(file) if file.is_file() else "missing"
     return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
 
 

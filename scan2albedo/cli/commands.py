@@ -68,6 +68,10 @@ def process(
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
+    if len(scans) > 1 and options.landmarks is not None and not Path(options.landmarks).is_dir():
+        raise typer.BadParameter(
+            f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
+        )
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.face_model import chosen_model
     from scan2albedo.pipeline.process import process as run
@@ -109,8 +113,8 @@ def batch(
     manifest: Annotated[
         Path,
         typer.Argument(
-            help="A CSV file with a column `scan` (and `name`, `unit`, `model`, `lights`, `seed`, or any "
-            "others); a list of paths; or a folder of scans."
+            help="A CSV file with a column `scan` (and `name`, `unit`, `model`, `lights`, `seed`, "
+            "`landmarks`, or any others); a list of paths; or a folder of scans."
         ),
     ],
     out: Annotated[

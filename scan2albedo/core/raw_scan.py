@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arguments import linear_doubt, require_linear
+from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.errors import ScanError, printable
 
 LARGEST_COORDINATE = 1e30
@@ -72,6 +73,8 @@ class RawScan:
     """What loading decided and repaired (unit, dropped faces, missing texture), one sentence each."""
     mm_per_unit: float = 1.0
     """Millimetres per unit of the file that it was read from."""
+    landmarks: PlacedLandmarks | None = None
+    """Points that someone placed on it: soft constraints of its registration and fit."""
 
     def __post_init__(self) -> None:
         if not is_folder_name(self.name):
@@ -80,6 +83,8 @@ class RawScan:
                 f"`name` of up to {LONGEST_NAME} bytes"
             )
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
+        if self.landmarks is not None:
+            object.__setattr__(self, "landmarks", PlacedLandmarks.of(self.landmarks))
         if not 0 < self.mm_per_unit < np.inf:
             raise ScanError(f"{self.name}: mm_per_unit is {self.mm_per_unit}, expected a length above 0")
         vertices = self._checked("vertices", self.vertices, np.float64, (None, 3))
@@ -149,6 +154,12 @@ class RawScan:
         """Return the scan with every triangle reversed."""
         uv = None if self.uv is None else self.uv[:, ::-1]
         return replace(self, faces=self.faces[:, ::-1], uv=uv)
+
+    def scaled(self, factor: float) -> RawScan:
+        """Return the scan `factor` times as large; a unit of its file is as many mm more."""
+        landmarks = None if self.landmarks is None else self.landmarks.scaled(factor)
+        mm_per_unit = self.mm_per_unit * factor
+        return replace(self, vertices=self.vertices * factor, landmarks=landmarks, mm_per_unit=mm_per_unit)
 
     @property
     def has_color(self) -> bool:

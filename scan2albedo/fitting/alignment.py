@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
+from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -47,6 +48,7 @@ def refine_similarity(
     iterations: int,
     scale_range: tuple[float, float],
     meter: Meter,
+    landmarks: LandmarkPull | None = None,
 ) -> Similarity:
     """Return the similarity that moves the model's rigid regions onto the scan, from its present pose.
 
@@ -56,9 +58,10 @@ def refine_similarity(
 
     with the closest points y_i, normals n_i and gated robust weights renewed every iteration. `rest` (C, 3)
     are the control points, `weight` (N,) of each sample its area times how much a motion shows there; the
-    distance gate shrinks from the first of `gates` to the last.
+    distance gate shrinks from the first of `gates` to the last. `landmarks` add their own d_i, whole.
     """
     points = samples.matrix @ rest
+    placed = np.empty((0, 3)) if landmarks is None else landmarks.matrix @ rest
     pose = Similarity(np.eye(3), np.zeros(3))
     wide, narrow = gates
     reach = wide.distance_mm
@@ -74,14 +77,28 @@ def refine_similarity(
         meter.record(forces.mean_distance_mm(samples.area))
         if not forces.weight.any():
             break
+        drawn, offset, pull = _drawn(landmarks, pose.apply(placed))
         step = _gauss_newton_step(
-            moved, forces.offset, forces.normal, weight * forces.weight, gate.tangential, pose.scale
+            np.vstack([moved, drawn]),
+            np.vstack([forces.offset, offset]),
+            np.vstack([forces.normal, np.zeros_like(drawn)]),
+            np.concatenate([weight * forces.weight, pull]),
+            np.concatenate([np.full(len(moved), gate.tangential), np.ones(len(drawn))]),
+            pose.scale,
         )
         pose = _updated(pose, step, scale_range)
         if _largest_motion(step, points) < SETTLED_MM and reach <= narrow.distance_mm:
             break
         reach = max(_next_reach(forces, reach), narrow.distance_mm)
     return pose
+
+
+def _drawn(landmarks: LandmarkPull | None, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the model's landmarks (L, 3) as given, their offsets (L, 3) to the targets and weights (L,)."""
+    if landmarks is None:
+        return points, points, np.empty(0)
+    offset = landmarks.axes * (landmarks.targets - points)
+    return points, offset, landmarks.person_weight(offset)
 
 
 def _next_reach(forces: ScanForces, reach: float) -> float:
@@ -95,7 +112,7 @@ def _gauss_newton_step(
     offset: FloatArray,
     normal: FloatArray,
     weight: FloatArray,
-    tangential: float,
+    tangential: FloatArray,
     scale: float,
 ) -> FloatArray:
     """Return (7,) increments: rotation vector, translation, log scale."""
@@ -135,13 +152,19 @@ def _largest_motion(step: FloatArray, points: FloatArray) -> float:
 
 
 def proportioned(
-    scan: ScanSurface, samples: SurfaceSamples, reference: FloatArray, options: FitOptions, meter: Meter
+    scan: ScanSurface,
+    samples: SurfaceSamples,
+    reference: FloatArray,
+    options: FitOptions,
+    meter: Meter,
+    landmarks: LandmarkPull | None = None,
 ) -> FloatArray:
     """Return control points (C, 3) whose face has the scan's proportions.
 
     Gauss-Newton, `proportion_iterations` steps, on a rigid motion and three splines of height (`_modes`),
     point to plane with the gates and robust weights of the forces, against a Gaussian prior on the splines.
-    `reference` (C, 3) are control points at rest, in the scan's frame and about of its size.
+    `reference` (C, 3) are control points at rest, in the scan's frame and about of its size; `landmarks` are
+    drawn to their targets as far as the splines allow.
     """
     modes, precision = _modes(reference)
     moves = np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1)
@@ -168,7 +191,14 @@ def proportioned(
         gap = np.einsum("ni,ni->n", forces.offset, forces.normal)
         prior = weight.sum() * NOISE_MM**2 / INDEPENDENT_SAMPLES * precision
         system = across.T @ (weight[:, None] * across) + prior
-        found = found + np.linalg.solve(system, across.T @ (weight * gap) - prior @ found)
+        right = across.T @ (weight * gap) - prior @ found
+        if landmarks is not None:
+            whole = np.stack([landmarks.matrix @ modes[:, axis] for axis in range(3)], axis=1)
+            offset = landmarks.offsets(reference + modes @ found)
+            pulled = landmarks.person_weight(offset)[:, None, None] * whole
+            system += np.einsum("lij,lik->jk", pulled, whole)
+            right += np.einsum("lij,li->j", pulled, offset)
+        found = found + np.linalg.solve(system, right)
     return reference + modes @ found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Protocol
 
@@ -16,8 +17,10 @@ from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.forces import ForceGates
+from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
+from scan2albedo.fitting.openings import openings
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -94,19 +97,47 @@ def fit(
     pose = _pose_of(reg)
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     surface = _scan_surface(scan, model, pose, chosen)
-    similarity = _refined(surface, model, chosen, meter, scan.name)
+    placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
+    pull = seen if placed is None else placed.with_more(seen)
+    similarity = _refined(surface, model, chosen, meter, pull, scan.name)
     # The scan comes to the model, which keeps its frame and its front, and takes the size.
     correction = invert_rigid(similarity.rigid(model.front))
     pose, surface = correction @ pose, surface.moved(correction)
+    pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
-        deformation = corners_pulled(mouth_opened(deformation))
+        deformation = corners_pulled(mouth_opened(deformation, pull))
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
-    reference = proportioned(surface, samples, deformation.reference, chosen, meter)
-    deformation = replace(deformation, reference=reference)
+    reference = proportioned(surface, samples, deformation.reference, chosen, meter, pull)
+    deformation = _following(pull, deformation, reference, scan.name)
     reached = run_stages(deformation)
     return fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+
+
+def _following(
+    landmarks: LandmarkPull | None, deformation: Deformation, reference: FloatArray, name: str
+) -> Deformation:
+    """Return the deformation that starts from `reference` bent to placed landmarks, and holds them.
+
+    Warns of landmarks that are left out.
+    """
+    if landmarks is None:
+        return replace(deformation, reference=reference)
+    believed, wrong = landmarks.without_wrong(deformation.model, reference)
+    if len(wrong):
+        listed = ", ".join(map(str, wrong))
+        warnings.warn(
+            f"{name}: {len(wrong)} of {len(landmarks.numbers)} landmarks (number {listed}) lie more than "
+            f"{WRONG_MM:.0f} mm from where the face and the others put them, and are left out: check their "
+            "numbers, frame and unit",
+            UserWarning,
+            stacklevel=3,
+        )
+    if believed is None:
+        return replace(deformation, reference=reference)
+    bent = believed.followed(deformation.model, reference)
+    return replace(deformation, reference=bent, landmarks=believed.held(bent, deformation.scan))
 
 
 def _pose_of(reg: Posed | FloatArray) -> FloatArray:
@@ -150,7 +181,12 @@ def _scan_surface(
 
 
 def _refined(
-    surface: ScanSurface, model: AnnotatedFaceModel, options: FitOptions, meter: Meter, name: str
+    surface: ScanSurface,
+    model: AnnotatedFaceModel,
+    options: FitOptions,
+    meter: Meter,
+    landmarks: LandmarkPull | None,
+    name: str,
 ) -> Similarity:
     samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
     # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
@@ -164,6 +200,7 @@ def _refined(
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,
+        landmarks=landmarks,
     )
     _require_contact(
         surface, samples, similarity.apply(samples.matrix @ model.control_vertices), options, name

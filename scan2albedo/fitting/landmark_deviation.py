@@ -15,10 +15,10 @@ _FEATURES_MM = {
     (0, 1): 8.0,
     (1, 16): 4.2,
     (16, 17): 8.0,
-    (17, 27): 1.6,
-    (27, 31): 1.1,
-    (31, 36): 0.9,
-    (36, 48): 1.5,
+    (17, 27): 2.2,
+    (27, 31): 1.9,
+    (31, 36): 1.1,
+    (36, 48): 2.0,
     (48, 68): 2.1,
 }
 """Deviation in mm along an axis by iBUG-68 numbers (begin, end): what `tools/bench_landmarks.py

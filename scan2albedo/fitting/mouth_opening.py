@@ -17,6 +17,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
+from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
@@ -45,22 +46,25 @@ TRIAL_GAIN = 0.25
 """An angle is tried when it gains this much as it is, and chosen when its coarse fit gains MIN_GAIN."""
 ABOUT = 0.07
 """Costs this much above the least are as good."""
+WITH_JAW, IN_PART = 0.7, 0.4
+"""Landmarks that follow the jaw by at least this much, and the middle of a hole between the lips that follows
+it by so much, show how far it is open; the corners of the mouth do not."""
 JAW_WEIGHT = 0.6
 """Samples that follow the jaw by at least this much measure its distance to the scan."""
 
 
-def mouth_opened(deformation: Deformation) -> Deformation:
+def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None) -> Deformation:
     """Return the deformation that starts from the mouth opened as far as the scan's.
 
-    Each candidate of `MouthSearch` runs through the first, stiffest stages; trials count as evaluations but
-    leave no rows in the trace.
+    Landmarks that the jaw moves show the angle. Without them each candidate of `MouthSearch` runs through the
+    first, stiffest stages; trials count as evaluations but leave no rows in the trace.
     """
     scan, meter = deformation.scan, deformation.meter
     if meter.exhausted:
         return deformation
-    search = MouthSearch.of(deformation.model, deformation.reference, scan, TRIAL_LEVEL)
+    search = MouthSearch.of(deformation.model, deformation.reference, scan, TRIAL_LEVEL, landmarks)
     if len(search.candidates) == 1:
-        return deformation
+        return replace(deformation, reference=search.candidates[0])
     reached = []
     for reference in search.candidates:
         if meter.exhausted:
@@ -140,8 +144,8 @@ class JawHinge:
 class MouthSearch:
     """Opened control points worth a trial, and their cost on the scan.
 
-    `candidates` are (C, 3) each, the first the mouth as it is; `weight` (N,) is the area of the samples that
-    the jaw moves, 0 elsewhere.
+    `candidates` are (C, 3) each, the first the mouth as it is, or one, as far open as landmarks show;
+    `weight` (N,) is the area of the samples that the jaw moves, 0 elsewhere.
     """
 
     candidates: tuple[FloatArray, ...]
@@ -150,9 +154,18 @@ class MouthSearch:
 
     @classmethod
     def of(
-        cls, model: AnnotatedFaceModel, control_points: FloatArray, scan: ScanSurface, level: int
+        cls,
+        model: AnnotatedFaceModel,
+        control_points: FloatArray,
+        scan: ScanSurface,
+        level: int,
+        landmarks: LandmarkPull | None = None,
     ) -> MouthSearch:
-        """Find the TRIALS angles that lie nearest to the scan before any fit; none without landmarks."""
+        """Find the TRIALS angles that lie nearest to the scan before any fit; none without a hinge.
+
+        Where there are `landmarks` that the jaw moves, it is the one angle that brings them nearest to their
+        targets, if the surface comes nearer to the scan with it as well.
+        """
         samples = SurfaceSamples.of(model, control_points, level)
         hinge = JawHinge.of(model, control_points)
         if hinge is None:
@@ -161,6 +174,11 @@ class MouthSearch:
         opened = [hinge.opened(control_points, angle) for angle in ANGLES_DEG]
         search = cls((control_points,), samples, jaw)
         costs = [search.cost(scan, points) for points in (control_points, *opened)]
+        shown = None if landmarks is None else _of_the_jaw(landmarks, hinge)
+        if shown is not None:
+            apart = [np.linalg.norm(shown.offsets(p), axis=1).mean() for p in (control_points, *opened)]
+            best = int(np.argmin(apart))
+            return cls(((control_points, *opened)[best if costs[best] < costs[0] else 0],), samples, jaw)
         nearest = np.argsort(costs[1:], kind="stable")[:TRIALS]
         worth = [opened[i] for i in sorted(nearest) if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
         return cls((control_points, *worth), samples, jaw)
@@ -183,6 +201,12 @@ class MouthSearch:
         if not costs.min() < (1 - MIN_GAIN) * costs[0]:
             return 0
         return int(np.argmax(costs <= (1 + ABOUT) * costs.min()))
+
+
+def _of_the_jaw(landmarks: LandmarkPull, hinge: JawHinge) -> LandmarkPull | None:
+    """Return the landmarks that show how far the jaw is open; None without any."""
+    shown = landmarks.matrix @ hinge.weight > np.where(landmarks.numbers < 0, IN_PART, WITH_JAW)
+    return landmarks.only(shown) if shown.any() else None
 
 
 def _harmonic(matrix: sparse.csr_matrix, fixed: BoolArray, one: BoolArray) -> FloatArray:

@@ -64,8 +64,8 @@ class FittedFace:
     """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
     """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
-    (``imbalance_mm``), and the RMS logarithm of how its edges were stretched (``strain``): for
-    result.json."""
+    (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), and how many holes of
+    the scan were taken for open eyes and mouth (``openings``): for result.json."""
     landmark_deviation_mm: FloatArray | None = None
     """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""
 
@@ -95,6 +95,7 @@ def fitted_face(
     )
     metrics = _metrics(vertices, residual, subdivision)
     metrics["imbalance_mm"] = imbalance_mm(deformation, reached.q)
+    metrics["openings"] = 0.0 if deformation.landmarks is None else float(deformation.landmarks.openings)
     metrics["strain"] = _strain(deformation.reference, control, model.control_faces)
     metrics["flipped_faces"] = float(len(deformation.folds.find(vertices)))
     if metrics["coverage"] < MIN_COVERAGE:
@@ -106,6 +107,10 @@ def fitted_face(
     _warn_of_strain(metrics["strain"], name)
     landmarks = model.landmarks_of(control)
     deviation = None if landmarks is None else landmark_deviation_mm(landmarks, vertices, residual)
+    if deviation is not None and (held := deformation.landmarks) is not None:
+        placed = held.numbers >= 0
+        numbers = held.numbers[placed]
+        deviation[numbers] = 1 / np.hypot(1 / deviation[numbers], 1 / held.sigma_mm[placed])
     return FittedFace(
         vertices=vertices,
         faces=subdivision.faces,

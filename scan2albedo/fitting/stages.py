@@ -14,6 +14,7 @@ from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.folds import FoldFinder, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
+from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -40,6 +41,7 @@ class Deformation:
     """The inputs that all stages share, in one frame.
 
     `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
+    `landmarks` hold points of the model on points of the scan.
     """
 
     model: AnnotatedFaceModel
@@ -47,6 +49,7 @@ class Deformation:
     scan: ScanSurface
     options: FitOptions
     meter: Meter
+    landmarks: LandmarkPull | None = None
     _sampled: dict[int, tuple[SurfaceSamples, sparse.csr_matrix]] = field(
         init=False, repr=False, default_factory=dict
     )
@@ -237,7 +240,11 @@ def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatAr
         if step % MUTUAL_EVERY == 0:
             mutual = forces.mutual(points, samples.area)
         force, stiffness = forces.springs(samples.area, mutual)
-        moved = system.step(state, samples.matrix.T @ force, samples.product(stiffness))
+        pull, product = samples.matrix.T @ force, samples.product(stiffness)
+        if deformation.landmarks is not None:
+            pull = pull + deformation.landmarks.force(reference + state.q)
+            product = deformation.landmarks.with_springs(product)
+        moved = system.step(state, pull, product)
         safe = guarded(
             reference + state.q,
             reference + moved.q,

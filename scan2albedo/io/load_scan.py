@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core.arguments import linear_doubt, require_type
 from scan2albedo.errors import ScanError, memory_errors_named
@@ -34,7 +35,12 @@ SUPPORTED_SCANS = tuple(_READERS)
 
 
 def load_scan(
-    path: str | Path, unit: str = "auto", *, name: str | None = None, textures: str | Path | None = None
+    path: str | Path,
+    unit: str = "auto",
+    *,
+    name: str | None = None,
+    textures: str | Path | None = None,
+    landmarks: Any = None,
 ) -> RawScan:
     """Return a scan from a file: harmless damage repaired, in millimetres and linear colour.
 
@@ -57,13 +63,32 @@ def load_scan(
     textures : path, optional
         Folder from which materials and textures may be read beside the scan's own; files elsewhere are not,
         whatever the scan names and wherever links lead.
+    landmarks : path, mapping or (68, 3) array_like, optional
+        Points that someone placed on the scan, any of the 68, in its file's frame and unit: a file
+        (`read_landmarks`), a folder that may hold one named after the scan, ``{number: (x, y, z)}``, or an
+        array with NaN.
     """
     from scan2albedo.io.units import millimetres_per_unit
 
     def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
         return millimetres_per_unit(mesh.vertices, components, unit, Path(path).name)
 
-    return load_scan_with(path, decide, name=name, textures=textures)
+    scan = load_scan_with(path, decide, name=name, textures=textures)
+    return scan if landmarks is None else with_landmarks(scan, landmarks, path)
+
+
+def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None) -> RawScan:
+    """Return a scan, of the file `path`, with landmarks as `load_scan` takes them.
+
+    A note says how many there are. Raises ScanError when they cannot be read.
+    """
+    from scan2albedo.io.placed_landmarks import landmarks_for
+
+    placed = landmarks_for(landmarks, path, scan.mm_per_unit)
+    if placed is None:
+        return replace(scan, notes=(*scan.notes, f"no landmarks of this scan in the folder {landmarks}"))
+    note = f"{int(placed.placed.sum())} landmarks given"
+    return replace(scan, landmarks=placed, notes=(*scan.notes, note))
 
 
 def load_scan_with(

@@ -90,12 +90,22 @@ class ProcessOptions:
         None, str | None, "Folder from which textures may be read beside the scan's own.", metavar="DIR"
     )
     """Folder from which materials and textures may be read beside the scan's own; see `load_scan`."""
+    landmarks: Any = _option(
+        None,
+        str | None,
+        "Landmarks placed by hand, any of 68: a CSV, JSON or MeshLab .pp file, or a folder with files named "
+        "after the scans.",
+        metavar="FILE",
+    )
+    """Points that someone placed on the scan, soft constraints of registration and fit; see `load_scan`."""
 
     def __post_init__(self) -> None:
         if self.model is None or isinstance(self.model, Path):
             object.__setattr__(self, "model", str(self.model or "default"))
         if isinstance(self.textures, Path):
             object.__setattr__(self, "textures", str(self.textures))
+        if isinstance(self.landmarks, Path):
+            object.__setattr__(self, "landmarks", str(self.landmarks))
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
@@ -148,6 +158,7 @@ class ProcessOptions:
         return {
             **{name: value for name, value in self.arguments().items() if name not in _RECORDED_OTHERWISE},
             "model": "none" if model is None else model.name,
+            "landmarks": self.landmarks if isinstance(self.landmarks, str | None) else "given",
             "size": self.texels,
             "quality": self.stages.name,
             "skip": sorted(set(self.skip)),

@@ -27,6 +27,7 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
+from scan2albedo.io.load_scan import with_landmarks
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
@@ -172,6 +173,9 @@ def _processed(
                 scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         else:
             scan = source if name is None else replace(source, name=name)
+        if options.landmarks is not None:
+            scan = with_landmarks(scan, options.landmarks, file)
+            scaled = None if scaled is None else replace(scaled, scan=scan)
         model = chosen_model(options.model)
     registration, fitted, estimate = None, None, None
     with _warnings_as_messages() as messages:

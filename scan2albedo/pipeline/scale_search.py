@@ -96,7 +96,7 @@ def _as_large_as_heads(scaled: ScaledScan, register: Register) -> RawScan | None
     scan = scaled.scan
     extent = largest_extent(scan.vertices, vertex_components(len(scan.vertices), scan.faces))
     for tried_mm in _EXTENTS_MM:
-        tried = replace(scan, vertices=scan.vertices * (tried_mm / extent))
+        tried = scan.scaled(tried_mm / extent)
         with warnings.catch_warnings(), suppress(RegistrationError):
             warnings.simplefilter("ignore")
             _, found = register(tried)
@@ -108,10 +108,5 @@ def _as_large_as_heads(scaled: ScaledScan, register: Register) -> RawScan | None
                     "the unit if you know it"
                 )
                 others = (n for n in scan.notes if not n.startswith("unit: "))
-                return replace(
-                    scan,
-                    vertices=scan.vertices * factor,
-                    notes=(note, *others),
-                    mm_per_unit=scan.mm_per_unit * factor,
-                )
+                return replace(scan.scaled(factor), notes=(note, *others))
     return None

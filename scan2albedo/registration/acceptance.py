@@ -196,11 +196,10 @@ def _cues_text(candidate: Candidate) -> str:
     )
     if found.relief.noise_mm > _TOLD_NOISE_MM:
         text += f" with {found.relief.noise_mm:.1f} mm of noise"
-    said = candidate.color_log_odds
-    if said:
-        text += (
-            f", its colours speak {'for' if said > 0 else 'against'} it by {abs(said):.1f} in the log odds"
-        )
+    for witness, said in (("colours", candidate.color_log_odds), ("landmarks", candidate.landmark_log_odds)):
+        if said:
+            side = "for" if said > 0 else "against"
+            text += f", its {witness} speak {side} it by {abs(said):.1f} in the log odds"
     unlike = np.exp(np.abs(found.proportions)).max()
     return text + (
         f", proportions of width, height and depth {unlike:.2f} times the model's"

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from types import ModuleType
 
 import numpy as np
@@ -20,6 +21,7 @@ from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.evidence import Evidence, evidence
 from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.placed_pose import PlacedPose
 from scan2albedo.registration.relief import FaceScores, normal_relief
 from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, robust_icp
 from scan2albedo.registration.scan_preparation import PreparedScan
@@ -53,13 +55,15 @@ class Candidate:
     evidence: Evidence | None = None
     color_log_odds: float | None = None
     """What the scan's colours say for this pose; None where they were not asked."""
+    landmark_log_odds: float = 0.0
+    """What landmarks that someone placed say for it."""
 
     @property
     def log_odds(self) -> float:
         """Of a face at this pose; -inf where it was not looked at."""
         if self.evidence is None:
             return -np.inf
-        odds = self.evidence.log_odds + (self.color_log_odds or 0.0)
+        odds = self.evidence.log_odds + (self.color_log_odds or 0.0) + self.landmark_log_odds
         return float(np.clip(odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
 
     @property
@@ -106,26 +110,28 @@ def ranked_candidates(
     scan: PreparedScan,
     template: Template,
     colors: Colors,
+    landmarks: PlacedPose | None,
     poses: Poses,
     options: RegistrationOptions,
     meter: Meter,
 ) -> tuple[Candidate, ...]:
     """Refine and rank candidates, batch by batch, until one is a face; best first.
 
-    After every batch the best of all so far are looked at closely (`Evidence`), and the scan's colours heard
-    when none is clearly a face.
+    The pose that landmarks show comes before all. After every batch the best of all so far are looked at
+    closely (`Evidence`), and the scan's colours heard when none is clearly a face.
     """
     target = ScanTarget(scan.samples)
     candidates: tuple[Candidate, ...] = ()
-    for batch in _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES):
+    placed = () if landmarks is None else (landmarks.start(),)
+    for batch in chain(placed, _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES)):
         candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
-        candidates = colors.heard(_with_evidence(scan, template, candidates, meter))
+        candidates = colors.heard(_with_evidence(scan, template, candidates, meter, landmarks))
         if meter.exhausted or candidates[0].convinces:
             return candidates
     # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
     for batch in _batches(scan, template, poses, 2 * options.candidates, 0):
         candidates = _with_refined(scan, None, template, batch, options, meter, candidates)
-        candidates = colors.heard(_with_evidence(scan, template, candidates, meter))
+        candidates = colors.heard(_with_evidence(scan, template, candidates, meter, landmarks))
         if meter.exhausted or candidates[0].convinces:
             return candidates
     return candidates
@@ -143,7 +149,11 @@ def every_candidate(
 
 
 def _with_evidence(
-    scan: PreparedScan, template: Template, candidates: tuple[Candidate, ...], meter: Meter
+    scan: PreparedScan,
+    template: Template,
+    candidates: tuple[Candidate, ...],
+    meter: Meter,
+    landmarks: PlacedPose | None = None,
 ) -> tuple[Candidate, ...]:
     """Look at the first `_LOOKED_AT` candidates that are apart from each other, those seen before among them.
 
@@ -158,7 +168,9 @@ def _with_evidence(
             continue
         if candidate.evidence is None:
             found = evidence(scan, template, candidate.pose, meter)
-            ranked[place] = candidate = replace(candidate, pose=found.pose, evidence=found)
+            said = 0.0 if landmarks is None else landmarks.log_odds(found.pose)
+            candidate = replace(candidate, pose=found.pose, evidence=found, landmark_log_odds=said)
+            ranked[place] = candidate
         looked.append(candidate)
         if candidate.convinces:
             break

@@ -16,6 +16,7 @@ from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.options import RegistrationOptions
+from scan2albedo.registration.placed_pose import PlacedPose
 from scan2albedo.registration.robust_icp import Note, rms_mm, tightened
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
@@ -97,7 +98,8 @@ def register(
     prepared = prepared_scan(scan, options)
     template = Template.of(model, options.model_spacing_mm, seed)
     poses = coarse_poses(prepared, template, options, meter, seed)
-    candidates = ranked_candidates(prepared, template, Colors(prepared, model), poses, options, meter)
+    colors, landmarks = Colors(prepared, model), PlacedPose.of(prepared, model)
+    candidates = ranked_candidates(prepared, template, colors, landmarks, poses, options, meter)
     acceptance = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]

@@ -18,8 +18,8 @@ def write(path, text):
 def test_a_table_with_options_and_columns_of_its_own(tmp_path):
     file = write(
         tmp_path / "list.csv",
-        "\ufeffScan;name;unit;lights;seed;Model;person; age of x \n"
-        "a/one.ply;Anna;cm;2;7;mine.obj;p 1 ; 4\n\n/far/two.OBJ;;;;;;p2\n",
+        "\ufeffScan;name;unit;lights;seed;Model;landmarks;person; age of x \n"
+        "a/one.ply;Anna;cm;2;7;mine.obj;one.pp;p 1 ; 4\n\n/far/two.OBJ;;;;;;;p2\n",
     )
     manifest = read_manifest(file)
     first, second = manifest.scans
@@ -32,6 +32,7 @@ def test_a_table_with_options_and_columns_of_its_own(tmp_path):
     own = first.options(batch, manifest.folder)
     assert (own.unit, own.lights, own.seed, own.size) == ("cm", 2, 7, 64)
     assert own.model == str(tmp_path / "mine.obj")
+    assert own.landmarks == str(tmp_path / "one.pp")
     assert second.options(batch, manifest.folder) == batch
 
 

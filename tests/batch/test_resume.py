@@ -69,6 +69,19 @@ def test_another_content_of_the_models_file_does_all_again(scans_in, tmp_path, n
     assert no_workers("a") == 2
 
 
+def test_other_landmarks_do_their_scan_again(scans_in, tmp_path, no_workers):
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    options = ProcessOptions(**(TINY.arguments() | {"landmarks": marks}))
+    for text in ("30,1,2,3\n", "30,1,2,3\n", "30,1,2,4\n"):
+        (marks / "a.csv").write_text(text)
+        run_batch(scans_in("a", "b"), tmp_path / "out", options=options, resume=True)
+    assert (no_workers("a"), no_workers("b")) == (2, 1)
+    one = ProcessOptions(**(TINY.arguments() | {"landmarks": marks / "a.csv"}))
+    with pytest.raises(ValueError, match="a folder with files named after the scans"):
+        run_batch(scans_in("a", "b"), tmp_path / "new", options=one)
+
+
 def test_a_batch_is_not_begun_over_another(scans_in, tmp_path, no_workers):
     run_batch(scans_in("a"), tmp_path / "out", options=TINY)
     with pytest.raises(BatchError, match="holds a batch already; give --resume"):

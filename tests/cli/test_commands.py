@@ -159,6 +159,12 @@ def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
+def test_one_file_of_landmarks_is_not_taken_for_several_scans(tmp_path):
+    answer = invoke("process", "a.obj", "b.obj", "-o", tmp_path, "--landmarks", tmp_path / "marks.csv")
+    assert answer.exit_code == 2
+    assert "folder with files" in answer.stderr
+
+
 def test_what_is_infinite_is_null_in_the_summary(capsys):
     echo_json({"light_distance_mm": float("inf"), "mean_mm": np.float64("nan"), "lights": np.int64(2)})
     assert json.loads(capsys.readouterr().out) == {"light_distance_mm": None, "mean_mm": None, "lights": 2}

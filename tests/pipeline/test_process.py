@@ -134,6 +134,24 @@ def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
     assert np.linalg.norm(10 * again.landmarks_scan - on_scan, axis=1)[17:].max() < 0.5
 
 
+def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(case, result, tmp_path):
+    scan, _ = case
+    write_obj(tmp_path / "face.obj", scan.vertices / 1000, scan.faces)
+    five = [36, 45, 30, 48, 54]
+    marks = result.landmarks_scan[five] / 1000
+    to_the_left = invert_rigid(result.fitted.model_from_scan)[:3, 0]
+    aside = marks + 0.003 * to_the_left
+    rows = "".join(f"{k},{x},{y},{z}\n" for k, (x, y, z) in zip(five, aside, strict=True))
+    (tmp_path / "marks.csv").write_text("number,x,y,z\n" + rows)
+    options = {"size": 32, "skip": ["albedo"], "landmarks": tmp_path / "marks.csv"}
+    found = s2a.process(tmp_path / "face.obj", **options)
+    moved = (found.landmarks_scan[five] - marks) @ to_the_left
+    assert 0.0015 < moved.mean() < 0.0035
+    assert "5 landmarks given" in found.notes
+    one = s2a.process(scan, **(options | {"landmarks": {30: marks[2] * 1000}}))
+    assert "1 landmarks given" in one.notes
+
+
 def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result, case):
     registration, model = result.registration, s2a.AnnotatedFaceModel.default()
     np.testing.assert_array_equal(registration.model_from_scan, result.fitted.model_from_scan)

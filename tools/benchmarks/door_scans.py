@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -12,9 +12,10 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.scan_files import face_data
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.template_cleaning import boundary_loops
-from scan2albedo.geometry.rigid import procrustes
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.synthetic import StereoScanOptions, StereoTruth, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.head import Mesh, grid_faces, hair_shell, join
 from scan2albedo.synthetic.stereo_features import SCRAPS
@@ -67,6 +68,24 @@ def light_stage_person(number: int, options: StereoScanOptions = StereoScanOptio
     scan, truth = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number, options=options)
     case = face_case(scan, truth, rest=head.rest)
     return Case(case.scan, (*case.kinds, *head.expressions), case.model_from_scan, case.landmarks)
+
+
+PLACED = (30, 36, 45, 48, 54)
+"""iBUG-68: tip of the nose, outer corners of the eyes, corners of the mouth."""
+WRONG_BY_MM = (15.0, 16.0, 12.0)
+_PLACING_MM = 2.0
+
+
+def with_landmarks(case: Case, seed: int, *, one_wrong: bool = False) -> Case:
+    """Return the case with five landmarks placed to 2 mm along each axis; the last may be 25 mm off."""
+    assert case.model_from_scan is not None
+    assert case.landmarks is not None
+    true = transform_points(invert_rigid(case.model_from_scan), case.landmarks)
+    points = np.full_like(true, np.nan)
+    noise = np.random.default_rng([seed, 5]).normal(scale=_PLACING_MM, size=(len(PLACED), 3))
+    points[list(PLACED)] = true[list(PLACED)] + noise
+    points[PLACED[-1]] += WRONG_BY_MM if one_wrong else 0.0
+    return replace(case, scan=replace(case.scan, landmarks=PlacedLandmarks.of(points)))
 
 
 def hard_person(number: int) -> Case:

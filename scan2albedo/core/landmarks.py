@@ -1,0 +1,95 @@
+"""`PlacedLandmarks`: points that someone placed on a scan, by their numbers among the 68."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import ScanError
+
+COUNT = 68
+"""Of iBUG-68, numbered from 0."""
+PLACED_SIGMA_MM = 1.5
+"""Standard deviation of a point of which nothing else is said: how well people repeat their own clicks."""
+
+
+@dataclass(frozen=True)
+class PlacedLandmarks:
+    """Landmarks on a scan, each with how sure it is; arrays are checked and copied.
+
+    Raises ScanError for wrong shapes, no point at all, points that are infinite or known in part, and
+    deviations that are not above 0.
+    """
+
+    points: FloatArray
+    """(68, 3): mm in the scan's frame, iBUG-68 order; NaN where none was placed."""
+    sigma_mm: FloatArray
+    """(68,): standard deviation along each axis."""
+
+    def __post_init__(self) -> None:
+        points, sigma_mm = np.array(self.points, np.float64), np.array(self.sigma_mm, np.float64)
+        if points.shape != (COUNT, 3) or sigma_mm.shape != (COUNT,):
+            raise ScanError(
+                f"landmarks have shape {points.shape} and deviations {sigma_mm.shape}, expected ({COUNT}, 3) "
+                f"and ({COUNT},); leave NaN where none was placed"
+            )
+        unknown = np.isnan(points)
+        partly = np.flatnonzero((unknown.any(1) & ~unknown.all(1)) | np.isinf(points).any(1))
+        if len(partly):
+            raise ScanError(
+                f"landmark {partly[0]} is {points[partly[0]].tolist()}, expected three finite coordinates"
+            )
+        if unknown.all():
+            raise ScanError("there is no landmark among the landmarks; give at least one, or leave them out")
+        if not (sigma_mm > 0).all() or not np.isfinite(sigma_mm).all():
+            raise ScanError("a landmark's standard deviation must be finite and above 0 mm")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "sigma_mm", sigma_mm)
+
+    @classmethod
+    def of(cls, given: Any, mm_per_unit: float = 1.0) -> PlacedLandmarks:
+        """Return landmarks given as {number: (3,)} or a (68, 3) array with NaN, in a scan's unit.
+
+        Raises ScanError for numbers that are none of the 68 and what `PlacedLandmarks` refuses, TypeError for
+        other objects.
+        """
+        if isinstance(given, PlacedLandmarks):
+            return given
+        sigma_mm = np.full(COUNT, PLACED_SIGMA_MM)
+        if not isinstance(given, Mapping):
+            if not isinstance(given, np.ndarray | list | tuple):
+                raise TypeError(
+                    f"landmarks are of type {type(given).__name__}, expected a file, "
+                    "{number: (x, y, z)} or a (68, 3) array"
+                )
+            try:
+                return cls(np.asarray(given, np.float64) * mm_per_unit, sigma_mm)
+            except (ValueError, TypeError) as error:
+                raise ScanError(f"landmarks are no (68, 3) array of numbers: {error}") from error
+        points = np.full((COUNT, 3), np.nan)
+        for number, point in given.items():
+            if not isinstance(number, Integral) or int(number) not in range(COUNT):
+                raise ScanError(f"there is no landmark {number!r}; iBUG-68 has numbers from 0 to {COUNT - 1}")
+            if np.shape(point) != (3,) or not all(isinstance(value, Real) for value in point):
+                raise ScanError(f"landmark {number} is {point!r}, expected three coordinates")
+            points[int(number)] = point
+        return cls(points * mm_per_unit, sigma_mm)
+
+    @property
+    def placed(self) -> BoolArray:
+        """(68,): which were placed."""
+        return ~np.isnan(self.points[:, 0])
+
+    def scaled(self, factor: float) -> PlacedLandmarks:
+        """Return the points of the scan made `factor` times as large."""
+        return replace(self, points=self.points * factor)
+
+    def without(self, numbers: BoolArray) -> PlacedLandmarks | None:
+        """Return all but those marked in `numbers` (68,); None when none is left."""
+        points = np.where(numbers[:, None], np.nan, self.points)
+        return None if np.isnan(points).all() else replace(self, points=points)

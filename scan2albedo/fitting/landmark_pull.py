@@ -1,0 +1,183 @@
+"""Landmarks that someone placed on a scan, as soft constraints of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy import sparse
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.landmarks import PlacedLandmarks
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import LANDMARK_LEVELS
+from scan2albedo.fitting.dynamics import Springs, factorized
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.mesh import vertex_areas
+from scan2albedo.geometry.operators import bending
+from scan2albedo.geometry.rigid import transform_points
+
+WRONG_MM = 15.0
+"""A landmark this far from where the scan's shape and the other landmarks put it is left out."""
+STILL = (*range(17, 48),)
+"""iBUG-68: brows, nose and eyes, which no expression moves far."""
+_AREA_MM2 = 300.0
+"""Surface that pulls along its normal as strongly as a landmark of 1 mm standard deviation does."""
+_FIRST_AREA_MM2 = 1200.0
+"""The same while pose, size and proportions are found: more draws them off the surface."""
+_HOLDING_MM2 = 30.0
+"""The same of one that is held where it was bent to: more draws the surface off the scan."""
+_ONTO_SCAN_MM = 5.0
+_PERSON_MM = 4.0
+"""Standard deviation of where shape alone puts a landmark."""
+_ALIKE_MM = 20.0
+"""Neighbouring points of the face are misplaced alike up to about this distance."""
+
+
+@dataclass(frozen=True)
+class LandmarkPull:
+    """Points of the model that shall lie on points of the scan.
+
+    `numbers` (L,) are those of iBUG-68, -1 for what the scan itself shows; `matrix` (L, C) gives the model's
+    points from control points, `targets` (L, 3) are the scan's in mm, `sigma_mm` (L,) their standard
+    deviations; `axes` (L, 3) are 1 along those that they are known along, else 0. One `wrong_mm` (L,) from
+    where it is expected is not believed. Those that are `still` (L,) whatever the face expresses count while
+    pose, size and proportions are found.
+    """
+
+    numbers: IntArray
+    matrix: sparse.csr_matrix
+    targets: FloatArray
+    sigma_mm: FloatArray
+    wrong_mm: FloatArray
+    axes: FloatArray
+    still: BoolArray
+
+    @classmethod
+    def of(
+        cls, model: AnnotatedFaceModel, placed: PlacedLandmarks | None, frame_from_scan: FloatArray
+    ) -> LandmarkPull | None:
+        """Return the pull of placed landmarks, moved into a frame; None without any on scan or model."""
+        if placed is None or model.landmark_points is None:
+            return None
+        numbers = np.flatnonzero(placed.placed)
+        matrix = model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)[numbers]
+        targets = transform_points(frame_from_scan, placed.points[numbers])
+        ones = np.ones(len(numbers))
+        return cls(
+            numbers,
+            matrix,
+            targets,
+            sigma_mm=placed.sigma_mm[numbers],
+            wrong_mm=WRONG_MM * ones,
+            axes=ones[:, None] * np.ones(3),
+            still=np.isin(numbers, STILL),
+        )
+
+    def with_more(self, other: LandmarkPull | None) -> LandmarkPull:
+        """Return the pull to both their targets."""
+        if other is None:
+            return self
+        return LandmarkPull(
+            numbers=np.concatenate([self.numbers, other.numbers]),
+            matrix=sparse.vstack([self.matrix, other.matrix]).tocsr(),
+            targets=np.concatenate([self.targets, other.targets]),
+            sigma_mm=np.concatenate([self.sigma_mm, other.sigma_mm]),
+            wrong_mm=np.concatenate([self.wrong_mm, other.wrong_mm]),
+            axes=np.concatenate([self.axes, other.axes]),
+            still=np.concatenate([self.still, other.still]),
+        )
+
+    @property
+    def openings(self) -> int:
+        """How many holes of the scan there are among the targets: each has a middle and two ends."""
+        return int((self.numbers < 0).sum()) // 3
+
+    def moved(self, transform: FloatArray) -> LandmarkPull:
+        """Return the pull to the targets moved by a (4, 4) transform."""
+        return replace(self, targets=transform_points(transform, self.targets))
+
+    def offsets(self, control_points: FloatArray) -> FloatArray:
+        """Return (L, 3) from the model's points to the targets."""
+        return self.axes * (self.targets - self.matrix @ control_points)
+
+    def person_weight(self, offset: FloatArray) -> FloatArray:
+        """Return (L,) mm2 of surface that each counts for while the model has no person's shape yet.
+
+        One far off, at `offset` (L, 3), loses its weight; those that expressions move have none.
+        """
+        variance = _PERSON_MM**2 + self.sigma_mm**2
+        far = np.sum(offset**2, axis=1) / self.wrong_mm**2
+        weight = _FIRST_AREA_MM2 * _PERSON_MM**2 / variance / (1 + far) ** 2
+        return np.where(self.still, weight, 0.0)
+
+    def without_wrong(
+        self, model: AnnotatedFaceModel, control_points: FloatArray
+    ) -> tuple[LandmarkPull | None, IntArray]:
+        """Return those that agree with each other and the shape, and the numbers of the others.
+
+        One at a time, the worst first, is left out while it is `wrong_mm` from where the others, smoothly
+        followed, put it.
+        """
+        kept, wrong = self, list[int]()
+        while True:
+            solve, spread = kept._smoother(model, control_points)
+            offset = kept.offsets(control_points)
+            influence = kept.matrix @ solve(spread.toarray())
+            alone = (offset - influence @ offset) / (1 - np.diag(influence))[:, None]
+            distance = np.linalg.norm(alone, axis=1) / kept.wrong_mm
+            worst = int(np.argmax(distance))
+            if distance[worst] < 1:
+                return kept, np.array(sorted(wrong), np.int64)
+            wrong.append(int(kept.numbers[worst]))
+            if len(kept.numbers) == 1:
+                return None, np.array(sorted(wrong), np.int64)
+            kept = kept.only(np.arange(len(kept.numbers)) != worst)
+
+    def only(self, used: BoolArray) -> LandmarkPull:
+        """Return the pull of some of the landmarks (L,)."""
+        return LandmarkPull(*(getattr(self, part.name)[used] for part in fields(self)))
+
+    def followed(self, model: AnnotatedFaceModel, control_points: FloatArray) -> FloatArray:
+        """Return the control points (C, 3), bent smoothly so that the landmarks come near their targets.
+
+        The displacement u of least sum |B u - d|^2 / sigma^2 + int m |u|^2 + D |laplacian u|^2: what is
+        expected where it deviates by _PERSON_MM, over _ALIKE_MM alike.
+        """
+        solve, spread = self._smoother(model, control_points)
+        return np.asarray(control_points + solve(spread @ self.offsets(control_points)))
+
+    def held(self, control_points: FloatArray, scan: ScanSurface) -> LandmarkPull:
+        """Return the pull that holds landmarks where they are now along the scan, but lays them onto it."""
+        points = self.matrix @ control_points
+        hits = scan.nearest.query(points)
+        # What the scan itself shows are holes: nothing to lay it on.
+        near = (hits.distance < _ONTO_SCAN_MM) & ~scan.on_boundary(hits) & (self.numbers >= 0)
+        return replace(self, targets=np.where(near[:, None], hits.points, points))
+
+    def force(self, control_points: FloatArray) -> FloatArray:
+        """Return (C, 3) forces on control points toward the targets."""
+        return np.asarray(self.matrix.T @ (self._springs[:, None] * self.offsets(control_points)))
+
+    def with_springs(self, product: Springs) -> Springs:
+        """Return x -> H x with the stiffness of these springs added."""
+        springs = self._springs[:, None] * self.axes
+        return lambda x: product(x) + self.matrix.T @ (springs * (self.matrix @ x))
+
+    @property
+    def _springs(self) -> FloatArray:
+        return _HOLDING_MM2 / self.sigma_mm**2
+
+    def _smoother(
+        self, model: AnnotatedFaceModel, control_points: FloatArray
+    ) -> tuple[Springs, sparse.csr_matrix]:
+        """Return the solver of the system, and (C, L) what takes offsets to its right-hand side."""
+        faces = model.control_faces
+        # A point load on a plate of stiffness D on a foundation m meets 8 sqrt(D m), and dents it over
+        # (D / m)^(1/4).
+        product = _AREA_MM2 / _PERSON_MM**2 / 8
+        plate, foundation = product * _ALIKE_MM**2, product / _ALIKE_MM**2
+        area = np.maximum(vertex_areas(control_points, faces), 1e-6)
+        spread = (self.matrix.T @ sparse.diags(_AREA_MM2 / self.sigma_mm**2)).tocsr()
+        smooth = plate * bending(control_points, faces, np.ones(len(faces)))
+        return factorized(smooth + foundation * sparse.diags(area) + spread @ self.matrix), spread

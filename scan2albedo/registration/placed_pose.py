@@ -1,0 +1,98 @@
+"""Poses by landmarks that someone placed: where to look first, and what they say for a pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.geometry.rigid import Similarity, procrustes, transform_points
+from scan2albedo.registration.coarse_search import Poses
+from scan2albedo.registration.scan_preparation import PreparedScan
+
+_TRIPLES = 200
+_LEAST_AREA_MM2 = 300.0
+"""Of a triangle of landmarks that shows a pose: nearly straight ones leave a turn open."""
+_PERSON_MM = 6.0
+"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size."""
+_ELSEWHERE_MM = 40.0
+"""The same of a point that has nothing to do with the landmark, but lies on the face."""
+_WRONG = 0.1
+"""Part of landmarks that are taken to be wrong."""
+_FREEDOM = 7
+"""Numbers of a pose with its size: so many coordinates agree with any landmarks."""
+_SCALES = (0.6, 1.6)
+_REFITS = 4
+
+
+@dataclass(frozen=True)
+class PlacedPose:
+    """At least three landmarks in no line: of the model in its frame, and of the prepared scan, (L, 3) mm."""
+
+    of_model: FloatArray
+    of_scan: FloatArray
+
+    @classmethod
+    def of(cls, scan: PreparedScan, model: AnnotatedFaceModel) -> PlacedPose | None:
+        """Return the landmarks of a scan; None where they are too few to show a pose."""
+        placed, of_model = scan.raw.landmarks, model.landmarks
+        if placed is None or of_model is None:
+            return None
+        used = placed.placed
+        found = cls(of_model[used], transform_points(scan.prepared_from_scan, placed.points[used]))
+        return found if len(found.triples()) else None
+
+    def triples(self) -> list[tuple[int, int, int]]:
+        """Return at most 200 triples that span a triangle, the same ones each time."""
+        every = [t for t in combinations(range(len(self.of_model)), 3) if self._area_mm2(t) > _LEAST_AREA_MM2]
+        if len(every) <= _TRIPLES:
+            return every
+        return [every[i] for i in np.random.default_rng(0).choice(len(every), _TRIPLES, replace=False)]
+
+    def start(self) -> Poses:
+        """Return the pose, one, with which most landmarks agree whatever the others say."""
+        best = min((self._by(list(triple)) for triple in self.triples()), key=self._loss)
+        for _ in range(_REFITS):
+            weight = 1 / (1 + self._squared(best)) ** 2
+            refitted = self._similarity(np.sqrt(weight))
+            if self._loss(refitted) >= self._loss(best):
+                break
+            best = refitted
+        rigid = best.rigid(self.of_model.mean(0))
+        return Poses(rigid[None, :3, :3], rigid[None, :3, 3])
+
+    def log_odds(self, scan_from_model: Similarity) -> float:
+        """Return what the landmarks say for a pose: how much likelier they are than points anywhere."""
+        ratio = (_ELSEWHERE_MM / _PERSON_MM) ** 3 * np.exp(-0.5 * self._squared(scan_from_model))
+        said = np.log(_WRONG + (1 - _WRONG) * ratio)
+        coordinates = 3 * len(said)
+        free = max(coordinates - _FREEDOM, 0) / coordinates
+        return float(said.sum() * np.where(said.sum() > 0, free, 1.0))
+
+    def _area_mm2(self, triple: tuple[int, int, int]) -> float:
+        areas = []
+        for points in (self.of_model, self.of_scan):
+            a, b, c = points[list(triple)]
+            areas.append(0.5 * float(np.linalg.norm(np.cross(b - a, c - a))))
+        return min(areas)
+
+    def _by(self, triple: list[int]) -> Similarity:
+        weight = np.zeros(len(self.of_model))
+        weight[triple] = 1.0
+        return self._similarity(weight)
+
+    def _similarity(self, weight: FloatArray) -> Similarity:
+        matrix = procrustes(self.of_model, self.of_scan, weights=weight, scale=True)
+        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+        return Similarity(matrix[:3, :3] / scale, matrix[:3, 3], scale)
+
+    def _squared(self, pose: Similarity) -> FloatArray:
+        return np.sum((pose.apply(self.of_model) - self.of_scan) ** 2, axis=1) / _PERSON_MM**2
+
+    def _loss(self, pose: Similarity) -> float:
+        low, high = _SCALES
+        squared = self._squared(pose)
+        return float(np.sum(squared / (1 + squared))) + (0.0 if low < pose.scale < high else len(squared))

@@ -1,0 +1,92 @@
+"""Placed landmarks draw the fit along the face, and a wrong one is found and told."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo import RawScan, fit
+from scan2albedo.core.landmarks import PlacedLandmarks
+from scan2albedo.fitting.landmark_pull import LandmarkPull
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.synthetic.face_shape import person
+
+FIVE = [36, 45, 30, 48, 54]
+INNER = np.arange(17, 68)
+
+
+@pytest.fixture(scope="module")
+def case(model):
+    """A person whose features all lie 4 mm beside where shape shows them, as if drawn on the skin."""
+    control = person(model, np.random.default_rng(5))
+    vertices, faces = model.subdivision(2).matrix @ control, model.subdivision(2).faces
+    beside = model.landmarks_of(control) + (4.0, 0.0, 0.0)
+    return RawScan(vertices, faces), ClosestPointQuery(vertices, faces).query(beside).points
+
+
+def points(true, numbers, noise_mm=0.0):
+    chosen = np.full((68, 3), np.nan)
+    chosen[numbers] = true[numbers] + np.random.default_rng(1).normal(scale=noise_mm, size=(len(numbers), 3))
+    return chosen
+
+
+def fitted(case, model, marks=None):
+    """Return the fit, the errors of its landmarks and what it warned of."""
+    scan, true = case
+    placed = None if marks is None else PlacedLandmarks.of(marks)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        face = fit(replace(scan, landmarks=placed), model, np.eye(4))
+    turned = true @ face.model_from_scan[:3, :3].T + face.model_from_scan[:3, 3]
+    error = np.linalg.norm(face.landmarks - turned, axis=1)
+    return face, error, [str(one.message) for one in caught]
+
+
+def test_landmarks_are_followed_and_the_surface_stays_on_the_scan(case, model):
+    free, before, _ = fitted(case, model)
+    face, error, told = fitted(case, model, points(case[1], INNER, 0.5))
+    assert told == []
+    assert before[INNER].mean() > 3
+    assert error[INNER].mean() < 1
+    assert np.nanmean(face.residual_mm) < np.nanmean(free.residual_mm) + 0.05
+    assert (face.landmark_deviation_mm[INNER] < free.landmark_deviation_mm[INNER]).all()
+    assert (face.landmark_deviation_mm[:17] > 4).all()
+
+
+def test_one_of_five_that_is_25_mm_off_is_told_and_does_no_harm(case, model):
+    marks = points(case[1], FIVE, 1.0)
+    without = marks.copy()
+    without[54] = np.nan
+    marks[54] += (15, 16, 12)
+    _, error, told = fitted(case, model, marks)
+    assert len(told) == 1
+    assert "1 of 5 landmarks (number 54) lie more than 15 mm" in told[0]
+    _, alone, _ = fitted(case, model, without)
+    assert error[INNER].mean() < alone[INNER].mean() + 0.1
+
+
+def test_landmarks_in_another_unit_are_all_left_out(case, model):
+    free, _, _ = fitted(case, model)
+    face, _, told = fitted(case, model, 10 * points(case[1], FIVE))
+    assert "5 of 5 landmarks" in told[0]
+    assert np.abs(face.vertices - free.vertices).max() < 1.0
+
+
+def test_a_lone_landmark_moves_its_surroundings_alone(model):
+    control = model.control_vertices
+    marks = np.full((68, 3), np.nan)
+    marks[48] = model.landmarks[48] + (0, 4, 0)
+    pull = LandmarkPull.of(model, PlacedLandmarks.of(marks), np.eye(4))
+    believed, wrong = pull.without_wrong(model, control)
+    assert len(wrong) == 0
+    moved = model.landmarks_of(believed.followed(model, control)) - model.landmarks
+    assert 2.5 < moved[48, 1] < 4
+    assert np.abs(moved[[19, 24, 27, 36, 45]]).max() < 0.4
+
+
+def test_models_without_landmarks_leave_them_aside(case, model):
+    assert (
+        LandmarkPull.of(replace(model, landmark_points=None), PlacedLandmarks.of({30: (0, 0, 0)}), np.eye(4))
+        is None
+    )
