@@ -97,7 +97,7 @@ def _drawn(landmarks: LandmarkPull | None, points: FloatArray) -> tuple[FloatArr
     """Return the model's landmarks (L, 3) as given, their offsets (L, 3) to the targets and weights (L,)."""
     if landmarks is None:
         return points, points, np.empty(0)
-    offset = landmarks.axes * (landmarks.targets - points)
+    offset = landmarks.seen_offsets(points)
     return points, offset, landmarks.person_weight(offset)
 
 

@@ -99,7 +99,11 @@ class LandmarkPull:
 
     def offsets(self, control_points: FloatArray) -> FloatArray:
         """Return (L, 3) from the model's points to the targets."""
-        return self.axes * (self.targets - self.matrix @ control_points)
+        return self.seen_offsets(self.matrix @ control_points)
+
+    def seen_offsets(self, points: FloatArray) -> FloatArray:
+        """Return (L, 3) from the model's landmarks (L, 3), wherever they are, to the targets."""
+        return self.axes * (self.targets - points)
 
     def person_weight(self, offset: FloatArray) -> FloatArray:
         """Return (L,) mm2 of surface that each counts for while the model has no person's shape yet.

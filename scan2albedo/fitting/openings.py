@@ -26,11 +26,11 @@ _MOUTH_MM = ((20.0, 75.0), (4.0, 50.0))
 """Width and height of holes that may be an opening, with what a scanner loses around it."""
 _APART_MM = (50.0, 78.0)
 """Between the middles of people's eyes."""
-_LEVEL_MM = 6.0
-_ALIKE = 1.6
-"""One eye's hole is at most so much wider than the other's."""
-_ASIDE_MM = 7.0
-"""A mouth's hole has its middle this near to the model's midline."""
+_LEVEL_MM = 5.0
+_ALIKE = (1.3, 1.8)
+"""One eye's hole is at most so much wider and higher than the other's: else more is missing than an eye."""
+_ASIDE_MM = 4.0
+"""The middle between both eyes, or between a mouth's ends, is this near to the model's midline."""
 _MIDDLE_MM, _END_MM = 1.5, 3.0
 """Standard deviations of the middle of a hole and its ends from those of the opening."""
 
@@ -58,6 +58,11 @@ class _Hole:
         """Whether width and height lie in their ranges."""
         (least, most), (lowest, highest) = size
         return least < self.width_mm < most and lowest < self.height_mm < highest
+
+    def is_as_large(self, width_mm: float, height_mm: float) -> bool:
+        """Whether another's width and height differ from these by no more than those of two eyes."""
+        sizes = ((self.width_mm, width_mm), (self.height_mm, height_mm))
+        return all(max(pair) < ratio * min(pair) for pair, ratio in zip(sizes, _ALIKE, strict=True))
 
     def distance_mm(self, point: FloatArray) -> float:
         """Return how far the middle is from a point."""
@@ -101,8 +106,8 @@ def openings(scan: ScanSurface, model: AnnotatedFaceModel) -> LandmarkPull | Non
         targets=targets,
         sigma_mm=sigma_mm,
         wrong_mm=np.full(len(targets), 2 * _REACH_MM),
-        # The border of a mouth's hole may lie deep between the lips.
-        axes=np.where(is_eye[:, None], 1.0, (1.0, 1.0, 0.0)),
+        # The border of a hole may lie deep between lids or lips.
+        axes=np.ones((len(targets), 3)) * (1.0, 1.0, 0.0),
         still=is_eye,
     )
 
@@ -110,7 +115,11 @@ def openings(scan: ScanSurface, model: AnnotatedFaceModel) -> LandmarkPull | Non
 def _eyes(holes: list[_Hole], landmarks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, float]]:
     middles = [landmarks[list(eye)].mean(0) for eye in EYES]
     near = [[h for h in holes if h.has_size(_EYE_MM) and h.distance_mm(m) < _REACH_MM] for m in middles]
-    pairs = [(right, left) for right, left in product(*near) if _are_eyes(right, left)]
+    pairs = [
+        (right, left)
+        for right, left in product(*near)
+        if _are_eyes(right, left, float(np.mean(middles, axis=0)[0]))
+    ]
     if not pairs:
         return
     best = min(pairs, key=lambda pair: sum(h.distance_mm(m) for h, m in zip(pair, middles, strict=True)))
@@ -118,10 +127,13 @@ def _eyes(holes: list[_Hole], landmarks: FloatArray) -> Iterator[tuple[FloatArra
         yield from hole.rows(eye, (eye[0], eye[3]))
 
 
-def _are_eyes(right: _Hole, left: _Hole) -> bool:
+def _are_eyes(right: _Hole, left: _Hole, aside_mm: float) -> bool:
     apart, up, _ = left.middle - right.middle
-    wider, narrower = max(right.width_mm, left.width_mm), min(right.width_mm, left.width_mm)
-    return bool(_APART_MM[0] < apart < _APART_MM[1] and abs(up) < _LEVEL_MM and wider < _ALIKE * narrower)
+    alike = right.is_as_large(left.width_mm, left.height_mm)
+    middle = (right.middle + left.middle)[0] / 2 - aside_mm
+    return bool(
+        _APART_MM[0] < apart < _APART_MM[1] and abs(up) < _LEVEL_MM and alike and abs(middle) < _ASIDE_MM
+    )
 
 
 def _mouth(holes: list[_Hole], landmarks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, float]]:
@@ -131,7 +143,8 @@ def _mouth(holes: list[_Hole], landmarks: FloatArray) -> Iterator[tuple[FloatArr
         for hole in holes
         if hole.has_size(_MOUTH_MM)
         and hole.distance_mm(middle) < _REACH_MM
-        and abs(hole.middle[0] - middle[0]) < _ASIDE_MM
+        and abs(hole.ends[:, 0].mean() - middle[0]) < _ASIDE_MM
+        and abs(hole.ends[1, 1] - hole.ends[0, 1]) < _LEVEL_MM
     ]
     if found:
         widest = max(found, key=lambda hole: hole.width_mm)

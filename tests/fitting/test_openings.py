@@ -39,6 +39,7 @@ def test_a_pair_of_eyes_pulls_lids_to_their_holes(model, middles):
     found = openings(surface, model)
     assert len(found.targets) == 6
     assert found.still.all()
+    assert (found.axes == (1, 1, 0)).all()
     np.testing.assert_allclose(found.targets[[0, 3], :2], np.array(middles)[:2, :2] + beside[:2], atol=1.5)
     np.testing.assert_allclose(found.matrix @ model.control_vertices[:], _points(model), atol=1e-6)
     ends = found.targets[[1, 2, 4, 5], 0] - np.repeat(found.targets[[0, 3], 0], 2)
@@ -65,6 +66,7 @@ def test_other_holes_say_nothing(model, middles):
         [(right, 13.0, 5.0)],  # one eye
         [(right, 13.0, 5.0), (left + [0, 9, 0], 13.0, 5.0)],  # one far higher
         [(right, 13.0, 5.0), (left, 3.0, 3.0)],  # one far smaller
+        [(right, 13.0, 5.0), (left, 13.0, 10.0)],  # more than an eye is missing
         [(right, 25.0, 16.0), (left, 25.0, 16.0)],  # the strips that glasses leave
         [(mouth + [14, 0, 0], 14.0, 8.0)],  # a corner of the mouth
         [(mouth, 5.0, 5.0)],
