@@ -12,6 +12,8 @@ import numpy as np
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ScanError
 
+LARGEST_COORDINATE = 1e30
+"""Beyond it squared areas overflow; only garbage is that large."""
 COUNT = 68
 """Of iBUG-68, numbered from 0."""
 PLACED_SIGMA_MM = 1.5
@@ -38,8 +40,8 @@ class PlacedLandmarks:
                 f"landmarks have shape {points.shape} and deviations {sigma_mm.shape}, expected ({COUNT}, 3) "
                 f"and ({COUNT},); leave NaN where none was placed"
             )
-        unknown = np.isnan(points)
-        partly = np.flatnonzero((unknown.any(1) & ~unknown.all(1)) | np.isinf(points).any(1))
+        unknown, absurd = np.isnan(points), np.abs(points) > LARGEST_COORDINATE
+        partly = np.flatnonzero((unknown.any(1) & ~unknown.all(1)) | absurd.any(1))
         if len(partly):
             raise ScanError(
                 f"landmark {partly[0]} is {points[partly[0]].tolist()}, expected three finite coordinates"

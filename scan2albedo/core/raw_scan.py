@@ -12,11 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arguments import linear_doubt, require_linear
-from scan2albedo.core.landmarks import PlacedLandmarks
+from scan2albedo.core.landmarks import LARGEST_COORDINATE, PlacedLandmarks
 from scan2albedo.errors import ScanError, printable
-
-LARGEST_COORDINATE = 1e30
-"""Beyond it squared areas overflow; only garbage is that large."""
 
 _LARGEST_UV = 1e12
 LONGEST_NAME = 200

@@ -124,11 +124,12 @@ def _following(
     """
     if landmarks is None:
         return replace(deformation, reference=reference)
-    believed, wrong = landmarks.without_wrong(deformation.model, reference)
-    if len(wrong):
+    believed, left_out = landmarks.without_wrong(deformation.model, reference)
+    if wrong := [number for number in left_out.tolist() if number >= 0]:
+        placed = int((landmarks.numbers >= 0).sum())
         listed = ", ".join(map(str, wrong))
         warnings.warn(
-            f"{name}: {len(wrong)} of {len(landmarks.numbers)} landmarks (number {listed}) lie more than "
+            f"{name}: {len(wrong)} of {placed} landmarks (number {listed}) lie more than "
             f"{WRONG_MM:.0f} mm from where the face and the others put them, and are left out: check their "
             "numbers, frame and unit",
             UserWarning,

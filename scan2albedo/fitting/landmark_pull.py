@@ -1,4 +1,4 @@
-"""Landmarks that someone placed on a scan, as soft constraints of the fit."""
+"""Points of the model that shall lie on points of the scan: soft constraints of the fit."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ _FIRST_AREA_MM2 = 1200.0
 _HOLDING_MM2 = 30.0
 """The same of one that is held where it was bent to: more draws the surface off the scan."""
 _ONTO_SCAN_MM = 5.0
+_SUREST_MM = 0.1
+"""No point is surer, whatever is said of it: no scan is finer."""
 _PERSON_MM = 4.0
 """Standard deviation of where shape alone puts a landmark."""
 _ALIKE_MM = 20.0
@@ -68,7 +70,7 @@ class LandmarkPull:
             numbers,
             matrix,
             targets,
-            sigma_mm=placed.sigma_mm[numbers],
+            sigma_mm=np.maximum(placed.sigma_mm[numbers], _SUREST_MM),
             wrong_mm=WRONG_MM * ones,
             axes=ones[:, None] * np.ones(3),
             still=np.isin(numbers, STILL),

@@ -24,6 +24,7 @@ _WRONG = 0.1
 """Part of landmarks that are taken to be wrong."""
 _FREEDOM = 7
 """Numbers of a pose with its size: so many coordinates agree with any landmarks."""
+_MOST_AGAINST = -2.0
 _SCALES = (0.6, 1.6)
 _REFITS = 4
 
@@ -65,12 +66,14 @@ class PlacedPose:
         return Poses(rigid[None, :3, :3], rigid[None, :3, 3])
 
     def log_odds(self, scan_from_model: Similarity) -> float:
-        """Return what the landmarks say for a pose: how much likelier they are than points anywhere."""
+        """Return what the landmarks say for a pose: how much likelier they are than points anywhere.
+
+        What they say against one is capped: another scan's landmarks must not refuse a face.
+        """
         ratio = (_ELSEWHERE_MM / _PERSON_MM) ** 3 * np.exp(-0.5 * self._squared(scan_from_model))
-        said = np.log(_WRONG + (1 - _WRONG) * ratio)
-        coordinates = 3 * len(said)
-        free = max(coordinates - _FREEDOM, 0) / coordinates
-        return float(said.sum() * np.where(said.sum() > 0, free, 1.0))
+        said = float(np.log(_WRONG + (1 - _WRONG) * ratio).sum())
+        coordinates = self.of_model.size
+        return max(said * max(coordinates - _FREEDOM, 0) / coordinates, _MOST_AGAINST)
 
     def _area_mm2(self, triple: tuple[int, int, int]) -> float:
         areas = []

@@ -43,6 +43,7 @@ def test_they_grow_with_their_scan():
         ({36: "abc"}, "landmark 36 is 'abc'"),
         ({}, "no landmark among"),
         (some(36, (np.inf, 0, 0)), "landmark 36 is .*inf"),
+        (some(36, (1e200, 0, 0)), "landmark 36 is .*1e.200"),
         (some(36, (np.nan, 0, 0)), "landmark 36 is .*nan"),
         (np.zeros((5, 3)), r"shape \(5, 3\)"),
         ([[1, 2], [3]], r"no \(68, 3\) array"),

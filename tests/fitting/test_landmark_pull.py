@@ -90,3 +90,16 @@ def test_models_without_landmarks_leave_them_aside(case, model):
         LandmarkPull.of(replace(model, landmark_points=None), PlacedLandmarks.of({30: (0, 0, 0)}), np.eye(4))
         is None
     )
+
+
+@pytest.mark.parametrize("sigma_mm", [1e-12, 1e12])
+def test_points_that_are_said_to_be_perfect_or_worthless_break_nothing(case, model, sigma_mm):
+    scan, true = case
+    free, before, _ = fitted(case, model)
+    marks = PlacedLandmarks(points(true, FIVE), np.full(68, sigma_mm))
+    face = fit(replace(scan, landmarks=marks), model, np.eye(4))
+    assert np.isfinite(face.vertices).all()
+    assert np.nanmean(face.residual_mm) < np.nanmean(free.residual_mm) + 0.1
+    turned = true @ face.model_from_scan[:3, :3].T + face.model_from_scan[:3, 3]
+    error = np.linalg.norm(face.landmarks - turned, axis=1)[FIVE].mean()
+    assert error < 1 if sigma_mm < 1 else error == pytest.approx(before[FIVE].mean(), abs=0.3)
