@@ -55,7 +55,8 @@ def corners_pulled(deformation: Deformation) -> Deformation:
         if meter.exhausted:
             return deformation
         reached[mm] = coarsely_fitted(deformation, corners.pulled(reference, (mm, mm)))
-    return replace(deformation, reference=corners.pulled(reference, mouth.chosen(reached)))
+    pull = mouth.chosen(reached)
+    return replace(deformation, reference=corners.pulled(reference, pull), corners_mm=pull)
 
 
 @dataclass(frozen=True)

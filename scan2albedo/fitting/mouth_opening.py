@@ -64,13 +64,13 @@ def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None
         return deformation
     search = MouthSearch.of(deformation.model, deformation.reference, scan, TRIAL_LEVEL, landmarks)
     if len(search.candidates) == 1:
-        return replace(deformation, reference=search.candidates[0])
+        return search.chosen(deformation, 0)
     reached = []
     for reference in search.candidates:
         if meter.exhausted:
             return deformation
         reached.append(coarsely_fitted(deformation, reference))
-    return replace(deformation, reference=search.candidates[search.best(scan, reached)])
+    return search.chosen(deformation, search.best(scan, reached))
 
 
 @dataclass(frozen=True)
@@ -144,11 +144,12 @@ class JawHinge:
 class MouthSearch:
     """Opened control points worth a trial, and their cost on the scan.
 
-    `candidates` are (C, 3) each, the first the mouth as it is, or one, as far open as landmarks show;
-    `weight` (N,) is the area of the samples that the jaw moves, 0 elsewhere.
+    `candidates` are (C, 3) each, the first the mouth as it is, or one, as far open as landmarks show, by
+    `angles_deg`; `weight` (N,) is the area of the samples that the jaw moves, 0 elsewhere.
     """
 
     candidates: tuple[FloatArray, ...]
+    angles_deg: tuple[float, ...]
     samples: SurfaceSamples
     weight: FloatArray
 
@@ -169,19 +170,25 @@ class MouthSearch:
         samples = SurfaceSamples.of(model, control_points, level)
         hinge = JawHinge.of(model, control_points)
         if hinge is None:
-            return cls((control_points,), samples, samples.area)
+            return cls((control_points,), (0.0,), samples, samples.area)
         jaw = samples.area * (samples.matrix @ hinge.weight > JAW_WEIGHT)
         opened = [hinge.opened(control_points, angle) for angle in ANGLES_DEG]
-        search = cls((control_points,), samples, jaw)
+        search = cls((control_points,), (0.0,), samples, jaw)
         costs = [search.cost(scan, points) for points in (control_points, *opened)]
         shown = None if landmarks is None else _of_the_jaw(landmarks, hinge)
         if shown is not None:
             apart = [np.linalg.norm(shown.offsets(p), axis=1).mean() for p in (control_points, *opened)]
-            best = int(np.argmin(apart))
-            return cls(((control_points, *opened)[best if costs[best] < costs[0] else 0],), samples, jaw)
-        nearest = np.argsort(costs[1:], kind="stable")[:TRIALS]
-        worth = [opened[i] for i in sorted(nearest) if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
-        return cls((control_points, *worth), samples, jaw)
+            nearest = int(np.argmin(apart))
+            best = nearest if costs[nearest] < costs[0] else 0
+            return cls(((control_points, *opened)[best],), ((0.0, *ANGLES_DEG)[best],), samples, jaw)
+        tried = sorted(np.argsort(costs[1:], kind="stable")[:TRIALS])
+        worth = [i for i in tried if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
+        candidates = (control_points, *(opened[i] for i in worth))
+        return cls(candidates, (0.0, *(ANGLES_DEG[i] for i in worth)), samples, jaw)
+
+    def chosen(self, deformation: Deformation, index: int) -> Deformation:
+        """Return the deformation that starts from a candidate, and says its angle."""
+        return replace(deformation, reference=self.candidates[index], jaw_deg=self.angles_deg[index])
 
     def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
         """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""

@@ -41,7 +41,8 @@ class Deformation:
     """The inputs that all stages share, in one frame.
 
     `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
-    `landmarks` hold points of the model on points of the scan.
+    `landmarks` hold points of the model on points of the scan. Before it bends the jaw was turned down by
+    `jaw_deg`, and the right and the left corner of the mouth drawn back by `corners_mm`.
     """
 
     model: AnnotatedFaceModel
@@ -50,6 +51,8 @@ class Deformation:
     options: FitOptions
     meter: Meter
     landmarks: LandmarkPull | None = None
+    jaw_deg: float = 0.0
+    corners_mm: tuple[float, float] = (0.0, 0.0)
     _sampled: dict[int, tuple[SurfaceSamples, sparse.csr_matrix]] = field(
         init=False, repr=False, default_factory=dict
     )

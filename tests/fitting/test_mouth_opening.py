@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import FitOptions, fit
+from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, MouthSearch
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
@@ -48,6 +50,34 @@ def test_the_search_finds_the_angle_of_an_opened_model(ict, angle):
     assert (len(search.candidates) == 1) == (angle == 0)
     gap = min(np.abs(candidate - expected).max() for candidate in search.candidates)
     assert gap < 1e-6
+    assert len(search.angles_deg) == len(search.candidates)
+    assert angle in search.angles_deg
+
+
+def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
+    hinge = JawHinge.of(model, model.control_vertices)
+    opened = hinge.opened(model.control_vertices, 16.0)
+    vertices, faces = model.subdivision(2).matrix @ opened, model.subdivision(2).faces
+    scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
+    placed = np.full((68, 3), np.nan)
+    placed[[30, 51, 57]] = model.landmarks_of(opened)[[30, 51, 57]]
+    pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
+    shown = MouthSearch.of(model, model.control_vertices, scan, 1, pull)
+    assert shown.angles_deg == (16.0,)
+    without_lower = pull.only(pull.numbers != 57)
+    assert len(MouthSearch.of(model, model.control_vertices, scan, 1, without_lower).candidates) > 1
+    metrics = fit(RawScan(vertices, faces, landmarks=placed), model, np.eye(4)).metrics
+    assert metrics["jaw_deg"] == 16.0
+    assert (metrics["corner_right_mm"], metrics["corner_left_mm"]) == (0.0, 0.0)
+
+
+def test_landmarks_open_no_mouth_away_from_the_scan(model):
+    vertices, faces = model.surface(2)
+    scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
+    placed = np.full((68, 3), np.nan)
+    placed[57] = model.landmarks[57] - (0, 20, 0)
+    pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
+    assert MouthSearch.of(model, model.control_vertices, scan, 1, pull).angles_deg == (0.0,)
 
 
 @pytest.mark.slow
