@@ -22,6 +22,7 @@ from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
 from scan2albedo.fitting.openings import openings
 from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
@@ -59,7 +60,8 @@ def fit(
     surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
     implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
     Before that, pose and size s are refined over the stiff regions (`refine_similarity`), the mouth is opened
-    and its corners are drawn back as the scan's are, and the face gets its proportions (`proportioned`).
+    and its corners are drawn back as the scan's are, brows, eyes and lips are looked for in its colours
+    (`painted_features`), and the face gets its proportions (`proportioned`).
 
     Raises FitError when there is next to no scan where the model is; TypeError for other objects than a scan,
     a model and a pose.
@@ -108,6 +110,9 @@ def fit(
     deformation = Deformation(model, reference, surface, chosen, meter)
     if chosen.open_mouth:
         deformation = corners_pulled(mouth_opened(deformation, pull))
+    if chosen.colors and not meter.exhausted:
+        painted = painted_pull(scan, pose, model, deformation.reference)
+        pull = painted if pull is None else pull.with_more(painted)
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
     reference = proportioned(surface, samples, deformation.reference, chosen, meter, pull)
     deformation = _following(pull, deformation, reference, scan.name)

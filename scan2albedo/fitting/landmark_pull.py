@@ -21,6 +21,8 @@ WRONG_MM = 15.0
 """A landmark this far from where the scan's shape and the other landmarks put it is left out."""
 STILL = (*range(17, 48),)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
+SHOWN_BY_HOLE, SHOWN_BY_COLOR = -1, -2
+"""Numbers of what nobody placed."""
 _AREA_MM2 = 300.0
 """Surface that pulls along its normal as strongly as a landmark of 1 mm standard deviation does."""
 _FIRST_AREA_MM2 = 1200.0
@@ -40,8 +42,8 @@ _ALIKE_MM = 20.0
 class LandmarkPull:
     """Points of the model that shall lie on points of the scan.
 
-    `numbers` (L,) are those of iBUG-68, -1 for what the scan itself shows; `matrix` (L, C) gives the model's
-    points from control points, `targets` (L, 3) are the scan's in mm, `sigma_mm` (L,) their standard
+    `numbers` (L,) are those of iBUG-68, below 0 for what the scan itself shows; `matrix` (L, C) gives the
+    model's points from control points, `targets` (L, 3) are the scan's in mm, `sigma_mm` (L,) their standard
     deviations; `axes` (L, 3) are 1 along those that they are known along, else 0. One `wrong_mm` (L,) from
     where it is expected is not believed. Those that are `still` (L,) whatever the face expresses count while
     pose, size and proportions are found.
@@ -93,7 +95,12 @@ class LandmarkPull:
     @property
     def openings(self) -> int:
         """How many holes of the scan there are among the targets: each has a middle and two ends."""
-        return int((self.numbers < 0).sum()) // 3
+        return int((self.numbers == SHOWN_BY_HOLE).sum()) // 3
+
+    @property
+    def painted(self) -> int:
+        """How many of the targets are landmarks that the scan's colours show."""
+        return int((self.numbers == SHOWN_BY_COLOR).sum())
 
     def moved(self, transform: FloatArray) -> LandmarkPull:
         """Return the pull to the targets moved by a (4, 4) transform."""

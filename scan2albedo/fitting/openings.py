@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.face_model.template_cleaning import boundary_loops
-from scan2albedo.fitting.landmark_pull import LandmarkPull
+from scan2albedo.fitting.landmark_pull import SHOWN_BY_HOLE, LandmarkPull
 from scan2albedo.fitting.scan_surface import ScanSurface
 
 EYES = (tuple(range(36, 42)), tuple(range(42, 48)))
@@ -101,7 +101,7 @@ def openings(scan: ScanSurface, model: AnnotatedFaceModel) -> LandmarkPull | Non
     every = model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)
     is_eye = np.arange(len(targets)) < len(eyes)
     return LandmarkPull(
-        numbers=np.full(len(targets), -1),
+        numbers=np.full(len(targets), SHOWN_BY_HOLE),
         matrix=(sparse.csr_matrix(weights) @ every).tocsr(),
         targets=targets,
         sigma_mm=sigma_mm,

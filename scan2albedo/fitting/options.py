@@ -44,6 +44,8 @@ class FitOptions:
     """Least and greatest size of the face relative to the model."""
     open_mouth: bool = True
     """Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks)."""
+    colors: bool = True
+    """Let brows, eyes and lips in the scan's colours draw the model's (models with landmarks)."""
     result_levels: int = 2
     """Loop refinements of the surface returned."""
     gain_tolerance: float = 0.003

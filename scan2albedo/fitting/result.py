@@ -65,7 +65,8 @@ class FittedFace:
     metrics: dict[str, float] = field(default_factory=dict)
     """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
     (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how many holes of the
-    scan were taken for open eyes and mouth (``openings``), and what was decided of the mouth: the jaw's angle
+    scan were taken for open eyes and mouth (``openings``), how many landmarks its colours show
+    (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
     (``jaw_deg``) and how far its corners were drawn back: for result.json."""
     landmark_deviation_mm: FloatArray | None = None
     """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""
@@ -96,7 +97,9 @@ def fitted_face(
     )
     metrics = _metrics(vertices, residual, subdivision)
     metrics["imbalance_mm"] = imbalance_mm(deformation, reached.q)
-    metrics["openings"] = 0.0 if deformation.landmarks is None else float(deformation.landmarks.openings)
+    pull = deformation.landmarks
+    metrics["openings"] = 0.0 if pull is None else float(pull.openings)
+    metrics["painted_landmarks"] = 0.0 if pull is None else float(pull.painted)
     metrics["jaw_deg"] = deformation.jaw_deg
     metrics["corner_right_mm"], metrics["corner_left_mm"] = deformation.corners_mm
     metrics["strain"] = _strain(deformation.reference, control, model.control_faces)

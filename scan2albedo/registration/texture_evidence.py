@@ -12,6 +12,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.nearest_surface import NearestSurface
 from scan2albedo.geometry.oriented_points import oriented_points
+from scan2albedo.geometry.polylines import polyline_distance
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 
 _SPACING_MM = 5.0
@@ -226,7 +227,7 @@ def _places(points: FloatArray, landmarks: FloatArray) -> dict[str, list[list[_P
     for shift in shifts:
         beyond = {
             name: [
-                _distance(points, landmarks[list(line)] + [0, shift, 0]) - feature.reach_mm
+                polyline_distance(points[:, :2], landmarks[list(line), :2] + [0, shift]) - feature.reach_mm
                 for line in feature.lines
             ]
             for name, feature in _FEATURES.items()
@@ -236,16 +237,6 @@ def _places(points: FloatArray, landmarks: FloatArray) -> dict[str, list[list[_P
             if shift in feature.shifts_mm:
                 places[name].append([_Part(d <= 0, skin & (d < _SURROUND_MM)) for d in beyond[name]])
     return places
-
-
-def _distance(points: FloatArray, line: FloatArray) -> FloatArray:
-    """Return (N,) distances of points (N, 3) from a polyline (K, 3), seen from in front."""
-    nearest = np.full(len(points), np.inf)
-    for start, end in zip(line[:-1, :2], line[1:, :2], strict=True):
-        offset, along = points[:, :2] - start, end - start
-        part = np.clip(offset @ along / max(float(along @ along), 1e-12), 0, 1)
-        nearest = np.minimum(nearest, np.linalg.norm(offset - part[:, None] * along, axis=1))
-    return nearest
 
 
 def _best(

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.polylines import inside_polygon
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
 
 _SCLERA = np.array([0.66, 0.60, 0.55])
@@ -103,11 +104,7 @@ def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
     """Return (N,) distance to a closed polyline (K, 2), positive inside, -inf far outside."""
     signed = -_distance(uv, outline)
     near = _near(uv, outline, 0.0)
-    x, y = uv[near].T
-    inside = np.zeros(near.sum(), bool)
-    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        if ay != by:
-            inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    inside = inside_polygon(uv[near], outline)
     signed[near] *= np.where(inside, -1, 1)
     return signed
 

@@ -1,0 +1,74 @@
+"""The picture of a coloured scan as seen along -z: one colour for each square of the x-y plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.rasterization import bilinear, rasterize
+from scan2albedo.geometry.rigid import transform_points
+
+_LARGEST_FACE_MM = 30.0
+"""No face of a scan is larger; those of a torn one hide the picture, and cost its whole area each."""
+_LOOKS = 2
+"""Texels are finer than squares: each is the mean of so many looks along both axes."""
+
+
+@dataclass(frozen=True)
+class FrontPicture:
+    """`color` (H, W, 3), linear, and which squares are `seen` (H, W); row 0 is the lowest.
+
+    The centre of square (row, column) lies at `low` (2,) + `step_mm` (column, row).
+    """
+
+    color: FloatArray
+    seen: BoolArray
+    low: FloatArray
+    step_mm: float
+
+    def places(self, points: FloatArray) -> FloatArray:
+        """Return (..., 2) column and row of points (..., 2)."""
+        return np.asarray((points - self.low) / self.step_mm)
+
+
+def front_picture(
+    scan: RawScan, frame_from_scan: FloatArray, low: FloatArray, high: FloatArray, step_mm: float
+) -> FrontPicture:
+    """Return the picture of a scan with colour, moved by a (4, 4) transform, between two corners (2,).
+
+    Faces that look away are left out, and those larger than any of a face.
+    """
+    columns, rows = (np.ceil((high - low) / step_mm).astype(int) + 1).tolist()
+    fine = step_mm / _LOOKS
+    vertices = transform_points(frame_from_scan, scan.vertices)
+    corners = vertices[scan.faces]
+    least, most = corners[..., :2].min(1), corners[..., :2].max(1)
+    inside = ((most > low) & (least < high) & (most - least < _LARGEST_FACE_MM)).all(1)
+    across, beside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    used = np.flatnonzero(inside & (across[:, 0] * beside[:, 1] > across[:, 1] * beside[:, 0]))
+    # The first look at a square lies half a square beside its centre, and half a look inward.
+    first = low - (step_mm - fine) / 2
+    shape = rows * _LOOKS, columns * _LOOKS
+    raster = rasterize((vertices[:, :2] - first) / fine, vertices[:, 2], scan.faces[used], shape)
+    covered = raster.covered
+    looked = np.zeros((*shape, 3))
+    looked[covered] = _colors(scan, used[raster.face[covered]], raster.barycentric[covered])
+    blocks = rows, _LOOKS, columns, _LOOKS
+    count = covered.reshape(blocks).sum((1, 3))
+    color = looked.reshape(*blocks, 3).sum((1, 3)) / np.maximum(count, 1)[..., None]
+    return FrontPicture(color, count > 0, low, step_mm)
+
+
+def _colors(scan: RawScan, face: IntArray, barycentric: FloatArray) -> FloatArray:
+    """Return the linear colours (N, 3), at least 0, of points of a scan's faces (N,)."""
+    if scan.uv is not None and scan.texture_linear is not None:
+        u, v = (np.einsum("nk,nkc->nc", barycentric, scan.uv[face]) % 1.0).T
+        height, width = scan.texture_linear.shape[:2]
+        pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
+        return np.maximum(bilinear(scan.texture_linear, pixels), 0)
+    assert scan.vertex_color_linear is not None
+    corners = scan.vertex_color_linear[scan.faces[face]]
+    return np.maximum(np.einsum("nk,nkc->nc", barycentric, corners), 0)

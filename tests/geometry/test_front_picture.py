@@ -1,0 +1,55 @@
+"""The picture of a scan from the front shows the colour of what is nearest, at its place."""
+
+import numpy as np
+
+from scan2albedo import RawScan
+from scan2albedo.geometry.front_picture import front_picture
+
+SQUARE = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]])
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+UV = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])[FACES]
+
+
+def picture(scan, pose=None):
+    low, high = np.array([-2.0, -2.0]), np.array([12.0, 12.0])
+    return front_picture(scan, np.eye(4) if pose is None else pose, low, high, 0.5)
+
+
+def color_at(shown, x, y):
+    column, row = np.round(shown.places(np.array([x, y]))).astype(int)
+    return shown.color[row, column] if shown.seen[row, column] else None
+
+
+def test_a_texture_lies_where_its_points_are():
+    texture = np.zeros((20, 20, 3), np.float32)
+    texture[:10, :10] = (1.0, 0.5, 0.25)  # the upper left quarter
+    shown = picture(RawScan(SQUARE, FACES, uv=UV, texture_linear=texture))
+    assert np.allclose(color_at(shown, 2, 8), (1.0, 0.5, 0.25))
+    assert np.allclose(color_at(shown, 8, 8), 0)
+    assert np.allclose(color_at(shown, 2, 2), 0)
+    assert color_at(shown, -1, 5) is None
+    shown = picture(RawScan(SQUARE, FACES, uv=UV, texture_linear=texture), np.diag([-1.0, -1, 1, 1]))
+    assert not shown.seen[shown.seen.shape[0] // 2 :].any()
+
+
+def test_vertex_colours_and_what_lies_in_front():
+    behind = SQUARE + [0, 0, -5]
+    colors = np.repeat([[1.0, 0, 0], [0, 1, 0]], 4, axis=0)
+    scan = RawScan(
+        np.concatenate([SQUARE, behind]), np.concatenate([FACES, FACES + 4]), vertex_color_linear=colors
+    )
+    assert np.allclose(color_at(picture(scan), 5, 5), (1, 0, 0))
+
+
+def test_faces_that_look_away_are_left_out():
+    scan = RawScan(SQUARE, FACES[:, ::-1], vertex_color_linear=np.ones((4, 3)))
+    assert not picture(scan).seen.any()
+
+
+def test_faces_torn_across_the_picture_hide_nothing():
+    torn = SQUARE * 20 + [-100, -100, 5]
+    colors = np.repeat([[1.0, 0, 0], [0, 1, 0]], 4, axis=0)
+    scan = RawScan(
+        np.concatenate([SQUARE, torn]), np.concatenate([FACES, FACES + 4]), vertex_color_linear=colors
+    )
+    assert np.allclose(color_at(picture(scan), 5, 5), (1, 0, 0))
