@@ -125,7 +125,8 @@ def needs_extra(extra: str) -> Iterator[None]:
     Parameters
     ----------
     extra : str
-        Of `project.optional-dependencies` in pyproject.toml: "batch", "cluster", "recognition" or "report".
+        Of `project.optional-dependencies` in pyproject.toml: "batch", "cluster", "landmarks", "recognition"
+        or "report".
 
     Raises
     ------

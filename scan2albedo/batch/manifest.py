@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scan2albedo.batch.records import is_taken
+from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import BatchError, printable
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
@@ -52,7 +53,9 @@ class ManifestScan:
             raise BatchError(f"{self.where}: {error}") from error
         if "model" in given and given["model"] not in ("default", "none"):
             chosen = replace(chosen, model=str((folder / given["model"]).absolute()))
-        if "landmarks" in given:
+        if given.get("landmarks") == AUTO:
+            chosen = replace(chosen, landmarks=AUTO)
+        elif "landmarks" in given:
             chosen = replace(chosen, landmarks=str((folder / given["landmarks"]).absolute()))
         return chosen
 

@@ -26,6 +26,7 @@ from scan2albedo.batch.records import FIXED, BatchFailure, BatchRecord, BatchSca
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.resume import Resumed, verified
 from scan2albedo.batch.worker import ScanTask
+from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError, ModelError, needs_extra
 from scan2albedo.io.atomic import check_writable
@@ -172,8 +173,10 @@ def _model_sha256(model: str) -> str | None:
 
 def _landmarks_of_all(landmarks: Any, count: int) -> str:
     """Return the absolute path of a batch's landmarks; ValueError for those that cannot be of all scans."""
+    if landmarks == AUTO:
+        return AUTO
     if not isinstance(landmarks, str) or (count > 1 and not Path(landmarks).is_dir()):
-        raise ValueError("a batch's landmarks are a folder with files named after the scans")
+        raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
     return str(Path(landmarks).absolute())
 
 
@@ -184,7 +187,9 @@ def _options_sha256(options: ProcessOptions, model_hash: str | None, scan: Path)
         hashed["model"] = Path(str(options.model)).name  # its place does not count
     del hashed["textures"]  # those that a scan uses are part of the input
     del hashed["landmarks"]
-    if isinstance(options.landmarks, str) and (file := landmarks_file(options.landmarks, scan)) is not None:
+    if options.landmarks == AUTO:
+        hashed["landmarks"] = AUTO
+    elif isinstance(options.landmarks, str) and (file := landmarks_file(options.landmarks, scan)) is not None:
         hashed["landmarks"] = file_sha256(file) if file.is_file() else "missing"
     return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
 

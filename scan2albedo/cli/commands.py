@@ -29,6 +29,7 @@ from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.report import report
+from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.pipeline.options import ProcessOptions
@@ -68,7 +69,8 @@ def process(
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
-    if len(scans) > 1 and options.landmarks is not None and not Path(options.landmarks).is_dir():
+    one = options.landmarks not in (None, AUTO) and not Path(options.landmarks).is_dir()
+    if len(scans) > 1 and one:
         raise typer.BadParameter(
             f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
         )

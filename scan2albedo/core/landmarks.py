@@ -14,6 +14,8 @@ from scan2albedo.errors import ScanError
 
 LARGEST_COORDINATE = 1e30
 """Beyond it squared areas overflow; only garbage is that large."""
+AUTO = "auto"
+"""In place of landmarks: those that a network finds."""
 COUNT = 68
 """Of iBUG-68, numbered from 0."""
 PLACED_SIGMA_MM = 1.5

@@ -94,10 +94,11 @@ class ProcessOptions:
         None,
         str | None,
         "Landmarks placed by hand, any of 68: a CSV, JSON or MeshLab .pp file, or a folder with files named "
-        "after the scans.",
-        metavar="FILE",
+        "after the scans; or auto for those that MediaPipe finds (pip install 'scan2albedo[landmarks]').",
+        metavar="FILE|auto",
     )
-    """Points that someone placed on the scan, soft constraints of registration and fit; see `load_scan`."""
+    """Points that someone placed on the scan, soft constraints of registration and fit, see `load_scan`; or
+    "auto": of the fit alone, see `detected_landmarks`."""
 
     def __post_init__(self) -> None:
         if self.model is None or isinstance(self.model, Path):

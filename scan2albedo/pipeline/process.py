@@ -17,6 +17,8 @@ import numpy as np
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
@@ -28,6 +30,7 @@ from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.load_scan import with_landmarks
+from scan2albedo.pipeline.detected_landmarks import detected_landmarks, require_detector
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
@@ -173,7 +176,9 @@ def _processed(
                 scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         else:
             scan = source if name is None else replace(source, name=name)
-        if options.landmarks is not None:
+        if options.landmarks == AUTO:
+            require_detector()
+        elif options.landmarks is not None:
             scan = with_landmarks(scan, options.landmarks, file)
             scaled = None if scaled is None else replace(scaled, scan=scan)
         model = chosen_model(options.model)
@@ -185,6 +190,8 @@ def _processed(
         if model is not None:
             pose = np.eye(4) if registration is None else registration.model_from_scan
             with clock.timed("fit"):
+                if options.landmarks == AUTO:
+                    scan = _with_detected(scan, pose)
                 fitted = fit(
                     scan, model, pose, clock.share("fit"), options=options.stages.fit, on_progress=on_progress
                 )
@@ -224,6 +231,25 @@ def _processed(
         source=file,
         messages=(*messages, *_cautions(registration, fitted, estimate)),
     )
+
+
+def _colors_step(scan: RawScan, fitted: FittedFace) -> PlanStep:
+    """Return whether the scan's colours drew the model's brows, eyes and lips, and why."""
+    if count := int(fitted.metrics.get("painted_landmarks", 0)):
+        reason = "the scan's colours show brows, eyes or lips"
+        return PlanStep("fit.colors", True, reason, f"{count} landmarks")
+    reason = "the scan's colours show no feature surely" if scan.has_color else "the scan has no colour"
+    return PlanStep("fit.colors", False, reason)
+
+
+def _with_detected(scan: RawScan, pose: FloatArray) -> RawScan:
+    """Return the scan with the landmarks that a network finds on it; warns where it sees no face."""
+    found = detected_landmarks(scan, pose)
+    if found is None:
+        warnings.warn(
+            f"{scan.name}: MediaPipe finds no face on the scan: no landmarks are used", stacklevel=2
+        )
+    return replace(scan, landmarks=found)
 
 
 def _registered(
@@ -297,6 +323,7 @@ def _plan(
     if fitted is not None:
         evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
         steps.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
+        steps.append(_colors_step(scan, fitted))
     else:
         steps += [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
     figures = image.figures()

@@ -34,11 +34,15 @@ class View:
         x, y, z = (low + high) / 2
         return cls((x, y, z), float(np.max(high - low)) * 0.55, yaw_deg, pitch_deg)
 
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3): its rows point right, up and toward the viewer."""
+        nod = rotation_from_vector([np.deg2rad(-self.pitch_deg), 0, 0])
+        return np.asarray(nod @ rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0]))
+
     def project(self, vertices: ArrayLike) -> FloatArray:
         """Return (V, 3) coordinates relative to the centre: right, up, toward the viewer."""
-        nod = rotation_from_vector([np.deg2rad(-self.pitch_deg), 0, 0])
-        turn = rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0])
-        return (np.asarray(vertices, float) - np.asarray(self.center_mm)) @ (nod @ turn).T
+        return np.asarray((np.asarray(vertices, float) - np.asarray(self.center_mm)) @ self.rotation.T)
 
     def pixels(self, vertices: ArrayLike, size: int) -> FloatArray:
         """Return the places (V, 2), column and row, of vertices in a picture of `size` pixels a side."""

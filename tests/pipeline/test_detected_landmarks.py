@@ -1,0 +1,108 @@
+"""Landmarks that a network finds in pictures of a scan come back to the scan, and the fit uses them."""
+
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo import process
+from scan2albedo.errors import MissingDependencyError
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.pipeline import detected_landmarks as detected
+from scan2albedo.synthetic import raw_scan
+
+
+@pytest.fixture(scope="module")
+def person():
+    return raw_scan(41)
+
+
+class Network:
+    """Sees the true landmarks in each of the views, in order; `aside` pixels too far right in the first."""
+
+    def __init__(self, truth, aside=0.0):
+        self.pictures = []
+        self.truth, self.aside = truth, aside
+
+    def __call__(self, picture):
+        angles = detected._VIEWS_DEG[len(self.pictures)]
+        self.pictures.append(picture)
+        view = detected.View((0, 0, 0), detected._HALF_WIDTH_MM, *angles)
+        points = np.zeros((478, 2))
+        for number, point in detected._POINTS.items():
+            points[point] = view.pixels(self.truth.landmarks[number : number + 1], detected._SIZE)[0]
+        return points + [self.aside if len(self.pictures) == 1 else 0.0, 0.0]
+
+
+@pytest.fixture
+def network(monkeypatch, person):
+    def install(seen):
+        @contextmanager
+        def detector():
+            yield seen
+
+        monkeypatch.setattr(detected, "_detector", detector)
+        monkeypatch.setattr(detected, "require_detector", lambda: None)
+        monkeypatch.setattr("scan2albedo.pipeline.process.require_detector", lambda: None)
+        return seen
+
+    return install
+
+
+def errors_mm(found, scan, truth):
+    there = transform_points(truth.model_from_scan, found.points)
+    return np.linalg.norm(there - truth.landmarks, axis=1)
+
+
+def test_points_of_pictures_come_back_to_the_scan(person, network):
+    scan, truth = person
+    seen = network(Network(truth, aside=20.0))
+    found = detected.detected_landmarks(scan, truth.model_from_scan)
+    assert found.placed.sum() > 30
+    assert set(np.flatnonzero(found.placed)) <= set(detected._POINTS)
+    # A network's point of which one view errs is still right.
+    assert np.nanmedian(errors_mm(found, scan, truth)) < 1.0
+    assert np.nanmax(errors_mm(found, scan, truth)) < 6.0
+    assert len(seen.pictures) == len(detected._VIEWS_DEG)
+    assert all(picture.dtype == np.uint8 and picture.std() > 10 for picture in seen.pictures)
+
+
+def test_grey_shapes_are_believed_less(person, network):
+    scan, truth = person
+    network(Network(truth))
+    colored = detected.detected_landmarks(scan, truth.model_from_scan)
+    network(Network(truth))
+    plain = detected.detected_landmarks(replace(scan, uv=None, texture_linear=None), truth.model_from_scan)
+    both = colored.placed & plain.placed
+    assert (plain.sigma_mm[both] > 1.5 * colored.sigma_mm[both]).all()
+
+
+def test_a_process_without_a_face_for_the_network_goes_on_without(person, network):
+    scan, _ = person
+    network(lambda picture: None)
+    result = process(scan, landmarks="auto", size=64, skip=["albedo"])
+    assert any("MediaPipe finds no face" in note for note in result.notes)
+    assert result.scan.landmarks is None
+
+
+def test_process_hands_them_to_the_fit(person, network):
+    scan, truth = person
+    network(Network(truth))
+    result = process(scan, landmarks="auto", size=64, skip=["albedo"])
+    assert result.scan.landmarks.placed.sum() > 30
+    assert result.options["landmarks"] == "auto"
+
+
+def test_what_is_missing_is_named_before_anything_is_done(monkeypatch, person):
+    monkeypatch.setattr(detected, "find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[landmarks\]'"):
+        process(person[0], landmarks="auto")
+
+
+def test_the_network_itself():
+    pytest.importorskip("mediapipe", reason="the extra [landmarks] is not installed")
+    scan, truth = raw_scan(41)
+    found = detected.detected_landmarks(scan, truth.model_from_scan)
+    lips = errors_mm(found, scan, truth)[48:60]
+    assert np.nanmedian(lips) < 6.0
