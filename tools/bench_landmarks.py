@@ -1,13 +1,17 @@
 """Landmarks of fits beside those placed by hand: error by feature, and what the stated deviation is worth.
 
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py [--expressions] [--given] [--json FILE]
+    OMP_NUM_THREADS=1 python tools/bench_landmarks.py --mouths
 
 "james" and "flame_scan" are real scans with points placed by hand, "traced" path-traced whole heads,
 the others light-stage shapes made raw, with `--expressions` each of twelve at weights .6 and 1. Every scan is
 registered and fitted with the default model, without any help; with `--given` also with five landmarks, and
-with one of them 25 mm off. Errors are mean distances in mm over the 51
-inner points of iBUG-68. The last lines show how many coordinates lie within one and two of their stated
-standard deviations: 68 % and 95 % where it is right. Needs ../shared/data.
+with one of them 25 mm off. "james, colours left out" is fitted by shape alone; "auto" are real and
+path-traced scans with the landmarks that MediaPipe finds (where the extra [landmarks] is installed),
+"MediaPipe" these landmarks themselves, those it has. Errors are mean distances in mm over the 51 inner points
+of iBUG-68. The last lines show how many coordinates lie within one and two of their stated
+standard deviations: 68 % and 95 % where it is right. `--mouths` counts instead, of 200 scans of shut mouths
+with many expressions and of open jaws, how many jaws were judged rightly. Needs ../shared/data.
 """
 
 from __future__ import annotations
@@ -18,6 +22,8 @@ import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +33,10 @@ from benchmarks.scan_files import DATA, face_data
 import scan2albedo as s2a
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks
+from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import raw_like
+from scan2albedo.pipeline.detected_landmarks import detected_landmarks
+from scan2albedo.synthetic import raw_like, raw_scan
 
 FEATURES = {
     "brows": range(17, 27),
@@ -38,8 +46,12 @@ FEATURES = {
     "lips": range(48, 68),
 }
 INNER = slice(17, 68)
+SHAPE_ALONE = ", colours left out"
 KEY_POINTS = (51, 39, 42, 48, 54)
 """The five that autofacemonker has, too."""
+SHUT = ("cheek_puff", "mouth_frown", "mouth_pucker", "mouth_roll_lower", "mouth_roll_upper", "mouth_upper_up")
+"""Expressions that leave the jaw shut; lips may part by some mm."""
+OWN_SHUT = ("neutral", "smile", "frown", "pout", "puff")
 NEUTRAL = ("generic_neutral", "person1", "person2", "person3", "person4")
 WEIGHTS = (0.6, 1.0)
 
@@ -72,7 +84,9 @@ class Row:
 
 def cases(*, expressions: bool) -> Iterator[Case]:
     given = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
-    yield Case("james", "james", s2a.load_scan(face_data("james.obj")), given)
+    james = s2a.load_scan(face_data("james.obj"))
+    yield Case("james", "james", james, given)
+    yield Case(f"james{SHAPE_ALONE}", "james", james, given)
     inner = 1000 * np.loadtxt(face_data("flame_scan_ibug51.csv"), delimiter=",")
     given = np.concatenate([np.full((17, 3), np.nan), inner])
     yield Case("flame_scan", "flame_scan", s2a.load_scan(face_data("flame_scan.obj")), given)
@@ -106,17 +120,70 @@ def _light_stage(*, expressions: bool) -> Iterator[Case]:
             yield case(name, f"{person} {weight}", shape + weight * move, 100 + seed)
 
 
+def mouths() -> Iterator[tuple[str, s2a.RawScan, bool]]:
+    """Yield names, scans, and whether the jaw is open."""
+    with np.load(face_data("ict_faces.npz")) as data:
+        shapes = {name: data[f"shape_{name}"].astype(float) for name in NEUTRAL}
+        faces = data["faces"].astype(np.int64)
+    with np.load(face_data("ict_expressions.npz")) as data:
+        moves = {name: data[name].astype(float) for name in (*SHUT, "jaw_open")}
+    seeds = count(2000)
+    for person, shape in shapes.items():
+        for _ in range(2):
+            yield f"neutral {person}", raw_like(shape, faces, next(seeds))[0], False
+        for name, weight in ((name, weight) for name in moves for weight in (0.5, 0.75, 1.0)):
+            scan, _ = raw_like(shape + weight * moves[name], faces, next(seeds))
+            yield f"{name} {person} {weight}", scan, name == "jaw_open"
+        for weight in (0.4, 0.6, 0.8, 0.9, 1.1):
+            scan, _ = raw_like(shape + weight * moves["jaw_open"], faces, next(seeds))
+            yield f"jaw_open {person} {weight}", scan, True
+    for name, seed in ((name, seed) for name in OWN_SHUT for seed in range(12)):
+        yield f"own {name} {seed}", raw_scan(100 + seed, expression=name)[0], False
+
+
+def print_mouths(model: s2a.AnnotatedFaceModel) -> None:
+    """Print the jaws that were judged wrongly, and how many rightly."""
+    right: dict[bool, list[bool]] = {True: [], False: []}
+    for name, scan, is_open in mouths():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            angle = s2a.fit(scan, model, s2a.register(scan, model)).metrics["jaw_deg"]
+        right[is_open].append((angle > 0) == is_open)
+        if not right[is_open][-1]:
+            print(f"{name}: jaw turned by {angle:.0f} degrees")
+    for is_open, each in right.items():
+        print(f"{'open' if is_open else 'shut'} jaws: {sum(each)} of {len(each)} judged rightly")
+
+
 def measured(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
     """Register and fit a scan, and compare its landmarks in the model's frame."""
     begin = time.process_time()
+    options = FitOptions(colors=SHAPE_ALONE not in case.group)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        fitted = s2a.fit(case.scan, model, s2a.register(case.scan, model))
+        fitted = s2a.fit(case.scan, model, s2a.register(case.scan, model), options=options)
     cpu_s = time.process_time() - begin
     assert fitted.landmarks is not None
     assert fitted.landmark_deviation_mm is not None
     offset = fitted.landmarks - transform_points(fitted.model_from_scan, case.landmarks)
     return Row(case.group, case.name, offset, fitted.landmark_deviation_mm, cpu_s)
+
+
+def detected(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
+    """Return the error of the landmarks that MediaPipe finds on a registered scan, NaN where it has none."""
+    registration = s2a.register(case.scan, model)
+    begin = time.process_time()
+    found = detected_landmarks(case.scan, registration.model_from_scan)
+    cpu_s = time.process_time() - begin
+    points = np.full((68, 3), np.nan) if found is None else found.points
+    sigma_mm = np.full(68, np.nan) if found is None else found.sigma_mm
+    return Row(f"MediaPipe, {case.group}", case.name, points - case.landmarks, sigma_mm, cpu_s)
+
+
+def with_detected(case: Case, model: s2a.AnnotatedFaceModel) -> Case:
+    """Return the case with the landmarks that MediaPipe finds."""
+    found = detected_landmarks(case.scan, s2a.register(case.scan, model).model_from_scan)
+    return replace(case, group=f"auto, {case.group}", scan=replace(case.scan, landmarks=found))
 
 
 def with_five(case: Case, *, one_wrong: bool) -> Case:
@@ -132,9 +199,11 @@ def with_five(case: Case, *, one_wrong: bool) -> Case:
 def line(label: str, rows: list[Row]) -> str:
     """Return the mean error of 51 points and of each feature, the largest and the CPU seconds of rows."""
     error = np.stack([row.error_mm for row in rows])
-    parts = "".join(f"{error[:, list(points)].mean():10.2f}" for points in FEATURES.values())
+    parts = "".join(f"{np.nanmean(error[:, list(points)]):10.2f}" for points in FEATURES.values())
     seconds = np.mean([row.cpu_s for row in rows])
-    return f"{label:28}{error[:, INNER].mean():8.2f}{parts}{error[:, INNER].max():10.1f}{seconds:8.1f}"
+    return (
+        f"{label:28}{np.nanmean(error[:, INNER]):8.2f}{parts}{np.nanmax(error[:, INNER]):10.1f}{seconds:8.1f}"
+    )
 
 
 def print_deviations(rows: list[Row]) -> None:
@@ -158,9 +227,13 @@ def main() -> None:
     parser.add_argument(
         "--given", action="store_true", help="also with five landmarks given, one of them wrong"
     )
+    parser.add_argument("--mouths", action="store_true", help="judge 200 jaws instead")
     parser.add_argument("--json", type=Path, help="file for all offsets")
     arguments = parser.parse_args()
     model = s2a.AnnotatedFaceModel.default()
+    if arguments.mouths:
+        print_mouths(model)
+        return
     s2a.register(s2a.load_scan(face_data("humface.ply")), model)  # compiles
     print(f"{'':28}{'51':>8}" + "".join(f"{name:>10}" for name in (*FEATURES, "largest")) + f"{'CPU s':>8}")
     rows = []
@@ -170,12 +243,19 @@ def main() -> None:
     for case in every:
         rows.append(measured(case, model))
         print(line(f"{case.group} {case.name}" if case.group != case.name else case.name, rows[-1:]))
+    if find_spec("mediapipe") is not None:
+        seen = [case for case in every if case.group in ("james", "flame_scan", "traced")]
+        for case in seen:
+            rows += [detected(case, model), measured(with_detected(case, model), model)]
+            print(line(f"MediaPipe {case.name}", rows[-2:-1]))
+            print(line(f"auto {case.name}", rows[-1:]))
     print()
     for group in dict.fromkeys(row.group for row in rows):
         print(line(group, [row for row in rows if row.group == group]))
     james = next(row for row in rows if row.group == "james")
     print(f"james, five key points: {james.error_mm[list(KEY_POINTS)].mean():.2f} mm")
-    print_deviations([row for row in rows if "given" not in row.group])
+    helped = ("given", SHAPE_ALONE, "MediaPipe", "auto")
+    print_deviations([row for row in rows if not any(word in row.group for word in helped)])
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(r) for r in rows], default=np.ndarray.tolist))
 

@@ -25,12 +25,13 @@ EARS = (0, 16)
 BESIDE_MM = 15.0
 ABOVE_MM = 14.0
 """How far beside and above the corners the skin follows them (standard deviations)."""
-PULLS_MM = (5.0, 10.0, 15.0)
-TRIALS = 2
-TRIAL_GAIN = 0.15
-MIN_GAIN = 0.34
-"""A pull is tried when it saves TRIAL_GAIN of the distance as it is, and chosen when its coarse fit saves
-MIN_GAIN: between the savings of shut mouths (up to 0.32) and those of smiles (0.36 on)."""
+FIRST_MM = (0.0, -7.0, 10.0)
+FURTHER_MM = {-14.0: -7.0, 15.0: 10.0}
+"""Pulls that are tried, back above 0, together below; those further when what stands beside them gains."""
+WORTH = 0.2
+MIN_GAIN, NARROWER_GAIN = 0.34, 0.03
+"""Shares of the distance that a pull's coarse fit saves. Drawn back: shut mouths up to 0.32, smiles from 0.35
+on. Drawn together: most puffed cheeks and puckered lips 0.03 to 0.24, other mouths none."""
 ZONE_MM = 45.0
 """Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds."""
 REACH_MM = 8.0
@@ -47,14 +48,14 @@ def corners_pulled(deformation: Deformation) -> Deformation:
     if corners is None:
         return deformation
     mouth = MouthScan.of(deformation.model, reference, deformation.scan, TRIAL_LEVEL)
-    pulls = mouth.worth_a_trial(reference, corners)
-    if not pulls:
-        return deformation
-    reached = {}
-    for mm in (0.0, *pulls):
+    reached: dict[float, FloatArray] = {}
+    for mm in (*FIRST_MM, *FURTHER_MM):
         if meter.exhausted:
             return deformation
-        reached[mm] = coarsely_fitted(deformation, corners.pulled(reference, (mm, mm)))
+        if mm in FURTHER_MM and not mouth.gains(reached, FURTHER_MM[mm]):
+            continue
+        start = corners.pulled(reference, (mm, mm)) if mm else reference
+        reached[mm] = coarsely_fitted(deformation, start)
     pull = mouth.chosen(reached)
     return replace(deformation, reference=corners.pulled(reference, pull), corners_mm=pull)
 
@@ -133,24 +134,22 @@ class MouthScan:
         right, left = facing & ~self.left, facing & self.left
         return _mean(distance[right]), _mean(distance[left])
 
-    def worth_a_trial(self, control_points: FloatArray, corners: MouthCorners) -> list[float]:
-        """Return at most TRIALS of PULLS_MM, the best first, that save TRIAL_GAIN on either side unfitted."""
-        still = self.distances(control_points)
-        saved = {
-            mm: max(_saved(still, self.distances(corners.pulled(control_points, (mm, mm)))))
-            for mm in PULLS_MM
-        }
-        nearest = sorted(saved, key=lambda mm: -saved[mm])
-        return [mm for mm in nearest[:TRIALS] if saved[mm] > TRIAL_GAIN]
+    def gains(self, reached: dict[float, FloatArray], mm: float) -> bool:
+        """Whether the coarse fit of a pull ended enough nearer for one beyond it to be tried."""
+        saved = _saved(self.distances(reached[0.0]), self.distances(reached[mm]))
+        return max(saved) > (WORTH if mm > 0 else 0.0)
 
     def chosen(self, reached: dict[float, FloatArray]) -> tuple[float, float]:
         """Return the pulls in mm of the right and the left corner whose coarse fits ended nearest.
 
-        `reached` holds the control points after each pull's coarse fit, 0 mm among them; a side is pulled
-        only when it gains MIN_GAIN.
+        `reached` holds the control points after each pull's coarse fit, 0 mm among them. A side is drawn back
+        only when it gains MIN_GAIN; both are drawn together when they gain NARROWER_GAIN on average.
         """
         found = {mm: self.distances(points) for mm, points in reached.items()}
         saved = {mm: _saved(found[0.0], distances) for mm, distances in found.items()}
+        narrower = max((mm for mm in saved if mm <= 0), key=lambda mm: sum(saved[mm]))
+        if sum(saved[narrower]) / 2 > NARROWER_GAIN:
+            return narrower, narrower
         right = max(saved, key=lambda mm: saved[mm][0])
         left = max(saved, key=lambda mm: saved[mm][1])
         return (

@@ -6,7 +6,7 @@ models are tried, and chosen by the result of a coarse fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,9 +19,9 @@ from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
-from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.loop_subdivision import limit_matrix
+from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.operators import laplacian
 
 EARS = (0, 16)
@@ -40,15 +40,14 @@ LIMIT_FREEDOM = 0.05
 """Weight of keeping the control points in place against turning the surface exactly."""
 ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 REACH_MM = 8.0
-MIN_GAIN = 0.12
-TRIALS = 2
-TRIAL_GAIN = 0.25
-"""An angle is tried when it gains this much as it is, and chosen when its coarse fit gains MIN_GAIN."""
-ABOUT = 0.07
-"""Costs this much above the least are as good."""
-WITH_JAW, IN_PART = 0.7, 0.4
-"""Landmarks that follow the jaw by at least this much, and the middle of a hole between the lips that follows
-it by so much, show how far it is open; the corners of the mouth do not."""
+COARSE_DEG = 8.0
+"""The jaw is turned by such steps while it comes nearer to the scan, then by those of ANGLES_DEG."""
+MIN_GAIN, GAP = 0.12, 0.35
+"""Open jaws come nearer by 18 % and more, behind over half of the film nothing is near; puffed cheeks and
+rounded lips may gain half, with scan behind four fifths of the film and more."""
+BEHIND_MM = 6.0
+WITH_JAW = 0.7
+"""Landmarks that follow the jaw by at least this much show how far it is open; the mouth's corners do not."""
 JAW_WEIGHT = 0.6
 """Samples that follow the jaw by at least this much measure its distance to the scan."""
 
@@ -56,21 +55,20 @@ JAW_WEIGHT = 0.6
 def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None) -> Deformation:
     """Return the deformation that starts from the mouth opened as far as the scan's.
 
-    Landmarks that the jaw moves show the angle. Without them each candidate of `MouthSearch` runs through the
-    first, stiffest stages; trials count as evaluations but leave no rows in the trace.
+    Placed landmarks that the jaw moves show the angle. Without them opened models run through the first,
+    stiffest stages, each angle compared with its neighbours; trials count as evaluations but leave no rows in
+    the trace. An opening is believed where the jaw comes nearer to the scan by MIN_GAIN, and where the scan
+    has a gap, or an inner surface, behind GAP of the film between the lips.
     """
-    scan, meter = deformation.scan, deformation.meter
-    if meter.exhausted:
+    hinge = JawHinge.of(deformation.model, deformation.reference)
+    if hinge is None or deformation.meter.exhausted:
         return deformation
-    search = MouthSearch.of(deformation.model, deformation.reference, scan, TRIAL_LEVEL, landmarks)
-    if len(search.candidates) == 1:
-        return search.chosen(deformation, 0)
-    reached = []
-    for reference in search.candidates:
-        if meter.exhausted:
-            return deformation
-        reached.append(coarsely_fitted(deformation, reference))
-    return search.chosen(deformation, search.best(scan, reached))
+    search = MouthSearch(deformation, hinge)
+    shown = None if landmarks is None else _of_the_jaw(landmarks, hinge)
+    angle = search.shown_by(shown) if shown is not None else search.tried()
+    if angle == 0 or deformation.meter.exhausted:
+        return deformation
+    return replace(deformation, reference=search.opened(angle), jaw_deg=angle)
 
 
 @dataclass(frozen=True)
@@ -142,77 +140,82 @@ class JawHinge:
 
 @dataclass(frozen=True)
 class MouthSearch:
-    """Opened control points worth a trial, and their cost on the scan.
+    """Angles of the jaw, and how well the mouth opened by each lies on the scan of a deformation."""
 
-    `candidates` are (C, 3) each, the first the mouth as it is, or one, as far open as landmarks show, by
-    `angles_deg`; `weight` (N,) is the area of the samples that the jaw moves, 0 elsewhere.
-    """
+    deformation: Deformation
+    hinge: JawHinge
 
-    candidates: tuple[FloatArray, ...]
-    angles_deg: tuple[float, ...]
-    samples: SurfaceSamples
-    weight: FloatArray
+    def opened(self, angle_deg: float) -> FloatArray:
+        """Return the control points (C, 3) with the jaw turned down."""
+        rest = self.deformation.reference
+        return self.hinge.opened(rest, angle_deg) if angle_deg else rest
 
-    @classmethod
-    def of(
-        cls,
-        model: AnnotatedFaceModel,
-        control_points: FloatArray,
-        scan: ScanSurface,
-        level: int,
-        landmarks: LandmarkPull | None = None,
-    ) -> MouthSearch:
-        """Find the TRIALS angles that lie nearest to the scan before any fit; none without a hinge.
+    def shown_by(self, landmarks: LandmarkPull) -> float:
+        """Return the angle that brings landmarks nearest to their targets; 0 where that is off the scan."""
+        every = (0.0, *ANGLES_DEG)
+        apart = [np.linalg.norm(landmarks.offsets(self.opened(angle)), axis=1).mean() for angle in every]
+        nearest = every[int(np.argmin(apart))]
+        still, open_ = (self.cost(self.opened(angle)) for angle in (0.0, nearest))
+        return nearest if open_ < still else 0.0
 
-        Where there are `landmarks` that the jaw moves, it is the one angle that brings them nearest to their
-        targets, if the surface comes nearer to the scan with it as well.
-        """
-        samples = SurfaceSamples.of(model, control_points, level)
-        hinge = JawHinge.of(model, control_points)
-        if hinge is None:
-            return cls((control_points,), (0.0,), samples, samples.area)
-        jaw = samples.area * (samples.matrix @ hinge.weight > JAW_WEIGHT)
-        opened = [hinge.opened(control_points, angle) for angle in ANGLES_DEG]
-        search = cls((control_points,), (0.0,), samples, jaw)
-        costs = [search.cost(scan, points) for points in (control_points, *opened)]
-        shown = None if landmarks is None else _of_the_jaw(landmarks, hinge)
-        if shown is not None:
-            apart = [np.linalg.norm(shown.offsets(p), axis=1).mean() for p in (control_points, *opened)]
-            nearest = int(np.argmin(apart))
-            best = nearest if costs[nearest] < costs[0] else 0
-            return cls(((control_points, *opened)[best],), ((0.0, *ANGLES_DEG)[best],), samples, jaw)
-        tried = sorted(np.argsort(costs[1:], kind="stable")[:TRIALS])
-        worth = [i for i in tried if costs[1 + i] < (1 - TRIAL_GAIN) * costs[0]]
-        candidates = (control_points, *(opened[i] for i in worth))
-        return cls(candidates, (0.0, *(ANGLES_DEG[i] for i in worth)), samples, jaw)
+    def tried(self) -> float:
+        """Return the angle whose coarse fit ends nearest, 0 unless there is evidence of an opening."""
+        costs, reached = dict[float, float](), dict[float, FloatArray]()
 
-    def chosen(self, deformation: Deformation, index: int) -> Deformation:
-        """Return the deformation that starts from a candidate, and says its angle."""
-        return replace(deformation, reference=self.candidates[index], jaw_deg=self.angles_deg[index])
+        def best_of(angles: Iterable[float]) -> float:
+            for angle in angles:
+                if self.deformation.meter.exhausted:
+                    break
+                if angle not in costs and 0 <= angle <= ANGLES_DEG[-1]:
+                    reached[angle] = coarsely_fitted(self.deformation, self.opened(angle))
+                    costs[angle] = self.cost(reached[angle])
+            return min(costs, key=lambda angle: costs[angle], default=0.0)
 
-    def cost(self, scan: ScanSurface, control_points: FloatArray) -> float:
+        best = best_of((0.0, COARSE_DEG))
+        while best == max(costs, default=0.0) and 0 < best < ANGLES_DEG[-1] - COARSE_DEG:
+            if self.deformation.meter.exhausted:
+                break
+            best = best_of((best + COARSE_DEG,))
+        if best == 0 or costs[best] > (1 - MIN_GAIN) * costs[0.0] or self.gap(reached[best]) < GAP:
+            return 0.0
+        return best_of((best - ANGLES_DEG[0], best + ANGLES_DEG[0]))
+
+    @cached_property
+    def _jaw(self) -> tuple[SurfaceSamples, FloatArray]:
+        """Samples, and the area (N,) of those that the jaw moves, 0 elsewhere."""
+        samples, _ = self.deformation.sampled(TRIAL_LEVEL)
+        return samples, samples.area * (samples.matrix @ self.hinge.weight > JAW_WEIGHT)
+
+    def cost(self, control_points: FloatArray) -> float:
         """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""
-        points, jaw = self.samples.matrix @ control_points, self.weight > 0
+        scan, (samples, weight) = self.deformation.scan, self._jaw
+        points, jaw = samples.matrix @ control_points, weight > 0
         hits = scan.nearest.query(points[jaw])
-        normals = surface_normals(points, self.samples.faces)[0][jaw]
+        normals = surface_normals(points, samples.faces)[0][jaw]
         agreement = np.einsum("ij,ij->i", scan.normals_at(hits), normals)
         distance = np.where(agreement > 0, np.minimum(hits.distance, REACH_MM), REACH_MM)
-        return float(self.weight[jaw] @ distance / max(self.weight.sum(), 1e-300))
+        return float(weight[jaw] @ distance / max(weight.sum(), 1e-300))
 
-    def best(self, scan: ScanSurface, reached: list[FloatArray]) -> int:
-        """Return the index of the least opened candidate whose coarse fit ends about nearest (ABOUT).
+    def gap(self, control_points: FloatArray) -> float:
+        """Return which part of the film between the lips has no scan near; 1 for models without a film.
 
-        It is the first, the mouth as it is, unless another gains MIN_GAIN.
+        Skin lies nearer to a film that was laid over it than BEHIND_MM, teeth and tongue do not.
         """
-        costs = np.array([self.cost(scan, points) for points in reached])
-        if not costs.min() < (1 - MIN_GAIN) * costs[0]:
-            return 0
-        return int(np.argmax(costs <= (1 + ABOUT) * costs.min()))
+        model, scan = self.deformation.model, self.deformation.scan
+        subdivision = model.subdivision(TRIAL_LEVEL)
+        film = model.in_region(MOUTH_REGION)[subdivision.parent]
+        if not film.any():
+            return 1.0
+        points, faces = subdivision.matrix @ control_points, subdivision.faces[film]
+        area = face_areas(points, faces)
+        hits = scan.nearest.query(points[faces].mean(axis=1))
+        missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits)
+        return float(area @ missing / max(area.sum(), 1e-300))
 
 
 def _of_the_jaw(landmarks: LandmarkPull, hinge: JawHinge) -> LandmarkPull | None:
-    """Return the landmarks that show how far the jaw is open; None without any."""
-    shown = landmarks.matrix @ hinge.weight > np.where(landmarks.numbers < 0, IN_PART, WITH_JAW)
+    """Return the placed landmarks that show how far the jaw is open; None without any."""
+    shown = (landmarks.numbers >= 0) & (landmarks.matrix @ hinge.weight > WITH_JAW)
     return landmarks.only(shown) if shown.any() else None
 
 

@@ -77,6 +77,11 @@ class Deformation:
         return np.maximum(area, 1e-6 * area.mean())
 
     @cached_property
+    def coarse_from_rest(self) -> FloatArray:
+        """(C, 3) control points after the first stages from `reference`, with which trials are compared."""
+        return _coarsely_fitted(self, self.reference)
+
+    @cached_property
     def folds(self) -> FoldFinder:
         """Finds folds of the surface returned."""
         subdivision = self.model.subdivision(self.options.result_levels)
@@ -147,6 +152,12 @@ def run_stages(deformation: Deformation, count: int | None = None) -> StagesResu
 
 def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     """Return the control points (C, 3) after the first stages from `reference`; counted, but not recorded."""
+    if reference is deformation.reference:
+        return deformation.coarse_from_rest
+    return _coarsely_fitted(deformation, reference)
+
+
+def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     options = replace(deformation.options, steps=min(deformation.options.steps, TRIAL_STEPS))
     meter = deformation.meter.untraced()
     trial = replace(deformation, reference=reference, options=options, meter=meter)

@@ -6,7 +6,7 @@ import pytest
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import FitOptions, fit
-from scan2albedo.fitting.mouth_corners import CORNERS, PULLS_MM, MouthCorners, MouthScan
+from scan2albedo.fitting.mouth_corners import CORNERS, FIRST_MM, FURTHER_MM, MouthCorners, MouthScan
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.synthetic import raw_like
@@ -42,23 +42,28 @@ def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
     assert np.linalg.norm(one_side[LEFT]) < 0.5
 
 
-@pytest.mark.parametrize("pulled", [(10.0, 10.0), (15.0, 15.0), (0.0, 15.0), (10.0, 0.0)])
+def pulled_all(model):
+    """The model with both corners pulled by each length, as if a coarse fit had left it so."""
+    corners = MouthCorners.of(model, model.control_vertices)
+    every = (*FIRST_MM, *FURTHER_MM)
+    return {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in every}
+
+
+@pytest.mark.parametrize(
+    "pulled", [(10.0, 10.0), (15.0, 15.0), (0.0, 15.0), (10.0, 0.0), (-7.0, -7.0), (-14.0, -14.0)]
+)
 def test_each_side_is_found_for_itself(model, pulled):
     mouth = mouth_of(model, smiling(model, *pulled))
-    corners = MouthCorners.of(model, model.control_vertices)
-    worth = mouth.worth_a_trial(model.control_vertices, corners)
-    assert max(pulled) in worth
-    reached = {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, *worth)}
+    reached = pulled_all(model)
+    for further, mm in FURTHER_MM.items():
+        assert mouth.gains(reached, mm) or further not in pulled
     assert mouth.chosen(reached) == pulled
 
 
-def test_a_mouth_as_the_model_s_costs_no_trial(model):
-    mouth = mouth_of(model, model.control_vertices)
-    corners = MouthCorners.of(model, model.control_vertices)
-    assert mouth.worth_a_trial(model.control_vertices, corners) == []
-    assert mouth.chosen(
-        {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, *PULLS_MM)}
-    ) == (0.0, 0.0)
+def test_a_mouth_as_the_model_s_stays_so(model):
+    mouth, reached = mouth_of(model, model.control_vertices), pulled_all(model)
+    assert not any(mouth.gains(reached, mm) for mm in FURTHER_MM.values())
+    assert mouth.chosen(reached) == (0.0, 0.0)
 
 
 def test_a_side_without_scan_stays(model):

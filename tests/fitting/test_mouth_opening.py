@@ -1,23 +1,31 @@
 import numpy as np
 import pytest
 
+from scan2albedo.core import Budget, Meter
 from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.landmark_pull import LandmarkPull
-from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, MouthSearch
+from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, MouthSearch, mouth_opened
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.fitting.stages import Deformation
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.synthetic import raw_like
 
 
-def opened_scan(model, angle_deg):
-    """The model itself with its jaw turned, as a scan (faces over the mouth left out)."""
-    control = JawHinge.of(model, model.control_vertices).opened(model.control_vertices, angle_deg)
+def without_film(model, control_points):
+    """The surface of a model as a scan that ends at the lips."""
     subdivision = model.subdivision(2)
-    seen = model.region[subdivision.parent] != model.regions["filled"].index
-    return subdivision.matrix @ control, subdivision.faces[seen]
+    film = model.in_region("between_lips")[subdivision.parent]
+    return subdivision.matrix @ control_points, subdivision.faces[~film]
+
+
+def opened_scan(model, angle_deg):
+    """The model itself with its jaw turned, as a scan."""
+    return without_film(
+        model, JawHinge.of(model, model.control_vertices).opened(model.control_vertices, angle_deg)
+    )
 
 
 def test_the_jaw_turns_and_the_upper_face_stays(ict):
@@ -40,44 +48,52 @@ def test_the_angle_of_a_turned_jaw_is_read_off(ict, angle):
     assert hinge.angle_deg(rest, hinge.opened(rest, angle)) == pytest.approx(angle, abs=0.2)
 
 
+def search_on(model, vertices, faces):
+    """The search for the jaw of a model at rest, on a scan that lies in its frame."""
+    scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
+    meter = Meter("fit", "mm", Budget.of(None), None)
+    deformation = Deformation(model, model.control_vertices, scan, FitOptions(), meter)
+    return MouthSearch(deformation, JawHinge.of(model, model.control_vertices))
+
+
 @pytest.mark.parametrize("angle", [0.0, 12.0, 20.0])
 def test_the_search_finds_the_angle_of_an_opened_model(ict, angle):
-    model = ict.model
-    vertices, faces = opened_scan(model, angle)
-    scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
-    search = MouthSearch.of(model, model.control_vertices, scan, 1)
-    expected = JawHinge.of(model, model.control_vertices).opened(model.control_vertices, angle)
-    assert (len(search.candidates) == 1) == (angle == 0)
-    gap = min(np.abs(candidate - expected).max() for candidate in search.candidates)
-    assert gap < 1e-6
-    assert len(search.angles_deg) == len(search.candidates)
-    assert angle in search.angles_deg
+    search = search_on(ict.model, *opened_scan(ict.model, angle))
+    assert search.tried() == angle
+    assert mouth_opened(search.deformation).jaw_deg == angle
+
+
+def test_a_mouth_is_open_where_the_scan_has_a_gap_alone(model):
+    opened = JawHinge.of(model, model.control_vertices).opened(model.control_vertices, 16.0)
+    with_gap = search_on(model, *without_film(model, opened))
+    covered = search_on(model, model.subdivision(2).matrix @ opened, model.subdivision(2).faces)
+    assert with_gap.gap(opened) > 0.9
+    assert covered.gap(opened) < 0.1
+    assert with_gap.tried() == 16.0
+    assert covered.tried() == 0.0
 
 
 def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
-    hinge = JawHinge.of(model, model.control_vertices)
-    opened = hinge.opened(model.control_vertices, 16.0)
-    vertices, faces = model.subdivision(2).matrix @ opened, model.subdivision(2).faces
-    scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
+    opened = JawHinge.of(model, model.control_vertices).opened(model.control_vertices, 12.0)
+    vertices, faces = without_film(model, opened)
     placed = np.full((68, 3), np.nan)
     placed[[30, 51, 57]] = model.landmarks_of(opened)[[30, 51, 57]]
     pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
-    shown = MouthSearch.of(model, model.control_vertices, scan, 1, pull)
-    assert shown.angles_deg == (16.0,)
-    without_lower = pull.only(pull.numbers != 57)
-    assert len(MouthSearch.of(model, model.control_vertices, scan, 1, without_lower).candidates) > 1
+    deformation = search_on(model, vertices, faces).deformation
+    assert mouth_opened(deformation, pull).jaw_deg == 12.0
+    assert deformation.meter.evaluations == 0  # no trial
+    mouth_opened(deformation, pull.only(pull.numbers != 57))
+    assert deformation.meter.evaluations > 0
     metrics = fit(RawScan(vertices, faces, landmarks=placed), model, np.eye(4)).metrics
-    assert metrics["jaw_deg"] == 16.0
+    assert metrics["jaw_deg"] == 12.0
     assert (metrics["corner_right_mm"], metrics["corner_left_mm"]) == (0.0, 0.0)
 
 
 def test_landmarks_open_no_mouth_away_from_the_scan(model):
-    vertices, faces = model.surface(2)
-    scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
     placed = np.full((68, 3), np.nan)
     placed[57] = model.landmarks[57] - (0, 20, 0)
     pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
-    assert MouthSearch.of(model, model.control_vertices, scan, 1, pull).angles_deg == (0.0,)
+    assert mouth_opened(search_on(model, *model.surface(2)).deformation, pull).jaw_deg == 0.0
 
 
 @pytest.mark.slow
