@@ -34,6 +34,7 @@ from scan2albedo.io.input_hash import file_sha256, files_of_scan
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.placed_landmarks import landmarks_file
 from scan2albedo.io.records import installed_versions, read_record, write_record
+from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions
 
 CATALOGUE_INTERVAL_S = 30.0
@@ -174,6 +175,7 @@ def _model_sha256(model: str) -> str | None:
 def _landmarks_of_all(landmarks: Any, count: int) -> str:
     """Return the absolute path of a batch's landmarks; ValueError for those that cannot be of all scans."""
     if landmarks == AUTO:
+        require_detector()
         return AUTO
     if not isinstance(landmarks, str) or (count > 1 and not Path(landmarks).is_dir()):
         raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")

@@ -164,7 +164,7 @@ class LandmarkPull:
         """Return the pull that holds landmarks where they are now along the scan, but lays them onto it."""
         points = self.matrix @ control_points
         hits = scan.nearest.query(points)
-        # What the scan itself shows are holes: nothing to lay it on.
+        # Holes have nothing to lay it on, and colours show places of the front view alone.
         near = (hits.distance < _ONTO_SCAN_MM) & ~scan.on_boundary(hits) & (self.numbers >= 0)
         return replace(self, targets=np.where(near[:, None], hits.points, points))
 

@@ -1,4 +1,4 @@
-"""Draw the corners of the model's mouth back before it bends, as a smile does: a search over two lengths.
+"""Draw the corners of the model's mouth back before it bends, as a smile does, or together, as a pout does.
 
 A smile moves the corners of the mouth over the cheeks and leaves a crease where they were drawn to. Closest
 points slide no corner along a surface; so smiling models are tried, and chosen, each side for itself, by
@@ -27,8 +27,10 @@ ABOVE_MM = 14.0
 """How far beside and above the corners the skin follows them (standard deviations)."""
 FIRST_MM = (0.0, -7.0, 10.0)
 FURTHER_MM = {-14.0: -7.0, 15.0: 10.0}
-"""Pulls that are tried, back above 0, together below; those further when what stands beside them gains."""
+"""Pulls in mm, above 0 back and below 0 together: those tried on every scan, and those tried when the pull
+that they are mapped to has gained."""
 WORTH = 0.2
+"""Part of the distance that 10 mm must save for 15 mm to be tried."""
 MIN_GAIN, NARROWER_GAIN = 0.34, 0.03
 """Shares of the distance that a pull's coarse fit saves. Drawn back: shut mouths up to 0.32, smiles from 0.35
 on. Drawn together: most puffed cheeks and puckered lips 0.03 to 0.24, other mouths none."""
@@ -40,7 +42,7 @@ MIN_COSINE = 0.2
 
 
 def corners_pulled(deformation: Deformation) -> Deformation:
-    """Return the deformation that starts from the corners of the mouth drawn back as the scan's are."""
+    """Return the deformation that starts from the corners of the mouth drawn back, or together."""
     reference, meter = deformation.reference, deformation.meter
     if meter.exhausted:
         return deformation
@@ -72,7 +74,8 @@ class MouthCorners:
         """Return the pulls of an annotated model at `control_points`; None without landmarks.
 
         A corner moves toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles pull
-        it; the lips stretch evenly between their middle and the corner, the cheek follows less and less.
+        it (below 0 mm away from it); the lips stretch evenly between their middle and the corner, the cheek
+        follows less and less.
         """
         landmarks = model.landmarks_of(control_points)
         if landmarks is None:

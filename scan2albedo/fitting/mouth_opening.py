@@ -1,7 +1,8 @@
 """Open the model's mouth before it bends: a search over one angle at the jaw's hinge.
 
 Closest points alone let the lips of a closed model slide along the chin of an open mouth; so opened
-models are tried, and chosen by the result of a coarse fit.
+models are tried, and chosen by the result of a coarse fit and by what lies behind the film, the part of the
+model's surface that spans from lip to lip. Landmarks that someone placed on the jaw show the angle.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.loop_subdivision import limit_matrix
-from scan2albedo.geometry.mesh import face_areas
+from scan2albedo.geometry.mesh import face_cross_products, lengths, normalized
 from scan2albedo.geometry.operators import laplacian
 
 EARS = (0, 16)
@@ -43,11 +44,14 @@ REACH_MM = 8.0
 COARSE_DEG = 8.0
 """The jaw is turned by such steps while it comes nearer to the scan, then by those of ANGLES_DEG."""
 MIN_GAIN, GAP = 0.12, 0.35
-"""Open jaws come nearer by 18 % and more, behind over half of the film nothing is near; puffed cheeks and
-rounded lips may gain half, with scan behind four fifths of the film and more."""
-BEHIND_MM = 6.0
+"""Least part of the distance that an opening saves, and of the film behind which nothing is near. Open jaws
+save 0.18 and more, with 0.5 and more of the film free; puffed cheeks and rounded lips up to 0.5, 0.2 free."""
+BEHIND_MM, FACING = 6.0, 0.5
+"""Scan nearer than this, with normals within 60 degrees of the film's, is skin."""
 WITH_JAW = 0.7
 """Landmarks that follow the jaw by at least this much show how far it is open; the mouth's corners do not."""
+SURE_MM = 2.0
+"""Of larger standard deviations, as a network's are, landmarks decide nothing about the jaw."""
 JAW_WEIGHT = 0.6
 """Samples that follow the jaw by at least this much measure its distance to the scan."""
 
@@ -199,7 +203,8 @@ class MouthSearch:
     def gap(self, control_points: FloatArray) -> float:
         """Return which part of the film between the lips has no scan near; 1 for models without a film.
 
-        Skin lies nearer to a film that was laid over it than BEHIND_MM, teeth and tongue do not.
+        Where shut lips were taken for open ones, their skin lies nearer to the film than BEHIND_MM and faces
+        as it does; teeth and tongue lie deeper, and the inner sides of lips face up and down.
         """
         model, scan = self.deformation.model, self.deformation.scan
         subdivision = model.subdivision(TRIAL_LEVEL)
@@ -207,15 +212,18 @@ class MouthSearch:
         if not film.any():
             return 1.0
         points, faces = subdivision.matrix @ control_points, subdivision.faces[film]
-        area = face_areas(points, faces)
+        across = face_cross_products(points, faces)
         hits = scan.nearest.query(points[faces].mean(axis=1))
-        missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits)
+        agreement = np.einsum("ij,ij->i", normalized(scan.normals_at(hits)), normalized(across))
+        missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits) | (agreement < FACING)
+        area = lengths(across)
         return float(area @ missing / max(area.sum(), 1e-300))
 
 
 def _of_the_jaw(landmarks: LandmarkPull, hinge: JawHinge) -> LandmarkPull | None:
     """Return the placed landmarks that show how far the jaw is open; None without any."""
-    shown = (landmarks.numbers >= 0) & (landmarks.matrix @ hinge.weight > WITH_JAW)
+    sure = (landmarks.numbers >= 0) & (landmarks.sigma_mm <= SURE_MM)
+    shown = sure & (landmarks.matrix @ hinge.weight > WITH_JAW)
     return landmarks.only(shown) if shown.any() else None
 
 

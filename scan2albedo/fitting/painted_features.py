@@ -35,7 +35,7 @@ DARKNESS, REDNESS = 0, 1
 _FLOOR = np.array([0.06, 0.025])
 """Deviations of log darkness and log redness that are none of a feature."""
 _LEAST_SEEN = 0.5
-"""Of the feature's points, and of those beside it."""
+"""Part of a feature's points, and of those beside it, that the scan must show; of the picture half that."""
 _BROW_MM, _BROW_BELOW_MM = 3.8, 1.2
 """Half width of a brow, and how far its middle lies below its landmarks."""
 _LASHES_MM = 1.5
@@ -45,10 +45,10 @@ _LINE_MM = 1.0
 _OPEN_MM = 3.0
 _HALF_WIDTH_MM = 25.0
 _SAMPLES, _POWERS = 256, (0.2, 0.5, 1.0)
-"""Draws of a round, and the powers of the likelihood: little first, so that none far off is missed."""
+"""Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far."""
 _WIDER = 1.5
 _SURE = 0.65
-"""A feature tells something when the deviation of its middle is less than this part of that without it."""
+"""A feature is used where the posterior deviation of its height is below this part of the prior's."""
 _LEAST_LOG_LIKELIHOOD = 4.0
 _EXACT_MM = {"brow": 1.5, "eye": 1.5, "lips": 0.8}
 """Standard deviation of a landmark of a feature whose motion is known."""
@@ -105,7 +105,8 @@ class _Places:
 class _Cue:
     """A colour `channel` that is high where `label` (N,) is 1 and low where 0 (NaN: either).
 
-    It counts as `independent` points. What is linear in `light` (N, 2) is light, and no cue.
+    It counts as `independent` points. What is linear in `light` (N, 2), two functions of place, is taken for
+    light that falls off, and not for a feature.
     """
 
     channel: int

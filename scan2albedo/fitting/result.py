@@ -65,8 +65,8 @@ class FittedFace:
     metrics: dict[str, float] = field(default_factory=dict)
     """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
     (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how many holes of the
-    scan were taken for open eyes and mouth (``openings``), how many landmarks its colours show
-    (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
+    scan were taken for open eyes and mouth (``openings``), how many landmarks its colours
+    draw (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
     (``jaw_deg``) and how far its corners were drawn back: for result.json."""
     landmark_deviation_mm: FloatArray | None = None
     """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""

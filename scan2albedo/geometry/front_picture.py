@@ -12,7 +12,8 @@ from scan2albedo.geometry.rasterization import bilinear, rasterize
 from scan2albedo.geometry.rigid import transform_points
 
 _LARGEST_FACE_MM = 30.0
-"""No face of a scan is larger; those of a torn one hide the picture, and cost its whole area each."""
+"""Triangles larger than this are left out: those of a torn scan hide what they were torn across."""
+_HAIR = 1e-6
 _LOOKS = 2
 """Texels are finer than squares: each is the mean of so many looks along both axes."""
 
@@ -39,7 +40,7 @@ def front_picture(
 ) -> FrontPicture:
     """Return the picture of a scan with colour, moved by a (4, 4) transform, between two corners (2,).
 
-    Faces that look away are left out, and those larger than any of a face.
+    Triangles that look away are left out, and those that a torn scan has.
     """
     columns, rows = (np.ceil((high - low) / step_mm).astype(int) + 1).tolist()
     fine = step_mm / _LOOKS
@@ -65,10 +66,12 @@ def front_picture(
 def _colors(scan: RawScan, face: IntArray, barycentric: FloatArray) -> FloatArray:
     """Return the linear colours (N, 3), at least 0, of points of a scan's faces (N,)."""
     if scan.uv is not None and scan.texture_linear is not None:
-        u, v = (np.einsum("nk,nkc->nc", barycentric, scan.uv[face]) % 1.0).T
+        corners = scan.uv[face]
+        corners = corners - np.floor(corners.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
+        u, v = np.einsum("nk,nkc->nc", barycentric, corners).T % (1 + 2 * _HAIR)
         height, width = scan.texture_linear.shape[:2]
         pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
         return np.maximum(bilinear(scan.texture_linear, pixels), 0)
     assert scan.vertex_color_linear is not None
-    corners = scan.vertex_color_linear[scan.faces[face]]
-    return np.maximum(np.einsum("nk,nkc->nc", barycentric, corners), 0)
+    colors = scan.vertex_color_linear[scan.faces[face]]
+    return np.maximum(np.einsum("nk,nkc->nc", barycentric, colors), 0)

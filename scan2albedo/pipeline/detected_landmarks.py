@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
@@ -20,6 +22,7 @@ from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.rasterization import rasterize
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.report.rendering import View, render_mesh
 
 _MODEL = "face_landmarker_v2.task"
@@ -31,7 +34,12 @@ _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
 _FACING = 0.5
 """Cosine between the surface and the view: what is seen at a more grazing angle is left out."""
-_FEWEST_VIEWS = 2
+_FEWEST_VIEWS, _APART_MM = 2, 5.0
+"""At least so many views must see a landmark this near to the median of all."""
+_LEAST_SECONDS = 2.0
+"""What loading the network and looking take."""
+_TEXTURE_PIXELS = 2048
+"""Along a side; the pictures show no more of a larger texture."""
 _POINTS = {
     **dict(zip((18, 19, 20, 21, 22, 23, 24, 25), (63, 105, 66, 107, 336, 296, 334, 293), strict=True)),
     **dict(zip((30, 32, 33, 34), (4, 97, 2, 326), strict=True)),
@@ -55,11 +63,30 @@ def require_detector() -> None:
     _network_file()
 
 
+def with_detected(scan: RawScan, pose: FloatArray, seconds: float | None = None) -> RawScan:
+    """Return the scan with the landmarks that MediaPipe finds on it, beside those it has; these win.
+
+    Warns, and leaves the scan as it is, where it sees no face, or where `seconds` are too few.
+    """
+    if seconds is not None and seconds < _LEAST_SECONDS:
+        warnings.warn("too little of the budget is left to look for landmarks with MediaPipe", stacklevel=2)
+        return scan
+    found, given = detected_landmarks(scan, pose), scan.landmarks
+    if found is None:
+        warnings.warn("MediaPipe finds no face on the scan: no landmarks of it are used", stacklevel=2)
+        return scan
+    if given is not None:
+        points = np.where(given.placed[:, None], given.points, found.points)
+        found = PlacedLandmarks(points, np.where(given.placed, given.sigma_mm, found.sigma_mm))
+    return replace(scan, landmarks=found)
+
+
 def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLandmarks | None:
     """Return landmarks that MediaPipe finds on a registered scan (mm); None where it sees no face.
 
-    The scan is drawn from five sides, with its colours, or grey as a lamp at the viewer shades it; a landmark
-    is the median of the points behind the network's, where at least two views look straight enough at them.
+    The scan is drawn from five sides, with its colours, or where these show no face grey as a lamp at the
+    viewer shades it; a landmark is the median of the points behind the network's, where at least two views
+    look straight enough at them and agree.
 
     Raises MissingDependencyError without the extra [landmarks].
 
@@ -74,9 +101,17 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     near = np.abs(vertices[scan.faces]).max(axis=(1, 2)) < 2 * _HALF_WIDTH_MM
     if not near.any():
         return None
+    painted = _Painted.of(scan, vertices, near)
     with _detector() as detect:
-        seen = np.stack([_seen_from(scan, vertices, near, View((0, 0, 0), _HALF_WIDTH_MM, *angles), detect)
-                         for angles in _VIEWS_DEG])  # fmt: skip
+        views = [View((0, 0, 0), _HALF_WIDTH_MM, *angles) for angles in _VIEWS_DEG]
+        seen = np.stack([_seen_from(painted, view, detect) for view in views])
+    if scan.has_color and np.isnan(seen).all():
+        bare = replace(scan, uv=None, texture_linear=None, vertex_color_linear=None)
+        return detected_landmarks(bare, model_from_scan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of landmarks that no view sees
+        middle = np.nanmedian(seen, axis=0)
+    seen[np.linalg.norm(seen - middle, axis=-1) > _APART_MM] = np.nan
     enough = np.isfinite(seen[..., 0]).sum(axis=0) >= _FEWEST_VIEWS
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.ones(COUNT)
     for numbers, deviation in _SIGMA_MM.items():
@@ -85,41 +120,54 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     return PlacedLandmarks(points, sigma_mm) if enough.any() else None
 
 
-def _seen_from(
-    scan: RawScan, vertices: FloatArray, near: NDArray[np.bool_], view: View, detect: Any
-) -> FloatArray:
+@dataclass(frozen=True)
+class _Painted:
+    """A scan in the model's frame as it is drawn: `colors` are keyword arguments of `render_mesh`."""
+
+    vertices: FloatArray
+    faces: IntArray
+    normals: FloatArray
+    colors: dict[str, Any]
+
+    @classmethod
+    def of(cls, scan: RawScan, vertices: FloatArray, near: BoolArray) -> _Painted:
+        """Take the triangles `near` (F,) of a scan moved to `vertices` (V, 3)."""
+        faces = scan.faces[near]
+        colors: dict[str, Any] = {}
+        if scan.uv is not None and scan.texture_linear is not None:
+            stride = max(1, max(scan.texture_linear.shape[:2]) // _TEXTURE_PIXELS)
+            texture = (255 * _exposed(scan.texture_linear[::stride, ::stride])).astype(np.uint8)
+            colors = {
+                "texture_srgb": (in_first_period(scan.uv[near], texture.shape), texture),
+                "shaded": False,
+            }
+        elif scan.vertex_color_linear is not None:
+            colors = {"vertex_color_srgb": _exposed(scan.vertex_color_linear), "shaded": False}
+        return cls(vertices, faces, face_normals(vertices, faces), colors)
+
+
+def _exposed(linear: NDArray[np.float32]) -> FloatArray:
+    """Return sRGB colours (..., 3), the brightest but few of them white."""
+    white = float(np.percentile(linear.max(-1), _BRIGHT)) or 1.0
+    return np.asarray(linear_to_srgb(np.clip(linear / white, 0, 1)))
+
+
+def _seen_from(scan: _Painted, view: View, detect: Any) -> FloatArray:
     """Return (68, 3) what the network sees of a scan in the model's frame, NaN where nothing."""
     found = np.full((COUNT, 3), np.nan)
-    faces = scan.faces[near]
-    pixels = detect(_picture(scan, vertices, near, view))
+    vertices, faces = scan.vertices, scan.faces
+    pixels = detect(render_mesh(vertices, faces, view=view, size=_SIZE, **scan.colors))
     if pixels is None:
         return found
     raster = rasterize(view.pixels(vertices, _SIZE), view.project(vertices)[:, 2], faces, (_SIZE, _SIZE))
     toward = view.rotation[2]
-    normals = face_normals(vertices, faces)
     for number, point in _POINTS.items():
         column, row = np.round(pixels[point]).astype(int)
         if not (0 <= column < _SIZE and 0 <= row < _SIZE) or (face := raster.face[row, column]) < 0:
             continue
-        if normals[face] @ toward > _FACING:
+        if scan.normals[face] @ toward > _FACING:
             found[number] = raster.barycentric[row, column] @ vertices[faces[face]]
     return found
-
-
-def _picture(scan: RawScan, vertices: FloatArray, near: NDArray[np.bool_], view: View) -> NDArray[np.uint8]:
-    """Return the (_SIZE, _SIZE, 3) sRGB picture that the network gets."""
-    faces = scan.faces[near]
-    if scan.uv is not None and scan.texture_linear is not None:
-        white = float(np.percentile(scan.texture_linear[::8, ::8].max(-1), _BRIGHT)) or 1.0
-        texture = (255 * linear_to_srgb(np.clip(scan.texture_linear / white, 0, 1))).astype(np.uint8)
-        return render_mesh(
-            vertices, faces, texture_srgb=(scan.uv[near], texture), view=view, size=_SIZE, shaded=False
-        )
-    if scan.vertex_color_linear is not None:
-        white = float(np.percentile(scan.vertex_color_linear.max(-1), _BRIGHT)) or 1.0
-        color = linear_to_srgb(np.clip(scan.vertex_color_linear / white, 0, 1))
-        return render_mesh(vertices, faces, vertex_color_srgb=color, view=view, size=_SIZE, shaded=False)
-    return render_mesh(vertices, faces, view=view, size=_SIZE)
 
 
 @contextmanager

@@ -94,7 +94,7 @@ class ProcessOptions:
         None,
         str | None,
         "Landmarks placed by hand, any of 68: a CSV, JSON or MeshLab .pp file, or a folder with files named "
-        "after the scans; or auto for those that MediaPipe finds (pip install 'scan2albedo[landmarks]').",
+        "after the scans; or auto for those that MediaPipe finds (needs the extra named landmarks).",
         metavar="FILE|auto",
     )
     """Points that someone placed on the scan, soft constraints of registration and fit, see `load_scan`; or

@@ -17,7 +17,6 @@ import numpy as np
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
@@ -30,7 +29,7 @@ from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.load_scan import with_landmarks
-from scan2albedo.pipeline.detected_landmarks import detected_landmarks, require_detector
+from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
@@ -164,6 +163,8 @@ def _processed(
 ) -> ProcessResult:
     """Take the scan through the stages; no file is written."""
     clock = _Clock(options)
+    if options.landmarks == AUTO:
+        require_detector()
     file, scaled = None if isinstance(source, RawScan) else Path(source), None
     with clock.timed("load"):
         # Hashed before it is read: a file that changes meanwhile is stale at once.
@@ -176,9 +177,7 @@ def _processed(
                 scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         else:
             scan = source if name is None else replace(source, name=name)
-        if options.landmarks == AUTO:
-            require_detector()
-        elif options.landmarks is not None:
+        if options.landmarks not in (None, AUTO):
             scan = with_landmarks(scan, options.landmarks, file)
             scaled = None if scaled is None else replace(scaled, scan=scan)
         model = chosen_model(options.model)
@@ -191,7 +190,7 @@ def _processed(
             pose = np.eye(4) if registration is None else registration.model_from_scan
             with clock.timed("fit"):
                 if options.landmarks == AUTO:
-                    scan = _with_detected(scan, pose)
+                    scan = with_detected(scan, pose, clock.share("fit").seconds)
                 fitted = fit(
                     scan, model, pose, clock.share("fit"), options=options.stages.fit, on_progress=on_progress
                 )
@@ -240,16 +239,6 @@ def _colors_step(scan: RawScan, fitted: FittedFace) -> PlanStep:
         return PlanStep("fit.colors", True, reason, f"{count} landmarks")
     reason = "the scan's colours show no feature surely" if scan.has_color else "the scan has no colour"
     return PlanStep("fit.colors", False, reason)
-
-
-def _with_detected(scan: RawScan, pose: FloatArray) -> RawScan:
-    """Return the scan with the landmarks that a network finds on it; warns where it sees no face."""
-    found = detected_landmarks(scan, pose)
-    if found is None:
-        warnings.warn(
-            f"{scan.name}: MediaPipe finds no face on the scan: no landmarks are used", stacklevel=2
-        )
-    return replace(scan, landmarks=found)
 
 
 def _registered(
@@ -321,6 +310,9 @@ def _plan(
         reason = "skipped by the caller: the scan is taken to lie in the model's frame"
         steps.append(PlanStep("register", False, reason))
     if fitted is not None:
+        if scan.landmarks is not None:
+            reason = "MediaPipe finds landmarks" if options.landmarks == AUTO else "landmarks are given"
+            steps.append(PlanStep("fit.landmarks", True, reason, f"{int(scan.landmarks.placed.sum())}"))
         evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
         steps.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
         steps.append(_colors_step(scan, fitted))

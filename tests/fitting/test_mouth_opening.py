@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,8 +84,11 @@ def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
     deformation = search_on(model, vertices, faces).deformation
     assert mouth_opened(deformation, pull).jaw_deg == 12.0
     assert deformation.meter.evaluations == 0  # no trial
-    mouth_opened(deformation, pull.only(pull.numbers != 57))
-    assert deformation.meter.evaluations > 0
+    unsure = replace(pull, sigma_mm=np.full(len(pull.numbers), 4.0))
+    for undecided in (pull.only(pull.numbers != 57), unsure):
+        before = deformation.meter.evaluations
+        mouth_opened(deformation, undecided)
+        assert deformation.meter.evaluations > before
     metrics = fit(RawScan(vertices, faces, landmarks=placed), model, np.eye(4)).metrics
     assert metrics["jaw_deg"] == 12.0
     assert (metrics["corner_right_mm"], metrics["corner_left_mm"]) == (0.0, 0.0)

@@ -53,3 +53,11 @@ def test_faces_torn_across_the_picture_hide_nothing():
         np.concatenate([SQUARE, torn]), np.concatenate([FACES, FACES + 4]), vertex_color_linear=colors
     )
     assert np.allclose(color_at(picture(scan), 5, 5), (1, 0, 0))
+
+
+def test_coordinates_of_other_periods_and_at_the_edge_are_those_of_the_texture():
+    texture = np.zeros((4, 4, 3), np.float32)
+    texture[:, 2:] = 1.0
+    plain, moved = (RawScan(SQUARE, FACES, uv=UV + shift, texture_linear=texture) for shift in (0.0, 3.0))
+    assert np.allclose(picture(plain).color, picture(moved).color)
+    assert np.allclose(color_at(picture(plain), 9.9, 5), 1, atol=0.01)

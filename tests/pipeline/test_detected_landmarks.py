@@ -94,6 +94,45 @@ def test_process_hands_them_to_the_fit(person, network):
     assert result.options["landmarks"] == "auto"
 
 
+def test_landmarks_placed_by_hand_win(person, network):
+    scan, truth = person
+    by_hand = np.full((68, 3), np.nan)
+    by_hand[[8, 36]] = [[1.0, 2, 3], [4, 5, 6]]
+    placed = replace(scan, landmarks=by_hand)
+    network(Network(truth))
+    both = detected.with_detected(placed, truth.model_from_scan).landmarks
+    np.testing.assert_array_equal(both.points[[8, 36]], by_hand[[8, 36]])
+    assert both.placed.sum() > 30
+    network(lambda picture: None)
+    with pytest.warns(UserWarning, match="finds no face"):
+        assert detected.with_detected(placed, truth.model_from_scan).landmarks.placed.sum() == 2
+
+
+def test_a_small_budget_leaves_the_network_out(person, network):
+    scan, truth = person
+    seen = network(Network(truth))
+    with pytest.warns(UserWarning, match="too little of the budget"):
+        assert detected.with_detected(scan, truth.model_from_scan, 0.5).landmarks is None
+    assert not seen.pictures
+
+
+def test_where_colours_show_no_face_grey_is_tried(person, network):
+    scan, truth = person
+    seen = Network(truth)
+    coloured = len(detected._VIEWS_DEG)
+    looked = []
+
+    def blind_to_colour(picture):
+        looked.append(picture)
+        return None if len(looked) <= coloured else seen(picture)
+
+    network(blind_to_colour)
+    found = detected.detected_landmarks(scan, truth.model_from_scan)
+    assert len(looked) == 2 * coloured
+    assert (looked[-1][..., 0] == looked[-1][..., 1]).all()
+    assert found.placed.sum() > 30
+
+
 def test_what_is_missing_is_named_before_anything_is_done(monkeypatch, person):
     monkeypatch.setattr(detected, "find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[landmarks\]'"):
