@@ -3,8 +3,8 @@
 A feature is darker or redder than the skin around it. Of each there is a template in the model's front view:
 points on the feature and beside it. It is moved over the scan's picture; the partial correlation rho of label
 and colour, given place (light falls off smoothly), has the likelihood (1 - rho^2)^(-n/2) of n independent
-points. Importance sampling with a normal prior gives the posterior of the motion. Grey or even colours leave
-the prior as it was, and then nothing is said.
+points. Importance sampling with a normal prior gives the posterior of the motion. Even colours leave the
+prior as it was, and then nothing is said.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scan2albedo.geometry.polylines import inside_polygon, polyline_distance
 _STEP_MM = 0.8
 _SPACING_MM = 1.5
 """Of the picture's squares, and of a template's points."""
-_MARGIN_MM = 25.0
+_MARGIN_MM = 25.0  # of the picture around the inner landmarks: a feature may lie so far off
 _BLACK = 0.03
 """Added to colours, relative to the usual brightness, before the logarithm: in the dark is noise."""
 _BRIGHTNESS = np.array([0.25, 0.6, 0.15])
@@ -42,19 +42,19 @@ _LASHES_MM = 1.5
 """Beside the lids, what is dark may be lashes and shadows."""
 _LINE_MM = 1.0
 """Half width of the line between shut lips."""
-_OPEN_MM = 3.0
-_HALF_WIDTH_MM = 25.0
+_OPEN_MM = 3.0  # lips farther apart have no line between them
+_HALF_WIDTH_MM = 25.0  # of a mouth or a brow
 _SAMPLES, _POWERS = 256, (0.2, 0.5, 1.0)
 """Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far."""
-_WIDER = 1.5
+_WIDER = 1.5  # proposals than what they are to find, in variance
 _SURE = 0.65
 """A feature is used where the posterior deviation of its height is below this part of the prior's."""
-_LEAST_LOG_LIKELIHOOD = 4.0
+_LEAST_LOG_LIKELIHOOD = 4.0  # above no feature at all; by eye
 _EXACT_MM = {"brow": 1.5, "eye": 1.5, "lips": 0.8}
 """Standard deviation of a landmark of a feature whose motion is known."""
 _INDEPENDENT = 6
 """The landmarks of a feature err alike: they count as so many."""
-_NEVER_WRONG_MM = 50.0
+_NEVER_WRONG_MM = 50.0  # farther than is looked: left to the posterior
 _BROWS = np.array([1.2, 4.0, 0.08, 0.02, 0.3, 0.3, 1.0])
 _EYES = np.array([1.5, 2.5, 0.06, 0.05, 0.3, 0.3, 0.5])
 _LIPS = np.array([1.5, 3.0, 0.04, 0.08, 0.3, 0.3, 2.5])

@@ -14,6 +14,7 @@ from scan2albedo.geometry.rigid import transform_points
 _LARGEST_FACE_MM = 30.0
 """Triangles larger than this are left out: those of a torn scan hide what they were torn across."""
 _HAIR = 1e-6
+"""By so much a coordinate may be off a whole number."""
 _LOOKS = 2
 """Texels are finer than squares: each is the mean of so many looks along both axes."""
 
@@ -29,10 +30,6 @@ class FrontPicture:
     seen: BoolArray
     low: FloatArray
     step_mm: float
-
-    def places(self, points: FloatArray) -> FloatArray:
-        """Return (..., 2) column and row of points (..., 2)."""
-        return np.asarray((points - self.low) / self.step_mm)
 
 
 def front_picture(

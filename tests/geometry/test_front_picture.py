@@ -16,7 +16,7 @@ def picture(scan, pose=None):
 
 
 def color_at(shown, x, y):
-    column, row = np.round(shown.places(np.array([x, y]))).astype(int)
+    column, row = np.round((np.array([x, y]) - shown.low) / shown.step_mm).astype(int)
     return shown.color[row, column] if shown.seen[row, column] else None
 
 
