@@ -2,6 +2,7 @@
 
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py [--expressions] [--given] [--json FILE]
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py --mouths
+    OMP_NUM_THREADS=1 python tools/bench_landmarks.py --lamps
 
 "james" and "flame_scan" are real scans with points placed by hand, "traced" path-traced whole heads,
 the others light-stage shapes made raw, with `--expressions` each of twelve at weights .6 and 1. Every scan is
@@ -11,7 +12,9 @@ path-traced scans with the landmarks that MediaPipe finds (where the extra [land
 "MediaPipe" these landmarks themselves, those it has. Errors are mean distances in mm over the 51 inner points
 of iBUG-68. The last lines show how many coordinates lie within one and two of their stated
 standard deviations: 68 % and 95 % where it is right. `--mouths` counts instead, of 200 scans of shut mouths
-with many expressions and of open jaws, how many jaws were judged rightly. Needs ../shared/data.
+with many expressions and of open jaws, how many jaws were judged rightly. `--lamps` paints shapes in one
+colour under a lamp, and shows by how much landmarks get worse when colours are looked at. Needs
+../shared/data.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ import scan2albedo as s2a
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks
 from scan2albedo.fitting import FitOptions
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline.detected_landmarks import detected_landmarks
 from scan2albedo.synthetic import raw_like, raw_scan
@@ -54,6 +58,9 @@ SHUT = ("cheek_puff", "mouth_frown", "mouth_pucker", "mouth_roll_lower", "mouth_
 OWN_SHUT = ("neutral", "smile", "frown", "pout", "puff")
 NEUTRAL = ("generic_neutral", "person1", "person2", "person3", "person4")
 WEIGHTS = (0.6, 1.0)
+LAMPS_DEG = ((0, 0), (0, 50), (0, 70), (0, 90), (0, -50), (50, 30), (-60, 0), (30, -40))
+"""Directions of lamps: to the left of the face's front, and above it."""
+SKIN, AMBIENT = (0.8, 0.55, 0.45), 0.08
 
 
 @dataclass(frozen=True)
@@ -155,13 +162,40 @@ def print_mouths(model: s2a.AnnotatedFaceModel) -> None:
         print(f"{'open' if is_open else 'shut'} jaws: {sum(each)} of {len(each)} judged rightly")
 
 
+def print_lamps(model: s2a.AnnotatedFaceModel) -> None:
+    """Print by how much the landmarks of shapes of one colour get worse under lamps."""
+    worse = []
+    for case in (c for c in cases(expressions=False) if c.group in ("flame_scan", "neutral")):
+        pose = s2a.register(case.scan, model).model_from_scan
+        normals = vertex_normals(case.scan.vertices, case.scan.faces) @ pose[:3, :3].T
+        plain = fitted_row(case, model, pose).error_mm[INNER]
+        parts = []
+        for beside, above in np.deg2rad(LAMPS_DEG):
+            toward = [np.sin(beside) * np.cos(above), np.sin(above), np.cos(beside) * np.cos(above)]
+            light = AMBIENT + np.maximum(normals @ toward, 0)
+            lit = replace(case.scan, vertex_color_linear=light[:, None] * SKIN)
+            row = fitted_row(replace(case, scan=lit), model, pose)
+            worse.append(float(np.nanmean(row.error_mm[INNER] - plain)))
+            parts.append(f"{worse[-1]:+8.2f}")
+        print(f"{case.name:28}" + "".join(parts))
+    print(f"mean {np.mean(worse):+.2f}, worst {np.max(worse):+.2f} mm")
+
+
 def measured(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
     """Register and fit a scan, and compare its landmarks in the model's frame."""
+    begin = time.process_time()
+    registration = s2a.register(case.scan, model)
+    row = fitted_row(case, model, registration.model_from_scan)
+    return replace(row, cpu_s=time.process_time() - begin)
+
+
+def fitted_row(case: Case, model: s2a.AnnotatedFaceModel, pose: FloatArray) -> Row:
+    """Fit a scan from its pose, and compare its landmarks in the model's frame."""
     begin = time.process_time()
     options = FitOptions(colors=SHAPE_ALONE not in case.group)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        fitted = s2a.fit(case.scan, model, s2a.register(case.scan, model), options=options)
+        fitted = s2a.fit(case.scan, model, pose, options=options)
     cpu_s = time.process_time() - begin
     assert fitted.landmarks is not None
     assert fitted.landmark_deviation_mm is not None
@@ -228,11 +262,15 @@ def main() -> None:
         "--given", action="store_true", help="also with five landmarks given, one of them wrong"
     )
     parser.add_argument("--mouths", action="store_true", help="judge 200 jaws instead")
+    parser.add_argument("--lamps", action="store_true", help="light shapes of one colour instead")
     parser.add_argument("--json", type=Path, help="file for all offsets")
     arguments = parser.parse_args()
     model = s2a.AnnotatedFaceModel.default()
     if arguments.mouths:
         print_mouths(model)
+        return
+    if arguments.lamps:
+        print_lamps(model)
         return
     s2a.register(s2a.load_scan(face_data("humface.ply")), model)  # compiles
     print(f"{'':28}{'51':>8}" + "".join(f"{name:>10}" for name in (*FEATURES, "largest")) + f"{'CPU s':>8}")

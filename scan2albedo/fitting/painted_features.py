@@ -3,8 +3,8 @@
 A feature is darker or redder than the skin around it. Of each there is a template in the model's front view:
 points on the feature and beside it. It is moved over the scan's picture; the partial correlation rho of label
 and colour, given place (light falls off smoothly), has the likelihood (1 - rho^2)^(-n/2) of n independent
-points. Importance sampling with a normal prior gives the posterior of the motion. Even colours leave the
-prior as it was, and then nothing is said.
+points. Shading is divided out. Importance sampling with a normal prior gives the posterior of the motion;
+even colours leave the prior as it was, and then nothing is said.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
+from scan2albedo.fitting.even_light import evenly_lit
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
 from scan2albedo.geometry.front_picture import FrontPicture, front_picture
 from scan2albedo.geometry.polylines import inside_polygon, polyline_distance
@@ -38,8 +39,7 @@ _LEAST_SEEN = 0.5
 """Part of a feature's points, and of those beside it, that the scan must show; of the picture half that."""
 _BROW_MM, _BROW_BELOW_MM = 3.8, 1.2
 """Half width of a brow, and how far its middle lies below its landmarks."""
-_LASHES_MM = 1.5
-"""Beside the lids, what is dark may be lashes and shadows."""
+_LASHES_MM = 1.5  # beside the lids, what is dark may be lashes and shadows
 _LINE_MM = 1.0
 """Half width of the line between shut lips."""
 _OPEN_MM = 3.0  # lips farther apart have no line between them
@@ -49,7 +49,8 @@ _SAMPLES, _POWERS = 256, (0.2, 0.5, 1.0)
 _WIDER = 1.5  # proposals than what they are to find, in variance
 _SURE = 0.65
 """A feature is used where the posterior deviation of its height is below this part of the prior's."""
-_LEAST_LOG_LIKELIHOOD = 4.0  # above no feature at all; by eye
+_LEAST_LOG_LIKELIHOOD = {"brow": 4.0, "eye": 4.0, "lips": 10.0}
+"""Above no feature at all, by eye: on faces of one colour creases beside shut lips reach 9."""
 _EXACT_MM = {"brow": 1.5, "eye": 1.5, "lips": 0.8}
 """Standard deviation of a landmark of a feature whose motion is known."""
 _INDEPENDENT = 6
@@ -184,7 +185,7 @@ def _channels(picture: FrontPicture) -> FloatArray:
     color, seen = picture.color, picture.seen
     bright = color @ _BRIGHTNESS
     black = _BLACK * np.median(bright[seen])
-    dark = -np.log(bright + black)
+    dark = -np.log(evenly_lit(picture, bright) + _BLACK)
     red = np.log((color[..., 0] + black) / (color[..., 1] + black))
     dark, red = (np.clip(values, *np.percentile(values[seen], [1, 99])) for values in (dark, red))
     return np.stack([dark, red, np.ones_like(dark)], axis=-1) * seen[..., None]
@@ -287,7 +288,7 @@ def _located(
             own = _Normal(found.mean, found.covariance + np.diag(_ALONE**2))
             motion, likelihood = _posterior((side,), channels, picture, own)
         sure = np.sqrt(motion.covariance[1, 1]) < _SURE * deviation[1]
-        if not sure or likelihood < _LEAST_LOG_LIKELIHOOD:
+        if not sure or likelihood < _LEAST_LOG_LIKELIHOOD[side.name]:
             continue
         axes = _axes(side.name)
         draws = side.motions(motion.mean + _draws() @ np.linalg.cholesky(motion.covariance).T)

@@ -21,12 +21,13 @@ _LOOKS = 2
 
 @dataclass(frozen=True)
 class FrontPicture:
-    """`color` (H, W, 3), linear, and which squares are `seen` (H, W); row 0 is the lowest.
+    """`color` (H, W, 3), linear, `depth` (H, W), z in mm, and which squares are `seen`; row 0 is the lowest.
 
     The centre of square (row, column) lies at `low` (2,) + `step_mm` (column, row).
     """
 
     color: FloatArray
+    depth: FloatArray
     seen: BoolArray
     low: FloatArray
     step_mm: float
@@ -52,12 +53,14 @@ def front_picture(
     shape = rows * _LOOKS, columns * _LOOKS
     raster = rasterize((vertices[:, :2] - first) / fine, vertices[:, 2], scan.faces[used], shape)
     covered = raster.covered
-    looked = np.zeros((*shape, 3))
-    looked[covered] = _colors(scan, used[raster.face[covered]], raster.barycentric[covered])
+    face, barycentric = used[raster.face[covered]], raster.barycentric[covered]
+    looked = np.zeros((*shape, 4))
+    looked[covered, :3] = _colors(scan, face, barycentric)
+    looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
     blocks = rows, _LOOKS, columns, _LOOKS
     count = covered.reshape(blocks).sum((1, 3))
-    color = looked.reshape(*blocks, 3).sum((1, 3)) / np.maximum(count, 1)[..., None]
-    return FrontPicture(color, count > 0, low, step_mm)
+    mean = looked.reshape(*blocks, 4).sum((1, 3)) / np.maximum(count, 1)[..., None]
+    return FrontPicture(mean[..., :3], mean[..., 3], count > 0, low, step_mm)
 
 
 def _colors(scan: RawScan, face: IntArray, barycentric: FloatArray) -> FloatArray:

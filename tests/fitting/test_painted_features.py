@@ -9,6 +9,7 @@ from scan2albedo import fit
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.painted_features import painted_features, painted_pull
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic import raw_scan
 
@@ -82,6 +83,27 @@ def sideways_light(texture):
 def test_without_features_nothing_is_said(person, paint):
     scan, truth = person
     assert found_at(replace(scan, texture_linear=paint(scan.texture_linear)), truth) == []
+
+
+@pytest.mark.parametrize("toward", [(0, 0.95, 0.3), (0, -0.8, 0.6), (0.7, 0.6, 0.4)], ids=str)
+def test_a_lamp_on_an_even_face_is_no_feature(person, toward):
+    scan, truth = person
+    normals = vertex_normals(scan.vertices, scan.faces) @ truth.model_from_scan[:3, :3].T
+    light = 0.08 + np.maximum(normals @ np.array(toward), 0)
+    shaded = replace(
+        scan, uv=None, texture_linear=None, vertex_color_linear=light[:, None] * (0.8, 0.55, 0.45)
+    )
+    assert found_at(shaded, truth) == []
+
+
+def test_a_few_hot_texels_change_little(person):
+    scan, truth = person
+    hot = scan.texture_linear.copy()
+    hot[np.random.default_rng(0).uniform(size=hot.shape[:2]) < 1e-4] = 1e6
+    before, after = found_at(scan, truth), found_at(replace(scan, texture_linear=hot), truth)
+    assert [f.name for f in before] == [f.name for f in after]
+    for one, other in zip(before, after, strict=True):
+        assert np.abs(one.places - other.places).max() < 0.5
 
 
 def test_nothing_is_said_without_colour_or_far_away(person, model):
