@@ -3,6 +3,7 @@
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py [--expressions] [--given] [--json FILE]
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py --mouths
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py --lamps
+    OMP_NUM_THREADS=1 python tools/bench_landmarks.py --glasses
 
 "james" and "flame_scan" are real scans with points placed by hand, "traced" path-traced whole heads,
 the others light-stage shapes made raw, with `--expressions` each of twelve at weights .6 and 1. Every scan is
@@ -13,7 +14,8 @@ path-traced scans with the landmarks that MediaPipe finds (where the extra [land
 of iBUG-68. The last lines show how many coordinates lie within one and two of their stated
 standard deviations: 68 % and 95 % where it is right. `--mouths` counts instead, of 200 scans of shut mouths
 with many expressions and of open jaws, how many jaws were judged rightly. `--lamps` paints shapes in one
-colour under a lamp, and shows by how much landmarks get worse when colours are looked at. Needs
+colour under a lamp, and shows by how much landmarks get worse when colours are looked at. `--glasses` puts
+glasses with lenses on them, and shows the errors of surface and landmarks around the eyes. Needs
 ../shared/data.
 """
 
@@ -36,11 +38,16 @@ from benchmarks.scan_files import DATA, face_data
 import scan2albedo as s2a
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks
+from scan2albedo.errors import NoFaceError
 from scan2albedo.fitting import FitOptions
+from scan2albedo.fitting.openings import EYES
 from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.nearest_surface import NearestSurface
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline.detected_landmarks import detected_landmarks
 from scan2albedo.synthetic import raw_like, raw_scan
+from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.wearer import worn_glasses
 
 FEATURES = {
     "brows": range(17, 27),
@@ -60,6 +67,8 @@ NEUTRAL = ("generic_neutral", "person1", "person2", "person3", "person4")
 WEIGHTS = (0.6, 1.0)
 LAMPS_DEG = ((0, 0), (0, 50), (0, 70), (0, 90), (0, -50), (50, 30), (-60, 0), (30, -40))
 """Directions of lamps: to the left of the face's front, and above it."""
+LENS_MM = 13.0
+"""Between lids and lenses, as tight sunglasses stand; a fit follows no lens from 15 mm on."""
 SKIN, AMBIENT = (0.8, 0.55, 0.45), 0.08
 
 
@@ -181,6 +190,49 @@ def print_lamps(model: s2a.AnnotatedFaceModel) -> None:
     print(f"mean {np.mean(worse):+.2f}, worst {np.max(worse):+.2f} mm")
 
 
+def print_glasses(model: s2a.AnnotatedFaceModel) -> None:
+    """Print the errors around the eyes, mm, of shapes without and with glasses, covers kept and left out."""
+    with np.load(face_data("ict_faces.npz")) as data:
+        shapes = {name: data[f"shape_{name}"].astype(float) for name in NEUTRAL}
+        faces, at = data["faces"].astype(np.int64), data["landmarks68"].astype(np.int64)
+    print(f"{'':28}{'surface by the eyes':>20}{'elsewhere':>12}{'eyes':>8}{'all 51':>8}")
+    found: dict[str, list[list[float]]] = {}
+    for seed, (name, shape) in enumerate(shapes.items()):
+        eyes = shape[at[36:48]].mean(0)
+        dressed = join([(shape, faces), worn_glasses((shape, faces), eyes, seed, LENS_MM)])
+        for label, mesh, covers in (
+            ("bare", (shape, faces), True),
+            ("glasses, followed", dressed, False),
+            ("glasses", dressed, True),
+        ):
+            scan, scan_from_shape = raw_like(*mesh, seed)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                try:
+                    pose = s2a.register(scan, model)
+                except NoFaceError as error:
+                    print(f"{label} {name}: refused with {error.confidence:.2f}")
+                    continue
+                fitted = s2a.fit(scan, model, pose, options=FitOptions(covers=covers))
+            shape_from_model = np.linalg.inv(fitted.model_from_scan @ scan_from_shape)
+            points = transform_points(shape_from_model, fitted.vertices)
+            distance = NearestSurface(shape, faces).query(points).distance
+            middles = [shape[at[list(eye)]].mean(0) for eye in EYES]
+            by_eyes = np.min([np.linalg.norm((points - eye)[:, :2], axis=1) for eye in middles], axis=0) < 28
+            landmarks = transform_points(shape_from_model, fitted.landmarks)
+            off = np.linalg.norm(landmarks - shape[at], axis=1)
+            row = [distance[by_eyes].mean(), distance[~by_eyes].mean(), off[36:48].mean(), off[INNER].mean()]
+            found.setdefault(label, []).append(row)
+            print(glasses_line(f"{label} {name}", row))
+    print()
+    for label, rows in found.items():
+        print(glasses_line(label, np.mean(rows, axis=0).tolist()))
+
+
+def glasses_line(label: str, row: list[float]) -> str:
+    return f"{label:28}{row[0]:20.2f}{row[1]:12.2f}{row[2]:8.2f}{row[3]:8.2f}"
+
+
 def measured(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
     """Register and fit a scan, and compare its landmarks in the model's frame."""
     begin = time.process_time()
@@ -263,6 +315,7 @@ def main() -> None:
     )
     parser.add_argument("--mouths", action="store_true", help="judge 200 jaws instead")
     parser.add_argument("--lamps", action="store_true", help="light shapes of one colour instead")
+    parser.add_argument("--glasses", action="store_true", help="put glasses on shapes instead")
     parser.add_argument("--json", type=Path, help="file for all offsets")
     arguments = parser.parse_args()
     model = s2a.AnnotatedFaceModel.default()
@@ -271,6 +324,9 @@ def main() -> None:
         return
     if arguments.lamps:
         print_lamps(model)
+        return
+    if arguments.glasses:
+        print_glasses(model)
         return
     s2a.register(s2a.load_scan(face_data("humface.ply")), model)  # compiles
     print(f"{'':28}{'51':>8}" + "".join(f"{name:>10}" for name in (*FEATURES, "largest")) + f"{'CPU s':>8}")

@@ -16,6 +16,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
+from scan2albedo.fitting.covers import uncovered
 from scan2albedo.fitting.forces import ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
@@ -107,7 +108,10 @@ def fit(
     pose, surface = correction @ pose, surface.moved(correction)
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
-    deformation = Deformation(model, reference, surface, chosen, meter)
+    covered_mm2 = 0.0
+    if chosen.covers:
+        surface, covered_mm2 = _uncovered(surface, model, reference, meter, scan.name)
+    deformation = Deformation(model, reference, surface, chosen, meter, covered_mm2=covered_mm2)
     if chosen.open_mouth:
         deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
@@ -118,6 +122,21 @@ def fit(
     deformation = _following(pull, deformation, reference, scan.name)
     reached = run_stages(deformation)
     return fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+
+
+def _uncovered(
+    surface: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter, name: str
+) -> tuple[ScanSurface, float]:
+    """Return the scan without covers, and their area in mm^2; warns of them."""
+    found = uncovered(surface, model, reference, meter)
+    if found.covered_mm2 > 0:
+        warnings.warn(
+            f"{name}: {found.covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; "
+            "they are left out, and the model's own shape stands there",
+            UserWarning,
+            stacklevel=3,
+        )
+    return found.scan, found.covered_mm2
 
 
 def _following(

@@ -46,6 +46,8 @@ class FitOptions:
     """Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks)."""
     colors: bool = True
     """Let brows, eyes and lips in the scan's colours draw the model's (models with landmarks)."""
+    covers: bool = True
+    """Leave out scan that stands far before the eyes, as lenses do (models with landmarks)."""
     result_levels: int = 2
     """Loop refinements of the surface returned."""
     gain_tolerance: float = 0.003

@@ -67,7 +67,8 @@ class FittedFace:
     (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how many holes of the
     scan were taken for open eyes and mouth (``openings``), how many landmarks its colours
     draw (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
-    (``jaw_deg``) and how far its corners were drawn back: for result.json."""
+    (``jaw_deg``) and how far its corners were drawn back; how much of the scan was left out because it stands
+    far before the eyes (``covered_mm2``): for result.json."""
     landmark_deviation_mm: FloatArray | None = None
     """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""
 
@@ -102,6 +103,7 @@ def fitted_face(
     metrics["painted_landmarks"] = 0.0 if pull is None else float(pull.painted)
     metrics["jaw_deg"] = deformation.jaw_deg
     metrics["corner_right_mm"], metrics["corner_left_mm"] = deformation.corners_mm
+    metrics["covered_mm2"] = deformation.covered_mm2
     metrics["strain"] = _strain(deformation.reference, control, model.control_faces)
     metrics["flipped_faces"] = float(len(deformation.folds.find(vertices)))
     if metrics["coverage"] < MIN_COVERAGE:

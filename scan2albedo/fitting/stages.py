@@ -42,7 +42,8 @@ class Deformation:
 
     `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
     `landmarks` hold points of the model on points of the scan. Before it bends the jaw was turned down by
-    `jaw_deg`, and the right and the left corner of the mouth drawn back by `corners_mm`.
+    `jaw_deg`, and the right and the left corner of the mouth drawn back by `corners_mm`. Of the scan
+    `covered_mm2` before the eyes were left out.
     """
 
     model: AnnotatedFaceModel
@@ -53,6 +54,7 @@ class Deformation:
     landmarks: LandmarkPull | None = None
     jaw_deg: float = 0.0
     corners_mm: tuple[float, float] = (0.0, 0.0)
+    covered_mm2: float = 0.0
     _sampled: dict[int, tuple[SurfaceSamples, sparse.csr_matrix]] = field(
         init=False, repr=False, default_factory=dict
     )

@@ -13,7 +13,7 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directio
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
-from scan2albedo.synthetic.head import compact, join
+from scan2albedo.synthetic.head import Mesh, compact, join
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import HAIR, Sitter, sit_down
 
@@ -65,6 +65,30 @@ def seat(glasses: SyntheticEyeglasses, head: RayScene, eyes: FloatArray) -> Floa
     gap = float(hits.distance[hits.face >= 0].min())
     start[2, 3] -= gap - _CLEARANCE_MM
     return start
+
+
+def worn_glasses(head: Mesh, eyes: FloatArray, seed: int = 0, lens_mm: float = 15.0) -> Mesh:
+    """Return a frame with lenses that sits on a head, mm, that looks along +z.
+
+    `eyes` (3,) is the middle between the eyes' lids; the lenses stand `lens_mm` before it, about 5 mm less
+    before the corneas. `seed` draws the frame. A lens is flat: the triangles from the middle of its outline,
+    which a scanner sees where it is dusted or dark.
+    """
+    scene = RayScene(*head)
+    shape = GlassesShape.drawn(np.random.default_rng(seed))
+    glasses = eyeglasses(shape=shape, bend=fit_temples(shape, seed, scene, eyes))
+    parts = [(glasses.vertices, glasses.faces)]
+    for outline in glasses.lens_outlines:
+        rim = 1 + np.arange(len(outline))
+        fan = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
+        points = np.concatenate([outline.mean(axis=0, keepdims=True), outline])
+        looks_back = np.cross(*(points[fan[0, 1:]] - points[0]))[2] < 0
+        parts.append((points, fan[:, ::-1] if looks_back else fan))
+    vertices, faces = join(parts)
+    world_from_glasses = seat(glasses, scene, eyes)
+    lenses = transform_points(world_from_glasses, glasses.lens_centers)
+    world_from_glasses[2, 3] += eyes[2] + lens_mm - lenses[:, 2].mean()
+    return transform_points(world_from_glasses, vertices), faces
 
 
 _EYES = slice(36, 48)

@@ -1,0 +1,172 @@
+"""Lenses before the eyes: scan that stands farther before them than any face does is set aside.
+
+Lenses lie a centimetre before the eyes, and an elastic surface follows them. So a person's face, the modes by
+which people differ, is first fitted with little weight for what lies before it; expressions hardly change
+the face around the eyes, and what stands far before it there is no face. It leaves a hole, over which the
+model keeps its own shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model.variation import shape_modes
+from scan2albedo.fitting.forces import ForceGates, scan_forces
+from scan2albedo.fitting.openings import EYES
+from scan2albedo.fitting.options import between
+from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
+from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.mesh import (
+    boundary_vertex_mask,
+    edges_with_faces,
+    face_areas,
+    vertex_areas,
+    vertex_components,
+    without_unreferenced,
+)
+from scan2albedo.geometry.nearest_surface import NearestSurface
+
+STEPS = 10
+REACH_MM = 20.0
+"""Scan farther than this does not pull at the person's face."""
+FIRST_MM, BEFORE_MM, BEHIND_MM = 12.0, 2.0, 6.0
+"""Scale of Geman and McClure's weights: at first, and at last for scan before and behind the face."""
+NOISE_MM, INDEPENDENT_SAMPLES = 1.5, 100
+"""Against the prior all samples count as so many, each with this standard deviation."""
+SIZE_MM, SIZE_SD = 60.0, 0.1
+FAR_MM, NEAR_MM = 5.5, 3.0
+"""A cover stands FAR_MM before the face; with it goes what is joined to it and NEAR_MM before the face. Faces
+without covers lie up to 5 mm before the person's face that is found for them; hair at the rim more."""
+HIDING_MM, EYE_MM = 3.5, 8.0
+"""Some of it lies HIDING_MM before an eye, this near to its middle: frames without lenses pull little."""
+LEAST_MM2 = 800.0
+"""Lenses are larger; what a scanner throws before an eye is smaller."""
+FARTHEST_MM = 45.0
+BELOW_EYES_MM = 18.0
+"""Covers are looked for down to here, the lower rim of large lenses."""
+BESIDE_NOSE_MM = 12.0
+"""Half width of the nose, whose height above the cheeks differs from person to person."""
+LEVEL = 1
+
+
+@dataclass(frozen=True)
+class Uncovered:
+    """The scan without covers, and the area that was set aside, in mm^2."""
+
+    scan: ScanSurface
+    covered_mm2: float
+
+
+def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter) -> Uncovered:
+    """Return the scan without what stands far before the eyes: lenses with their frame, a visor.
+
+    `reference` (C, 3) are control points at rest, in the scan's frame and about of its size. Models without
+    landmarks, which do not say where eyes are, get the scan as it is.
+    """
+    landmarks = model.landmarks_of(reference)
+    if landmarks is None or meter.exhausted:
+        return Uncovered(scan, 0.0)
+    person = persons_face(scan, model, reference)
+    meter.count(STEPS)
+    cover = _covers(scan, model, person)
+    if not cover.any():
+        return Uncovered(scan, 0.0)
+    gone = cover[scan.faces].any(1)
+    covered_mm2 = float(face_areas(scan.vertices, scan.faces[gone]).sum())
+    if covered_mm2 < LEAST_MM2:
+        return Uncovered(scan, 0.0)
+    border = np.zeros(len(cover), bool)
+    border[scan.faces[gone]] = True
+    kept, faces = without_unreferenced(scan.vertices, scan.faces[~gone])
+    if len(faces) == 0:
+        return Uncovered(scan, 0.0)
+    rest = ScanSurface(scan.vertices[kept], faces, scan.normals[kept], (scan.boundary | border)[kept])
+    return Uncovered(rest, covered_mm2)
+
+
+def persons_face(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray) -> FloatArray:
+    """Return control points (C, 3) of the person's face nearest to the scan, but for what lies before it.
+
+    Gauss-Newton on a similarity and the coefficients of `shape_modes`, point to plane, with a normal prior.
+    """
+    samples = SurfaceSamples.of(model, reference, 0)
+    modes, precision = _modes(model, reference)
+    moves = np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1)
+    rest = samples.matrix @ reference
+    found = np.zeros(modes.shape[2])
+    gates = ForceGates(REACH_MM, 0.0, np.inf)
+    for step in range(STEPS):
+        progress = step / (STEPS - 1)
+        points = rest + moves @ found
+        normals = samples.normals(points)
+        forces = scan_forces(scan, points, normals, gates)
+        gap = np.einsum("ni,ni->n", forces.offset, forces.normal)
+        before = np.einsum("ni,ni->n", forces.offset, normals) > 0
+        scale = np.where(
+            before, between((FIRST_MM, BEFORE_MM), progress), between((FIRST_MM, BEHIND_MM), progress)
+        )
+        seen = samples.area * (forces.weight > 0)
+        if not seen.any():
+            break
+        weight = seen / (1 + (gap / scale) ** 2) ** 2
+        across = np.einsum("nij,ni->nj", moves, forces.normal)
+        prior = seen.sum() * NOISE_MM**2 / INDEPENDENT_SAMPLES * precision
+        system = across.T @ (weight[:, None] * across) + np.diag(prior)
+        found = found + np.linalg.solve(system, across.T @ (weight * gap) - prior * found)
+    return np.asarray(reference + modes @ found)
+
+
+def _modes(model: AnnotatedFaceModel, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return displacements (C, 3, M) of the control points, and the precision (M,) of their coefficients."""
+    offset = (reference - reference.mean(0)) / SIZE_MM
+    motions = [np.cross(unit, offset) for unit in np.eye(3)]
+    motions += [np.broadcast_to(unit, offset.shape) for unit in np.eye(3)]
+    person = shape_modes(model, vertex_areas(model.control_vertices, model.control_faces))
+    precision = np.concatenate([np.full(6, 1e-6), [(SIZE_MM * SIZE_SD) ** -2], np.ones(len(person))])
+    return np.stack([*motions, offset, *person], axis=2), precision
+
+
+def _covers(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) -> BoolArray:
+    """Return (V,) which vertices of the scan belong to a cover of the face with control points `person`."""
+    before_mm, looked_at = _before(scan, model, person)
+    near = looked_at & (before_mm > NEAR_MM)
+    part = vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
+    landmarks = model.landmarks_of(person)
+    assert landmarks is not None
+    eyes = np.array([landmarks[list(eye)].mean(0) for eye in EYES])
+    aside = np.linalg.norm(scan.vertices[:, None, :2] - eyes[:, :2], axis=2).min(1)
+    far, hides = np.zeros((2, part.max() + 1), bool)
+    far[part[near & (before_mm > FAR_MM)]] = True
+    hides[part[near & (before_mm > HIDING_MM) & (aside < EYE_MM)]] = True
+    if not (far & hides).any():
+        return np.zeros(len(near), bool)
+    cover = near & (far & hides)[part]
+    edges, _ = edges_with_faces(scan.faces)
+    around = cover.copy()
+    around[edges[cover[edges].any(1)]] = True
+    return around
+
+
+def _before(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return (V,) how far each vertex of the scan lies before a face, mm, and whether it is looked at."""
+    subdivision = model.subdivision(LEVEL)
+    points, faces = subdivision.matrix @ person, subdivision.faces
+    hits = NearestSurface(points, faces).query(scan.vertices)
+    normals, _ = surface_normals(points, faces)
+    across = np.einsum("nk,nkj->nj", hits.barycentric, normals[faces[hits.face]])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, across)
+    rim = boundary_vertex_mask(len(points), faces)
+    beyond = np.where(rim[faces[hits.face]], hits.barycentric, 0.0).sum(1) > 0.5
+    landmarks = model.landmarks_of(person)
+    assert landmarks is not None
+    x, y, _ = (hits.points - landmarks[28]).T
+    nose = (np.abs(x) < BESIDE_NOSE_MM) & (y < 0)
+    lowest = landmarks[[40, 41, 46, 47], 1].mean() - BELOW_EYES_MM
+    looked_at = (hits.points[:, 1] > lowest) & ~nose & ~beyond & (before_mm < FARTHEST_MM)
+    return before_mm, looked_at
