@@ -44,8 +44,8 @@ FAR_MM, NEAR_MM = 5.5, 3.0
 without covers lie up to 5 mm before the person's face that is found for them; hair at the rim more."""
 HIDING_MM, EYE_MM = 3.5, 8.0
 """Some of it lies HIDING_MM before an eye, this near to its middle: frames without lenses pull little."""
-LEAST_MM2 = 800.0
-"""Lenses are larger; what a scanner throws before an eye is smaller."""
+LEAST_MM2 = 1500.0
+"""A lens and its rim are larger; spikes, crumbs and brows before a deep eye are smaller."""
 FARTHEST_MM = 45.0
 BELOW_EYES_MM = 18.0
 """Covers are looked for down to here, the lower rim of large lenses."""
