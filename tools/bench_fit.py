@@ -184,13 +184,19 @@ def cropped(case: Case) -> ScanSurface:
 
 def score_peer(peer: str, case: Case, python: str, folder: Path) -> Score | None:
     """Run one mesh peer of fit_peers.py on a case; None where it is not installed."""
+    found = deformed_by(peer, case, python, folder)
+    return None if found is None else score_mesh(peer, case, *found)
+
+
+def deformed_by(peer: str, case: Case, python: str, folder: Path) -> tuple[FloatArray, float] | None:
+    """Return the template's surface at level 1 as a mesh peer deforms it, and its CPU seconds."""
     rest, faces = case.model.surface(1)
     scan, source, target = cropped(case), folder / "in.npz", folder / "out.npz"
     np.savez(source, vertices=rest, faces=faces, scan_vertices=scan.vertices, scan_faces=scan.faces)
     if not run_peer(python, peer, source, target):
         return None
     found = np.load(target)
-    return score_mesh(peer, case, found["vertices"].astype(float), float(found["cpu_s"]))
+    return found["vertices"].astype(float), float(found["cpu_s"])
 
 
 def run_peer(python: str, peer: str, source: Path, target: Path) -> bool:

@@ -1,6 +1,7 @@
 """Landmarks of fits beside those placed by hand: error by feature, and what the stated deviation is worth.
 
-    OMP_NUM_THREADS=1 python tools/bench_landmarks.py [--expressions] [--given] [--json FILE]
+    OMP_NUM_THREADS=1 python tools/bench_landmarks.py [--expressions] [--given] [--peers-python PYTHON]
+        [--json FILE]
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py --mouths
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py --lamps
     OMP_NUM_THREADS=1 python tools/bench_landmarks.py --glasses
@@ -10,11 +11,13 @@ the others light-stage shapes made raw, with `--expressions` each of twelve at w
 registered and fitted with the default model, without any help; with `--given` also with five landmarks, and
 with one of them 25 mm off. "james, colours left out" is fitted by shape alone; "auto" are real and
 path-traced scans with the landmarks that MediaPipe finds (where the extra [landmarks] is installed),
-"MediaPipe" these landmarks themselves, those it has. Errors are mean distances in mm over the 51 inner points
-of iBUG-68. The last lines show how many coordinates lie within one and two of their stated
-standard deviations: 68 % and 95 % where it is right. `--mouths` counts instead, of 200 scans of shut mouths
-with many expressions and of open jaws, how many jaws were judged rightly. `--lamps` paints shapes in one
-colour under a lamp, and shows by how much landmarks get worse when colours are looked at. `--glasses` puts
+"MediaPipe" these landmarks themselves, those it has. `--peers-python` names a Python that has the peers of
+`bench_fit.py`: "nricp_amberg" deforms the default model from the pose that ours has found, but not on
+expressions, "autofacemonker" finds five points on scans with texture. Errors are mean distances in mm over
+the 51 inner points of iBUG-68. The last lines show how many coordinates lie within one and two of their
+stated standard deviations: 68 % and 95 % where it is right. `--mouths` counts instead, of 200 scans of shut
+mouths with many expressions and of open jaws, how many jaws were judged rightly. `--lamps` paints shapes in
+one colour under a lamp, and shows by how much landmarks get worse when colours are looked at. `--glasses` puts
 glasses with lenses on them, and shows the errors of surface and landmarks around the eyes. Needs
 ../shared/data.
 """
@@ -23,31 +26,25 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
-import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
-from itertools import count
 from pathlib import Path
 
+import bench_fit
 import numpy as np
 from benchmarks.door_scans import PLACED, WRONG_BY_MM
+from benchmarks.landmark_cases import INNER, SHAPE_ALONE, Case, Row, cases, measured
+from benchmarks.landmark_trials import print_glasses, print_lamps, print_mouths
 from benchmarks.scan_files import DATA, face_data
 
 import scan2albedo as s2a
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks
-from scan2albedo.errors import NoFaceError
-from scan2albedo.fitting import FitOptions
-from scan2albedo.fitting.openings import EYES
-from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.nearest_surface import NearestSurface
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline.detected_landmarks import detected_landmarks
-from scan2albedo.synthetic import raw_like, raw_scan
-from scan2albedo.synthetic.head import join
-from scan2albedo.synthetic.wearer import worn_glasses
 
 FEATURES = {
     "brows": range(17, 27),
@@ -56,203 +53,8 @@ FEATURES = {
     "eyes": range(36, 48),
     "lips": range(48, 68),
 }
-INNER = slice(17, 68)
-SHAPE_ALONE = ", colours left out"
 KEY_POINTS = (51, 39, 42, 48, 54)
 """The five that autofacemonker has, too."""
-SHUT = ("cheek_puff", "mouth_frown", "mouth_pucker", "mouth_roll_lower", "mouth_roll_upper", "mouth_upper_up")
-"""Expressions that leave the jaw shut; lips may part by some mm."""
-OWN_SHUT = ("neutral", "smile", "frown", "pout", "puff")
-NEUTRAL = ("generic_neutral", "person1", "person2", "person3", "person4")
-WEIGHTS = (0.6, 1.0)
-LAMPS_DEG = ((0, 0), (0, 50), (0, 70), (0, 90), (0, -50), (50, 30), (-60, 0), (30, -40))
-"""Directions of lamps: to the left of the face's front, and above it."""
-LENS_MM = 13.0
-"""Between lids and lenses, as tight sunglasses stand; a fit follows no lens from 15 mm on."""
-SKIN, AMBIENT = (0.8, 0.55, 0.45), 0.08
-
-
-@dataclass(frozen=True)
-class Case:
-    """A scan and its landmarks (68, 3) in mm in the scan's frame, NaN where nobody placed one."""
-
-    group: str
-    name: str
-    scan: s2a.RawScan
-    landmarks: FloatArray
-
-
-@dataclass(frozen=True)
-class Row:
-    """Offsets of the landmarks found from those placed (68, 3), and stated deviations (68,), mm."""
-
-    group: str
-    name: str
-    offset_mm: FloatArray
-    deviation_mm: FloatArray
-    cpu_s: float
-
-    @property
-    def error_mm(self) -> FloatArray:
-        """(68,)"""
-        return np.linalg.norm(self.offset_mm, axis=1)
-
-
-def cases(*, expressions: bool) -> Iterator[Case]:
-    given = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
-    james = s2a.load_scan(face_data("james.obj"))
-    yield Case("james", "james", james, given)
-    yield Case(f"james{SHAPE_ALONE}", "james", james, given)
-    inner = 1000 * np.loadtxt(face_data("flame_scan_ibug51.csv"), delimiter=",")
-    given = np.concatenate([np.full((17, 3), np.nan), inner])
-    yield Case("flame_scan", "flame_scan", s2a.load_scan(face_data("flame_scan.obj")), given)
-    for file in sorted((DATA / "traced").glob("p*_truth.npz")):
-        name = file.stem.removesuffix("_truth")
-        with np.load(file) as truth:
-            placed = truth["vertices_mm"][truth["landmarks68"]]
-            given = transform_points(truth["scan_from_truth"], placed) * float(truth["unit_mm"])
-        yield Case("traced", name, s2a.load_scan(file.with_name(f"{name}.obj")), given)
-    yield from _light_stage(expressions=expressions)
-
-
-def _light_stage(*, expressions: bool) -> Iterator[Case]:
-    with np.load(face_data("ict_faces.npz")) as data:
-        shapes = {name: data[f"shape_{name}"].astype(float) for name in NEUTRAL}
-        faces, at = data["faces"].astype(np.int64), data["landmarks68"].astype(np.int64)
-
-    def case(group: str, name: str, shape: FloatArray, seed: int) -> Case:
-        scan, scan_from_shape = raw_like(shape, faces, seed)
-        return Case(group, name, scan, transform_points(scan_from_shape, shape[at]))
-
-    for seed, (name, shape) in enumerate(shapes.items()):
-        yield case("neutral", name, shape, seed)
-    if not expressions:
-        return
-    with np.load(face_data("ict_expressions.npz")) as data:
-        moves = {name: data[name].astype(float) for name in sorted(data)}
-    for seed, (name, move) in enumerate(moves.items()):
-        person, shape = list(shapes.items())[seed % len(shapes)]
-        for weight in WEIGHTS:
-            yield case(name, f"{person} {weight}", shape + weight * move, 100 + seed)
-
-
-def mouths() -> Iterator[tuple[str, s2a.RawScan, bool]]:
-    """Yield names, scans, and whether the jaw is open."""
-    with np.load(face_data("ict_faces.npz")) as data:
-        shapes = {name: data[f"shape_{name}"].astype(float) for name in NEUTRAL}
-        faces = data["faces"].astype(np.int64)
-    with np.load(face_data("ict_expressions.npz")) as data:
-        moves = {name: data[name].astype(float) for name in (*SHUT, "jaw_open")}
-    seeds = count(2000)
-    for person, shape in shapes.items():
-        for _ in range(2):
-            yield f"neutral {person}", raw_like(shape, faces, next(seeds))[0], False
-        for name, weight in ((name, weight) for name in moves for weight in (0.5, 0.75, 1.0)):
-            scan, _ = raw_like(shape + weight * moves[name], faces, next(seeds))
-            yield f"{name} {person} {weight}", scan, name == "jaw_open"
-        for weight in (0.4, 0.6, 0.8, 0.9, 1.1):
-            scan, _ = raw_like(shape + weight * moves["jaw_open"], faces, next(seeds))
-            yield f"jaw_open {person} {weight}", scan, True
-    for name, seed in ((name, seed) for name in OWN_SHUT for seed in range(12)):
-        yield f"own {name} {seed}", raw_scan(100 + seed, expression=name)[0], False
-
-
-def print_mouths(model: s2a.AnnotatedFaceModel) -> None:
-    """Print the jaws that were judged wrongly, and how many rightly."""
-    right: dict[bool, list[bool]] = {True: [], False: []}
-    for name, scan, is_open in mouths():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            angle = s2a.fit(scan, model, s2a.register(scan, model)).metrics["jaw_deg"]
-        right[is_open].append((angle > 0) == is_open)
-        if not right[is_open][-1]:
-            print(f"{name}: jaw turned by {angle:.0f} degrees")
-    for is_open, each in right.items():
-        print(f"{'open' if is_open else 'shut'} jaws: {sum(each)} of {len(each)} judged rightly")
-
-
-def print_lamps(model: s2a.AnnotatedFaceModel) -> None:
-    """Print by how much the landmarks of shapes of one colour get worse under lamps."""
-    worse = []
-    for case in (c for c in cases(expressions=False) if c.group in ("flame_scan", "neutral")):
-        pose = s2a.register(case.scan, model).model_from_scan
-        normals = vertex_normals(case.scan.vertices, case.scan.faces) @ pose[:3, :3].T
-        plain = fitted_row(case, model, pose).error_mm[INNER]
-        parts = []
-        for beside, above in np.deg2rad(LAMPS_DEG):
-            toward = [np.sin(beside) * np.cos(above), np.sin(above), np.cos(beside) * np.cos(above)]
-            light = AMBIENT + np.maximum(normals @ toward, 0)
-            lit = replace(case.scan, vertex_color_linear=light[:, None] * SKIN)
-            row = fitted_row(replace(case, scan=lit), model, pose)
-            worse.append(float(np.nanmean(row.error_mm[INNER] - plain)))
-            parts.append(f"{worse[-1]:+8.2f}")
-        print(f"{case.name:28}" + "".join(parts))
-    print(f"mean {np.mean(worse):+.2f}, worst {np.max(worse):+.2f} mm")
-
-
-def print_glasses(model: s2a.AnnotatedFaceModel) -> None:
-    """Print the errors around the eyes, mm, of shapes without and with glasses, covers kept and left out."""
-    with np.load(face_data("ict_faces.npz")) as data:
-        shapes = {name: data[f"shape_{name}"].astype(float) for name in NEUTRAL}
-        faces, at = data["faces"].astype(np.int64), data["landmarks68"].astype(np.int64)
-    print(f"{'':28}{'surface by the eyes':>20}{'elsewhere':>12}{'eyes':>8}{'all 51':>8}")
-    found: dict[str, list[list[float]]] = {}
-    for seed, (name, shape) in enumerate(shapes.items()):
-        eyes = shape[at[36:48]].mean(0)
-        dressed = join([(shape, faces), worn_glasses((shape, faces), eyes, seed, LENS_MM)])
-        for label, mesh, covers in (
-            ("bare", (shape, faces), True),
-            ("glasses, followed", dressed, False),
-            ("glasses", dressed, True),
-        ):
-            scan, scan_from_shape = raw_like(*mesh, seed)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                try:
-                    pose = s2a.register(scan, model)
-                except NoFaceError as error:
-                    print(f"{label} {name}: refused with {error.confidence:.2f}")
-                    continue
-                fitted = s2a.fit(scan, model, pose, options=FitOptions(covers=covers))
-            shape_from_model = np.linalg.inv(fitted.model_from_scan @ scan_from_shape)
-            points = transform_points(shape_from_model, fitted.vertices)
-            distance = NearestSurface(shape, faces).query(points).distance
-            middles = [shape[at[list(eye)]].mean(0) for eye in EYES]
-            by_eyes = np.min([np.linalg.norm((points - eye)[:, :2], axis=1) for eye in middles], axis=0) < 28
-            landmarks = transform_points(shape_from_model, fitted.landmarks)
-            off = np.linalg.norm(landmarks - shape[at], axis=1)
-            row = [distance[by_eyes].mean(), distance[~by_eyes].mean(), off[36:48].mean(), off[INNER].mean()]
-            found.setdefault(label, []).append(row)
-            print(glasses_line(f"{label} {name}", row))
-    print()
-    for label, rows in found.items():
-        print(glasses_line(label, np.mean(rows, axis=0).tolist()))
-
-
-def glasses_line(label: str, row: list[float]) -> str:
-    return f"{label:28}{row[0]:20.2f}{row[1]:12.2f}{row[2]:8.2f}{row[3]:8.2f}"
-
-
-def measured(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
-    """Register and fit a scan, and compare its landmarks in the model's frame."""
-    begin = time.process_time()
-    registration = s2a.register(case.scan, model)
-    row = fitted_row(case, model, registration.model_from_scan)
-    return replace(row, cpu_s=time.process_time() - begin)
-
-
-def fitted_row(case: Case, model: s2a.AnnotatedFaceModel, pose: FloatArray) -> Row:
-    """Fit a scan from its pose, and compare its landmarks in the model's frame."""
-    begin = time.process_time()
-    options = FitOptions(colors=SHAPE_ALONE not in case.group)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        fitted = s2a.fit(case.scan, model, pose, options=options)
-    cpu_s = time.process_time() - begin
-    assert fitted.landmarks is not None
-    assert fitted.landmark_deviation_mm is not None
-    offset = fitted.landmarks - transform_points(fitted.model_from_scan, case.landmarks)
-    return Row(case.group, case.name, offset, fitted.landmark_deviation_mm, cpu_s)
 
 
 def detected(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
@@ -266,10 +68,55 @@ def detected(case: Case, model: s2a.AnnotatedFaceModel) -> Row:
     return Row(f"MediaPipe, {case.group}", case.name, points - case.landmarks, sigma_mm, cpu_s)
 
 
+def deformed_by_nricp(case: Case, model: s2a.AnnotatedFaceModel, python: str, folder: Path) -> Row | None:
+    """Deform the model by trimesh's `nricp_amberg` from our pose; None where the peer is not installed."""
+    registration = s2a.register(case.scan, model)
+    posed = bench_fit.Case(case.name, case.scan, model, registration.model_from_scan, np.empty((0, 3)))
+    rest, faces = model.surface(1)
+    found = bench_fit.deformed_by("nricp_amberg", posed, python, folder)
+    if found is None or model.landmarks is None:
+        return None
+    hits = ClosestPointQuery(rest, faces).query(model.landmarks)
+    vertices, cpu_s = found
+    landmarks = np.einsum("nk,nkj->nj", hits.barycentric, vertices[faces[hits.face]])
+    offset = landmarks - transform_points(registration.model_from_scan, case.landmarks)
+    return Row(f"nricp_amberg, {case.group}", case.name, offset, np.full(68, np.nan), cpu_s)
+
+
+def found_by_autofacemonker(case: Case, python: str, folder: Path) -> Row | None:
+    """Return the errors of its five key points on a scan with texture; None where it fails."""
+    file = face_data("james.obj") if case.name == "james" else str(DATA / "traced" / f"{case.name}.obj")
+    if not bench_fit.run_peer(python, "autofacemonker", file, folder / "peer.npz"):
+        return None
+    peer = np.load(folder / "peer.npz")
+    number = {int(k): int(v) for k, v in peer["key_points"]}
+    offset = np.full((68, 3), np.nan)
+    unit_mm = case.scan.mm_per_unit or 1.0
+    for theirs, ours in bench_fit.KEY_POINTS.items():
+        offset[ours] = unit_mm * peer["vertices"][number[theirs]] - case.landmarks[ours]
+    return Row(f"autofacemonker, {case.group}", case.name, offset, np.full(68, np.nan), float(peer["cpu_s"]))
+
+
 def with_detected(case: Case, model: s2a.AnnotatedFaceModel) -> Case:
     """Return the case with the landmarks that MediaPipe finds."""
     found = detected_landmarks(case.scan, s2a.register(case.scan, model).model_from_scan)
     return replace(case, group=f"auto, {case.group}", scan=replace(case.scan, landmarks=found))
+
+
+def peers(every: list[Case], model: s2a.AnnotatedFaceModel, python: str) -> Iterator[Row]:
+    """Yield the rows of peers, and print them."""
+    with tempfile.TemporaryDirectory() as name:
+        for case in every:
+            row = None
+            if case.group in ("james", "flame_scan", "traced", "neutral"):
+                row = deformed_by_nricp(case, model, python, Path(name))
+            found = [row] if row else []
+            if case.group in ("james", "traced"):
+                row = found_by_autofacemonker(case, python, Path(name))
+                found += [row] if row else []
+            for row in found:
+                print(line(f"{row.group} {row.name}", [row]), flush=True)
+                yield row
 
 
 def with_five(case: Case, *, one_wrong: bool) -> Case:
@@ -316,6 +163,7 @@ def main() -> None:
     parser.add_argument("--mouths", action="store_true", help="judge 200 jaws instead")
     parser.add_argument("--lamps", action="store_true", help="light shapes of one colour instead")
     parser.add_argument("--glasses", action="store_true", help="put glasses on shapes instead")
+    parser.add_argument("--peers-python", help="Python of an environment with the peers")
     parser.add_argument("--json", type=Path, help="file for all offsets")
     arguments = parser.parse_args()
     model = s2a.AnnotatedFaceModel.default()
@@ -343,12 +191,18 @@ def main() -> None:
             rows += [detected(case, model), measured(with_detected(case, model), model)]
             print(line(f"MediaPipe {case.name}", rows[-2:-1]))
             print(line(f"auto {case.name}", rows[-1:]))
+    if arguments.peers_python:
+        rows += list(peers(every, model, arguments.peers_python))
     print()
-    for group in dict.fromkeys(row.group for row in rows):
-        print(line(group, [row for row in rows if row.group == group]))
-    james = next(row for row in rows if row.group == "james")
-    print(f"james, five key points: {james.error_mm[list(KEY_POINTS)].mean():.2f} mm")
-    helped = ("given", SHAPE_ALONE, "MediaPipe", "auto")
+    groups = {
+        group: [row for row in rows if row.group == group] for group in dict.fromkeys(r.group for r in rows)
+    }
+    for group, here in groups.items():
+        print(line(group, here))
+    print(f"\n{'five key points, mm':28}")
+    for group, here in groups.items():
+        print(f"{group:28}{np.mean([row.error_mm[list(KEY_POINTS)].mean() for row in here]):8.2f}")
+    helped = ("given", SHAPE_ALONE, "MediaPipe", "auto", "nricp_amberg")
     print_deviations([row for row in rows if not any(word in row.group for word in helped)])
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(r) for r in rows], default=np.ndarray.tolist))
