@@ -53,9 +53,7 @@ class ManifestScan:
             raise BatchError(f"{self.where}: {error}") from error
         if "model" in given and given["model"] not in ("default", "none"):
             chosen = replace(chosen, model=str((folder / given["model"]).absolute()))
-        if given.get("landmarks") == AUTO:
-            chosen = replace(chosen, landmarks=AUTO)
-        elif "landmarks" in given:
+        if "landmarks" in given and chosen.landmarks != AUTO:
             chosen = replace(chosen, landmarks=str((folder / given["landmarks"]).absolute()))
         return chosen
 

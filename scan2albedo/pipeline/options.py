@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core import Budget, checked_seed
+from scan2albedo.core.landmarks import AUTO
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
@@ -107,6 +108,11 @@ class ProcessOptions:
             object.__setattr__(self, "textures", str(self.textures))
         if isinstance(self.landmarks, Path):
             object.__setattr__(self, "landmarks", str(self.landmarks))
+        if isinstance(self.landmarks, str):
+            if not self.landmarks.strip():
+                raise ValueError("landmarks is empty, expected a file, a folder or 'auto'")
+            if self.landmarks.lower() == AUTO:
+                object.__setattr__(self, "landmarks", AUTO)
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))

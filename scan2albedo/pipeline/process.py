@@ -183,6 +183,8 @@ def _processed(
         model = chosen_model(options.model)
     registration, fitted, estimate = None, None, None
     with _warnings_as_messages() as messages:
+        if model is None and options.landmarks is not None:
+            warnings.warn("landmarks are not used: without a model nothing is fitted to them", stacklevel=2)
         if model is not None and "register" not in options.skip:
             with clock.timed("register"):
                 scan, registration = _registered(scan, scaled, model, clock, options, on_progress)

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from scan2albedo import process
+from scan2albedo.batch import run_batch
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline import detected_landmarks as detected
+from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.synthetic import raw_scan
 
 
@@ -137,6 +139,29 @@ def test_what_is_missing_is_named_before_anything_is_done(monkeypatch, person):
     monkeypatch.setattr(detected, "find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[landmarks\]'"):
         process(person[0], landmarks="auto")
+
+
+def test_auto_is_a_word_in_any_case_and_nothing_is_no_folder():
+    assert ProcessOptions(landmarks="AUTO") == ProcessOptions(landmarks="auto")
+    assert ProcessOptions(landmarks="./auto").landmarks == "./auto"
+    with pytest.raises(ValueError, match="landmarks is empty"):
+        ProcessOptions(landmarks=" ")
+
+
+def test_without_a_model_landmarks_are_told_to_be_unused(person, network):
+    scan, truth = person
+    network(Network(truth))
+    result = process(scan, landmarks="auto", model="none", size=32, skip=["albedo"])
+    assert "landmarks are not used: without a model nothing is fitted to them" in result.messages
+
+
+def test_a_batch_looks_for_the_network_before_its_first_scan(monkeypatch, tmp_path):
+    monkeypatch.setattr(detected, "find_spec", lambda name: None)
+    manifest = tmp_path / "list.csv"
+    manifest.write_text("scan,landmarks\na.ply,\nb.ply,Auto\n")
+    with pytest.raises(MissingDependencyError, match=r"scan2albedo\[landmarks\]"):
+        run_batch(manifest, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_network_itself():
