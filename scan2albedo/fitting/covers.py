@@ -49,8 +49,9 @@ LEAST_MM2 = 1500.0
 FARTHEST_MM = 45.0
 BELOW_EYES_MM = 18.0
 """Covers are looked for down to here, the lower rim of large lenses."""
-BESIDE_NOSE_MM = 12.0
-"""Half width of the nose, whose height above the cheeks differs from person to person."""
+BESIDE_NOSE_MM, NOSE_MM = 12.0, 3.0
+"""Half width of the nose, whose height above the cheeks differs from person to person. Where most of it is
+off the person's face by more than NOSE_MM that face is not the scan's, and nothing is judged by it."""
 LEVEL = 1
 
 
@@ -110,7 +111,7 @@ def persons_face(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatA
         scale = np.where(
             before, between((FIRST_MM, BEFORE_MM), progress), between((FIRST_MM, BEHIND_MM), progress)
         )
-        seen = samples.area * (forces.weight > 0)
+        seen = samples.area * samples.rigidity * (forces.weight > 0)
         if not seen.any():
             break
         weight = seen / (1 + (gap / scale) ** 2) ** 2
@@ -133,7 +134,9 @@ def _modes(model: AnnotatedFaceModel, reference: FloatArray) -> tuple[FloatArray
 
 def _covers(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) -> BoolArray:
     """Return (V,) which vertices of the scan belong to a cover of the face with control points `person`."""
-    before_mm, looked_at = _before(scan, model, person)
+    before_mm, looked_at, nose = _before(scan, model, person)
+    if not nose.any() or abs(float(np.median(before_mm[nose]))) > NOSE_MM:
+        return np.zeros(len(nose), bool)
     near = looked_at & (before_mm > NEAR_MM)
     part = vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
     landmarks = model.landmarks_of(person)
@@ -152,8 +155,11 @@ def _covers(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) ->
     return around
 
 
-def _before(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return (V,) how far each vertex of the scan lies before a face, mm, and whether it is looked at."""
+def _before(
+    scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Return (V,) how far each vertex of the scan lies before a face, mm, whether covers are looked for
+    there, and whether it is of the nose."""
     subdivision = model.subdivision(LEVEL)
     points, faces = subdivision.matrix @ person, subdivision.faces
     hits = NearestSurface(points, faces).query(scan.vertices)
@@ -166,7 +172,8 @@ def _before(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) ->
     landmarks = model.landmarks_of(person)
     assert landmarks is not None
     x, y, _ = (hits.points - landmarks[28]).T
-    nose = (np.abs(x) < BESIDE_NOSE_MM) & (y < 0)
+    slender = np.abs(x) < BESIDE_NOSE_MM
+    nose = slender & (y < 0) & (hits.points[:, 1] > landmarks[33, 1]) & (np.abs(before_mm) < REACH_MM)
     lowest = landmarks[[40, 41, 46, 47], 1].mean() - BELOW_EYES_MM
-    looked_at = (hits.points[:, 1] > lowest) & ~nose & ~beyond & (before_mm < FARTHEST_MM)
-    return before_mm, looked_at
+    looked_at = (hits.points[:, 1] > lowest) & ~(slender & (y < 0)) & ~beyond & (before_mm < FARTHEST_MM)
+    return before_mm, looked_at, nose
