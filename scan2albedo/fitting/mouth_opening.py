@@ -44,8 +44,8 @@ REACH_MM = 8.0
 COARSE_DEG = 8.0
 """The jaw is turned by such steps while it comes nearer to the scan, then by those of ANGLES_DEG."""
 FAR_MM = 2.0
-"""A jaw that lies so far from the scan is turned by two steps, too, where the first is none nearer. Shut ones
-lie up to 1.2 mm away, open ones 2.8 and more."""
+"""A jaw that lies so far from the scan is turned by two steps, too, where the first is none nearer: most open
+ones, and one in twenty of those that are shut."""
 MIN_GAIN, GAP = 0.12, 0.35
 """Least part of the distance that an opening saves, and of the film behind which nothing is near. Open jaws
 save 0.18 and more, with 0.5 and more of the film free; puffed cheeks and rounded lips up to 0.5, 0.2 free."""

@@ -65,6 +65,18 @@ def test_the_search_finds_the_angle_of_an_opened_model(ict, angle):
     assert mouth_opened(search.deformation).jaw_deg == angle
 
 
+@pytest.mark.parametrize(
+    ("shut_mm", "found"), [(3.0, 16.0), (1.0, 0.0)], ids=["far from the scan", "near to it"]
+)
+def test_a_far_jaw_is_also_turned_by_two_steps(model, monkeypatch, shut_mm, found):
+    costs = {0.0: shut_mm, 8.0: shut_mm + 0.2, 12.0: 0.9, 16.0: 0.5, 20.0: 0.9, 24.0: 2.0}
+    monkeypatch.setattr("scan2albedo.fitting.mouth_opening.coarsely_fitted", lambda _, start: start)
+    monkeypatch.setattr(MouthSearch, "opened", lambda _, angle: angle)
+    monkeypatch.setattr(MouthSearch, "cost", lambda _, angle: costs[angle])
+    monkeypatch.setattr(MouthSearch, "gap", lambda _, angle: 1.0)
+    assert search_on(model, *opened_scan(model, 0.0)).tried() == found
+
+
 def test_a_mouth_is_open_where_the_scan_has_a_gap_alone(model):
     opened = JawHinge.of(model, model.control_vertices).opened(model.control_vertices, 16.0)
     with_gap = search_on(model, *without_film(model, opened))
