@@ -44,6 +44,8 @@ FAR_MM, NEAR_MM = 5.5, 3.0
 without covers lie up to 5 mm before the person's face that is found for them; hair at the rim more."""
 HIDING_MM, EYE_MM = 3.5, 8.0
 """Some of it lies HIDING_MM before an eye, this near to its middle: frames without lenses pull little."""
+SUSPECT_MM = 4.0
+"""Where no eye of the scan lies so far before the model's, nothing is looked for."""
 LEAST_MM2 = 1500.0
 """A lens and its rim are larger; spikes, crumbs and brows before a deep eye are smaller."""
 FARTHEST_MM = 45.0
@@ -70,7 +72,7 @@ def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArra
     landmarks, which do not say where eyes are, get the scan as it is.
     """
     landmarks = model.landmarks_of(reference)
-    if landmarks is None or meter.exhausted:
+    if landmarks is None or meter.exhausted or not _may_be_covered(scan, model, reference, landmarks):
         return Uncovered(scan, 0.0)
     person = persons_face(scan, model, reference)
     meter.count(STEPS)
@@ -88,6 +90,23 @@ def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArra
         return Uncovered(scan, 0.0)
     rest = ScanSurface(scan.vertices[kept], faces, scan.normals[kept], (scan.boundary | border)[kept])
     return Uncovered(rest, covered_mm2)
+
+
+def _may_be_covered(
+    scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, landmarks: FloatArray
+) -> bool:
+    """Whether anything of the scan at an eye lies before the model's."""
+    surface = model.subdivision(LEVEL).matrix @ reference
+    for eye in EYES:
+        middle = landmarks[list(eye)].mean(0)
+        here, there = (
+            points[np.linalg.norm((points - middle)[:, :2], axis=1) < EYE_MM]
+            for points in (surface, scan.vertices)
+        )
+        there = there[np.abs(there[:, 2] - middle[2]) < FARTHEST_MM]
+        if len(there) and len(here) and there[:, 2].max() - here[:, 2].max() > SUSPECT_MM:
+            return True
+    return False
 
 
 def persons_face(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray) -> FloatArray:

@@ -61,11 +61,12 @@ def meter():
     return Meter("fit", "mm", Budget.of(None))
 
 
-def test_a_face_without_covers_stays_whole(face, model):
-    whole = surface(face.vertices, face.faces)
-    found = uncovered(whole, model, model.control_vertices, meter())
+def test_a_face_without_covers_stays_whole_and_costs_nothing(face, model):
+    whole, spent = surface(face.vertices, face.faces), meter()
+    found = uncovered(whole, model, model.control_vertices, spent)
     assert found.scan is whole
     assert found.covered_mm2 == 0
+    assert spent.evaluations == 0
 
 
 def test_frames_without_lenses_stay(face, model):
