@@ -154,7 +154,7 @@ def _tasks(
                 timeout_s=timeout_s,
             )
         )
-    if any(task.options.landmarks == AUTO for task in tasks):
+    if any(task.options.landmarks_detected for task in tasks):
         require_detector()
     return tasks
 

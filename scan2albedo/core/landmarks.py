@@ -22,6 +22,15 @@ PLACED_SIGMA_MM = 1.5
 """Standard deviation of a point of which nothing else is said: how well people repeat their own clicks."""
 
 
+def landmarks_option(given: Any) -> Any:
+    """Return landmarks as a caller gave them, "auto" in any spelling as `AUTO`; ValueError for empty text."""
+    if not isinstance(given, str):
+        return given
+    if not given.strip():
+        raise ValueError("landmarks is empty, expected a file, a folder or 'auto'")
+    return AUTO if given.strip().lower() == AUTO else given
+
+
 @dataclass(frozen=True)
 class PlacedLandmarks:
     """Landmarks on a scan, each with how sure it is; arrays are checked and copied.

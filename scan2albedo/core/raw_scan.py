@@ -152,6 +152,11 @@ class RawScan:
         uv = None if self.uv is None else self.uv[:, ::-1]
         return replace(self, faces=self.faces[:, ::-1], uv=uv)
 
+    def without_faces(self, gone: NDArray[np.bool_]) -> RawScan:
+        """Return the scan without the faces marked in `gone` (F,); vertices stay."""
+        uv = None if self.uv is None else self.uv[~gone]
+        return replace(self, faces=self.faces[~gone], uv=uv)
+
     def scaled(self, factor: float) -> RawScan:
         """Return the scan `factor` times as large; a unit of its file is as many mm more."""
         landmarks = None if self.landmarks is None else self.landmarks.scaled(factor)

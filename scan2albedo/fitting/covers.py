@@ -47,7 +47,11 @@ HIDING_MM, EYE_MM = 3.5, 8.0
 SUSPECT_MM = 4.0
 """Where no eye of the scan lies so far before the model's, nothing is looked for."""
 LEAST_MM2 = 1500.0
-"""A lens and its rim are larger; spikes, crumbs and brows before a deep eye are smaller."""
+"""Area of all covers together below which nothing is left out: two lenses have more; spikes, crumbs and brows
+before a deep eye have less."""
+ON_COVER_MM = 3.0
+"""A point of the raw scan so near to a cover, and nearer than to the rest, is of the cover: thinning and
+smoothing move the surface by less."""
 FARTHEST_MM = 45.0
 BELOW_EYES_MM = 18.0
 """Covers are looked for down to here, the lower rim of large lenses."""
@@ -59,10 +63,20 @@ LEVEL = 1
 
 @dataclass(frozen=True)
 class Uncovered:
-    """The scan without covers, and the area that was set aside, in mm^2."""
+    """The scan without covers, the covers alone (None: there are none), and their area in mm^2."""
 
     scan: ScanSurface
-    covered_mm2: float
+    covers: ScanSurface | None = None
+    covered_mm2: float = 0.0
+
+    def of_covers(self, points: FloatArray) -> BoolArray:
+        """Return (N,) which points of the whole scan lie on its covers."""
+        if self.covers is None:
+            return np.zeros(len(points), bool)
+        distance = self.covers.nearest.query(points).distance
+        near = distance < ON_COVER_MM
+        near[near] = distance[near] <= self.scan.nearest.query(points[near]).distance
+        return near
 
 
 def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter) -> Uncovered:
@@ -73,29 +87,33 @@ def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArra
     """
     landmarks = model.landmarks_of(reference)
     if landmarks is None or meter.exhausted or not _may_be_covered(scan, model, reference, landmarks):
-        return Uncovered(scan, 0.0)
+        return Uncovered(scan)
     person = persons_face(scan, model, reference)
     meter.count(STEPS)
     cover = _covers(scan, model, person)
     if not cover.any():
-        return Uncovered(scan, 0.0)
-    gone = cover[scan.faces].any(1)
+        return Uncovered(scan)
+    gone = np.any(cover[scan.faces], axis=1)
     covered_mm2 = float(face_areas(scan.vertices, scan.faces[gone]).sum())
     if covered_mm2 < LEAST_MM2:
-        return Uncovered(scan, 0.0)
+        return Uncovered(scan)
+    if gone.all():
+        return Uncovered(scan)
     border = np.zeros(len(cover), bool)
     border[scan.faces[gone]] = True
-    kept, faces = without_unreferenced(scan.vertices, scan.faces[~gone])
-    if len(faces) == 0:
-        return Uncovered(scan, 0.0)
-    rest = ScanSurface(scan.vertices[kept], faces, scan.normals[kept], (scan.boundary | border)[kept])
-    return Uncovered(rest, covered_mm2)
+    return Uncovered(_part(scan, ~gone, border), _part(scan, gone, border), covered_mm2)
+
+
+def _part(scan: ScanSurface, chosen: BoolArray, border: BoolArray) -> ScanSurface:
+    """Return the faces `chosen` (F,) of a scan, whose new border are the vertices `border` (V,)."""
+    kept, faces = without_unreferenced(scan.vertices, scan.faces[chosen])
+    return ScanSurface(scan.vertices[kept], faces, scan.normals[kept], (scan.boundary | border)[kept])
 
 
 def _may_be_covered(
     scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, landmarks: FloatArray
 ) -> bool:
-    """Whether anything of the scan at an eye lies before the model's."""
+    """Whether the scan's foremost point at one of the eyes lies `SUSPECT_MM` before the model's foremost."""
     surface = model.subdivision(LEVEL).matrix @ reference
     for eye in EYES:
         middle = landmarks[list(eye)].mean(0)

@@ -16,7 +16,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
-from scan2albedo.fitting.covers import uncovered
+from scan2albedo.fitting.covers import Uncovered, uncovered
 from scan2albedo.fitting.forces import ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
@@ -29,7 +29,7 @@ from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.rigid import Similarity, invert_rigid
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
@@ -60,9 +60,10 @@ def fit(
     energy of q weighted by each region's stiffness, and f the forces of the scan on samples of the limit
     surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
     implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
-    Before that, pose and size s are refined over the stiff regions (`refine_similarity`), the mouth is opened
-    and its corners are drawn back as the scan's are, brows, eyes and lips are looked for in its colours
-    (`painted_features`), and the face gets its proportions (`proportioned`).
+    Before that, pose and size s are refined over the stiff regions (`refine_similarity`), lenses before the
+    eyes are left out with a warning (`covers`), the mouth is opened and its corners are drawn back as the
+    scan's are, brows, eyes and lips are looked for in its colours (`painted_features`), and the face gets its
+    proportions (`proportioned`).
 
     Raises FitError when there is next to no scan where the model is; TypeError for other objects than a scan,
     a model and a pose.
@@ -108,26 +109,27 @@ def fit(
     pose, surface = correction @ pose, surface.moved(correction)
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
-    covered_mm2 = 0.0
-    if chosen.covers:
-        surface, covered_mm2 = _uncovered(surface, model, reference, meter, scan.name)
-    deformation = Deformation(model, reference, surface, chosen, meter, covered_mm2=covered_mm2)
+    bare = _uncovered(surface, model, reference, meter, scan.name) if chosen.covers else Uncovered(surface)
+    covered = np.any(bare.of_covers(transform_points(pose, scan.vertices))[scan.faces], axis=1)
+    deformation = Deformation(model, reference, bare.scan, chosen, meter, covered_mm2=bare.covered_mm2)
     if chosen.open_mouth:
         deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
-        painted = painted_pull(scan, pose, model, deformation.reference)
+        shown = scan.without_faces(covered) if covered.any() else scan
+        painted = painted_pull(shown, pose, model, deformation.reference)
         pull = painted if pull is None else pull.with_more(painted)
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
-    reference = proportioned(surface, samples, deformation.reference, chosen, meter, pull)
+    reference = proportioned(bare.scan, samples, deformation.reference, chosen, meter, pull)
     deformation = _following(pull, deformation, reference, scan.name)
     reached = run_stages(deformation)
-    return fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+    fitted = fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+    return replace(fitted, covered_faces=covered) if covered.any() else fitted
 
 
 def _uncovered(
     surface: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter, name: str
-) -> tuple[ScanSurface, float]:
-    """Return the scan without covers, and their area in mm^2; warns of them."""
+) -> Uncovered:
+    """Return the scan without covers, and warn of them."""
     found = uncovered(surface, model, reference, meter)
     if found.covered_mm2 > 0:
         warnings.warn(
@@ -136,7 +138,7 @@ def _uncovered(
             UserWarning,
             stacklevel=3,
         )
-    return found.scan, found.covered_mm2
+    return found
 
 
 def _following(

@@ -71,7 +71,9 @@ def doubts(fitted: FittedFace) -> Iterator[str]:
             f"part, {found.middle_mm:.1f} mm in the middle and {found.step_mm:.1f} mm beside the midline; is "
             "the scan joined of two people's?"
         )
-    if fitted.landmarks is not None and (ratios := proportions(fitted.landmarks).doubt()):
+    # Where covers were left out, the proportions are half the model's own.
+    measured = fitted.landmarks is not None and fitted.metrics["covered_mm2"] == 0
+    if fitted.landmarks is not None and measured and (ratios := proportions(fitted.landmarks).doubt()):
         yield (
             f"the face's proportions are no person's, relative to the model's (and people's): {ratios}; was "
             "the scan stretched along an axis?"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.landmark_deviation import landmark_deviation_mm
@@ -69,6 +69,8 @@ class FittedFace:
     draw (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
     (``jaw_deg``) and how far its corners were drawn back; how much of the scan was left out because it stands
     far before the eyes (``covered_mm2``): for result.json."""
+    covered_faces: BoolArray | None = None
+    """(F,): faces of the raw scan that were left out because they stand far before the eyes; None: none."""
     landmark_deviation_mm: FloatArray | None = None
     """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""
 

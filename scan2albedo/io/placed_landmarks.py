@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from scan2albedo.core.landmarks import COUNT, PLACED_SIGMA_MM, PlacedLandmarks
+from scan2albedo.core.landmarks import AUTO, COUNT, PLACED_SIGMA_MM, PlacedLandmarks, landmarks_option
 from scan2albedo.errors import ScanError
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.limits import parse_json
@@ -163,6 +163,10 @@ def landmarks_for(given: Any, scan: str | Path | None, mm_per_unit: float) -> Pl
     """
     if not isinstance(given, str | Path):
         return PlacedLandmarks.of(given, mm_per_unit)
+    if landmarks_option(given) == AUTO:
+        raise ScanError(
+            f"landmarks is {given!r}, which is an option of `process`: here, give a file or points"
+        )
     file = landmarks_file(given, scan)
     return None if file is None else read_landmarks(file, mm_per_unit)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core import Budget, checked_seed
-from scan2albedo.core.landmarks import AUTO
+from scan2albedo.core.landmarks import AUTO, landmarks_option
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedFaceModel
@@ -108,11 +108,7 @@ class ProcessOptions:
             object.__setattr__(self, "textures", str(self.textures))
         if isinstance(self.landmarks, Path):
             object.__setattr__(self, "landmarks", str(self.landmarks))
-        if isinstance(self.landmarks, str):
-            if not self.landmarks.strip():
-                raise ValueError("landmarks is empty, expected a file, a folder or 'auto'")
-            if self.landmarks.lower() == AUTO:
-                object.__setattr__(self, "landmarks", AUTO)
+        object.__setattr__(self, "landmarks", landmarks_option(self.landmarks))
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
@@ -143,6 +139,11 @@ class ProcessOptions:
     def texels(self) -> int:
         """Height and width of the geometry image: as asked for, or that of the preset."""
         return self.stages.size if self.size is None else self.size
+
+    @property
+    def landmarks_detected(self) -> bool:
+        """Whether MediaPipe is to find landmarks; nothing is fitted to them without a model."""
+        return isinstance(self.landmarks, str) and self.landmarks == AUTO and self.model != "none"
 
     @property
     def stages(self) -> Quality:

@@ -15,9 +15,8 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
@@ -31,6 +30,7 @@ from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.load_scan import with_landmarks
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.plan_of_result import plan_of
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
 from scan2albedo.registration import Registration, RegistrationOptions, register
@@ -163,7 +163,7 @@ def _processed(
 ) -> ProcessResult:
     """Take the scan through the stages; no file is written."""
     clock = _Clock(options)
-    if options.landmarks == AUTO:
+    if options.landmarks_detected:
         require_detector()
     file, scaled = None if isinstance(source, RawScan) else Path(source), None
     with clock.timed("load"):
@@ -177,13 +177,13 @@ def _processed(
                 scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         else:
             scan = source if name is None else replace(source, name=name)
-        if options.landmarks not in (None, AUTO):
+        if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
             scan = with_landmarks(scan, options.landmarks, file)
             scaled = None if scaled is None else replace(scaled, scan=scan)
         model = chosen_model(options.model)
     registration, fitted, estimate = None, None, None
     with _warnings_as_messages() as messages:
-        if model is None and options.landmarks is not None:
+        if model is None and not (options.landmarks is None and scan.landmarks is None):
             warnings.warn("landmarks are not used: without a model nothing is fitted to them", stacklevel=2)
         if model is not None and "register" not in options.skip:
             with clock.timed("register"):
@@ -191,7 +191,7 @@ def _processed(
         if model is not None:
             pose = np.eye(4) if registration is None else registration.model_from_scan
             with clock.timed("fit"):
-                if options.landmarks == AUTO:
+                if options.landmarks_detected:
                     scan = with_detected(scan, pose, clock.share("fit").seconds)
                 fitted = fit(
                     scan, model, pose, clock.share("fit"), options=options.stages.fit, on_progress=on_progress
@@ -223,7 +223,7 @@ def _processed(
         fitted=fitted,
         geometry_image=image,
         albedo=estimate,
-        plan=_plan(options, scan, registration, fitted, image, estimate),
+        plan=plan_of(options, scan, registration, fitted, image, estimate),
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,
         options=options.recorded(model),
@@ -232,15 +232,6 @@ def _processed(
         source=file,
         messages=(*messages, *_cautions(registration, fitted, estimate)),
     )
-
-
-def _colors_step(scan: RawScan, fitted: FittedFace) -> PlanStep:
-    """Return whether the scan's colours drew the model's brows, eyes and lips, and why."""
-    if count := int(fitted.metrics.get("painted_landmarks", 0)):
-        reason = "the scan's colours show brows, eyes or lips"
-        return PlanStep("fit.colors", True, reason, f"{count} landmarks")
-    reason = "the scan's colours show no feature surely" if scan.has_color else "the scan has no colour"
-    return PlanStep("fit.colors", False, reason)
 
 
 def _registered(
@@ -293,49 +284,6 @@ def _estimate_options(options: ProcessOptions) -> EstimateOptions:
     return replace(preset, skip=steps(preset.skip, options.skip), force=steps(preset.force, options.force))
 
 
-def _plan(
-    options: ProcessOptions,
-    scan: RawScan,
-    registration: Registration | None,
-    fitted: FittedFace | None,
-    image: GeometryImage,
-    estimate: AlbedoEstimate | None,
-) -> Plan:
-    """Return what ran, what was left out, and why."""
-    steps: list[PlanStep] = []
-    if registration is not None:
-        evidence = f"rmse {registration.rmse_mm:.2f} mm"
-        steps.append(PlanStep("register", True, "pose of the face in the scan", evidence))
-        for step, ran, reason, evidence in registration.notes:
-            steps.append(PlanStep(f"register.{step}", ran, reason, evidence))
-    elif fitted is not None:
-        reason = "skipped by the caller: the scan is taken to lie in the model's frame"
-        steps.append(PlanStep("register", False, reason))
-    if fitted is not None:
-        if scan.landmarks is not None:
-            reason = "MediaPipe finds landmarks" if options.landmarks == AUTO else "landmarks are given"
-            steps.append(PlanStep("fit.landmarks", True, reason, f"{int(scan.landmarks.placed.sum())}"))
-        evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
-        steps.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
-        steps.append(_colors_step(scan, fitted))
-    else:
-        steps += [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
-    figures = image.figures()
-    evidence = (
-        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
-        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
-    )
-    if fitted is not None and scan.has_color:
-        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
-    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
-    steps.append(PlanStep("geometry_image", True, chart, evidence))
-    if estimate is not None:
-        return Plan(tuple(steps)) + estimate.plan
-    if "albedo" in options.skip:
-        return Plan((*steps, PlanStep("albedo", False, "skipped by the caller")))
-    return Plan((*steps, PlanStep("albedo", False, "the scan has no usable colour", "; ".join(scan.notes))))
-
-
 @contextmanager
 def _warnings_as_messages() -> Iterator[list[str]]:
     """Give a list that holds the block's user warnings when it ends; other warnings pass on.
@@ -373,10 +321,11 @@ def _cautions(
         )
     coverage = 1.0 if fitted is None else fitted.metrics["coverage"]
     if coverage < WHOLE_FACE:
-        yield (
-            f"only {100 * coverage:.0f} % of the face has scan near it, the rest is the model's own shape: "
-            "is the file cut short, or is it half a face?"
+        covered = fitted is not None and fitted.metrics["covered_mm2"] > 0
+        why = (
+            "what lies before the eyes was left out" if covered else "is the file cut short, or half a face?"
         )
+        yield f"only {100 * coverage:.0f} % of the face has scan near it, else the model's own shape: {why}"
     if fitted is not None:
         yield from doubts(fitted)
     if estimate is None:

@@ -9,6 +9,7 @@ from scan2albedo import fit
 from scan2albedo.core import Budget, Meter
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.covers import uncovered
+from scan2albedo.fitting.plausibility import doubts
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
 from scan2albedo.geometry.nearest_surface import NearestSurface
@@ -50,6 +51,14 @@ def test_lenses_are_left_out_and_told(face, model):
     errors = [off_by_the_eyes(face, f, f.model_from_scan @ scan_from_shape) for f in (left_out, followed)]
     assert errors[0] < 2.0
     assert errors[0] < 0.5 * errors[1]
+    # What was left out has no colours for the face: it is of the glasses, not of the skin behind them.
+    on_shape = transform_points(invert_rigid(scan_from_shape), scan.vertices[scan.faces].mean(1))
+    off_skin = NearestSurface(face.vertices, face.faces).query(on_shape).distance
+    assert left_out.covered_faces.sum() > 500
+    assert np.mean(off_skin[left_out.covered_faces] > 2.0) > 0.8
+    assert followed.covered_faces is None
+    # Half of these proportions are the model's own: nothing is said of them.
+    assert not any("proportions" in doubt for doubt in doubts(left_out))
 
 
 def surface(vertices, faces):

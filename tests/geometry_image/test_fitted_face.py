@@ -180,6 +180,16 @@ def test_a_hole_in_the_scan_is_known_as_unseen():
     assert image.texture_valid[radius > 18].all()
 
 
+def test_what_the_fit_left_out_gives_no_texture():
+    fitted = patch()
+    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
+    fitted.covered_faces = np.linalg.norm(fitted.vertices[fitted.faces].mean(1), axis=1) < 15
+    image = geometry_image(fitted, scan, size=100)
+    radius = np.linalg.norm(image.position, axis=-1)
+    assert not image.texture_valid[radius < 12].any()
+    assert image.texture_valid[radius > 18].all()
+
+
 def test_a_surface_that_faces_away_or_lies_far_off_is_unseen():
     fitted = patch()
     scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))

@@ -105,3 +105,7 @@ def test_a_scan_is_loaded_with_landmarks_in_its_own_unit(tmp_path):
     without = load_scan(tmp_path / "a.obj", landmarks=tmp_path / "marks")
     assert without.landmarks is None
     assert "no landmarks of this scan" in without.notes[-1]
+    with pytest.raises(ScanError, match="an option of `process`"):
+        load_scan(tmp_path / "a.obj", landmarks="Auto")
+    with pytest.raises(ValueError, match="landmarks is empty"):
+        load_scan(tmp_path / "a.obj", landmarks="")

@@ -142,16 +142,17 @@ def test_what_is_missing_is_named_before_anything_is_done(monkeypatch, person):
 
 
 def test_auto_is_a_word_in_any_case_and_nothing_is_no_folder():
+    assert ProcessOptions(landmarks="Auto ") == ProcessOptions(landmarks="auto")
     assert ProcessOptions(landmarks="AUTO") == ProcessOptions(landmarks="auto")
     assert ProcessOptions(landmarks="./auto").landmarks == "./auto"
     with pytest.raises(ValueError, match="landmarks is empty"):
         ProcessOptions(landmarks=" ")
 
 
-def test_without_a_model_landmarks_are_told_to_be_unused(person, network):
-    scan, truth = person
-    network(Network(truth))
-    result = process(scan, landmarks="auto", model="none", size=32, skip=["albedo"])
+def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch, person):
+    scan, _ = person
+    monkeypatch.setattr(detected, "find_spec", lambda name: None)  # and the network is not asked for
+    result = process(scan, landmarks="Auto", model="none", size=32, skip=["albedo"])
     assert "landmarks are not used: without a model nothing is fitted to them" in result.messages
 
 

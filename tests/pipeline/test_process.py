@@ -151,6 +151,13 @@ def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(case, result, tm
     assert "5 landmarks given" in found.notes
     one = s2a.process(scan, **(options | {"landmarks": {30: marks[2] * 1000}}))
     assert "1 landmarks given" in one.notes
+    points = np.full((68, 3), np.nan)
+    points[30] = marks[2] * 1000
+    same = s2a.process(scan, **(options | {"landmarks": points}))
+    np.testing.assert_array_equal(same.landmarks_scan, one.landmarks_scan)
+    assert same.options["landmarks"] == "given"
+    covers = next(step for step in same.plan if step.stage == "fit.covers")
+    assert not covers.ran
 
 
 def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result, case):

@@ -28,7 +28,7 @@ OWN_SHUT: tuple[Expression, ...] = ("neutral", "smile", "frown", "pout", "puff")
 LAMPS_DEG = ((0, 0), (0, 50), (0, 70), (0, 90), (0, -50), (50, 30), (-60, 0), (30, -40))
 """Directions of lamps: to the left of the face's front, and above it."""
 LENS_MM = 13.0
-"""Between lids and lenses, as tight sunglasses stand; a fit follows no lens from 15 mm on."""
+"""Between lids and lenses, as tight sunglasses stand. Farther ones draw a fit less."""
 SKIN, AMBIENT = (0.8, 0.55, 0.45), 0.08
 
 
