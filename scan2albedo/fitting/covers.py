@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces
@@ -46,6 +46,9 @@ HIDING_MM, EYE_MM = 3.5, 8.0
 """Some of it lies HIDING_MM before an eye, this near to its middle: frames without lenses pull little."""
 SUSPECT_MM = 4.0
 """Where no eye of the scan lies so far before the model's, nothing is looked for."""
+STEEP, LEAST_STEPS = 0.6, 0.3
+"""A step rises by STEEP of its length and more; so much of the cover's rim is steps or the scan's border. Of
+lenses and frames half is, of a face with stronger brows than any person's that the modes make a tenth."""
 LEAST_MM2 = 1500.0
 """Area of all covers together below which nothing is left out: two lenses have more; spikes, crumbs and brows
 before a deep eye have less."""
@@ -187,9 +190,20 @@ def _covers(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) ->
         return np.zeros(len(near), bool)
     cover = near & (far & hides)[part]
     edges, _ = edges_with_faces(scan.faces)
+    if not _ends_in_steps(scan, cover, before_mm, edges):
+        return np.zeros(len(near), bool)
     around = cover.copy()
     around[edges[cover[edges].any(1)]] = True
     return around
+
+
+def _ends_in_steps(scan: ScanSurface, cover: BoolArray, before_mm: FloatArray, edges: IntArray) -> bool:
+    """Whether a cover ends as a thing does: at the scan's border, or by steps. A brow rises gradually."""
+    across = edges[cover[edges[:, 0]] != cover[edges[:, 1]]]
+    length = np.linalg.norm(scan.vertices[across[:, 0]] - scan.vertices[across[:, 1]], axis=1)
+    steps = np.abs(before_mm[across[:, 0]] - before_mm[across[:, 1]]) > STEEP * length
+    ends = int((scan.boundary & cover).sum())
+    return bool(steps.sum() + ends > LEAST_STEPS * (len(steps) + ends))
 
 
 def _before(

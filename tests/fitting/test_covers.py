@@ -78,6 +78,15 @@ def test_a_face_without_covers_stays_whole_and_costs_nothing(face, model):
     assert spent.evaluations == 0
 
 
+def test_a_swelling_that_rises_gradually_stays(face, model):
+    middle = face.landmarks[17:27].mean(0)
+    x, y, _ = (face.vertices - middle).T
+    swelling = 15 * np.exp(-((x / 50) ** 4) - ((y + 12) / 14) ** 2)
+    heavy = face.vertices + np.outer(swelling, [0, 0, 1])
+    found = uncovered(surface(heavy, face.faces), model, model.control_vertices, meter())
+    assert found.covered_mm2 == 0
+
+
 def test_frames_without_lenses_stay(face, model):
     vertices, faces = dressed(face, 12.0)
     lens_middles = np.flatnonzero(np.bincount(faces.ravel()) > 30)
