@@ -50,6 +50,7 @@ def divide_light(
     *,
     skin: NDArray | None = None,
     shrink: bool = True,
+    side: int | None = None,
 ) -> Division:
     """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
 
@@ -71,6 +72,9 @@ def divide_light(
         beard elsewhere. None is skin everywhere.
     shrink : bool
         False keeps it everywhere; confidence and deviation are the same.
+    side : int, optional
+        Texels along the side of a chart of the whole face with texels of this size; that of the mask when
+        omitted.
     """
     channels = texture.reshape(*mask.shape, -1).astype(np.float64) - specular[..., None]
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
@@ -88,11 +92,11 @@ def divide_light(
         if noise.beside[..., c].any():
             beside = _filtered(beside, weight, noise.beside[..., c]).field
         filtered[..., c] = (leading.field + beside) * around[..., c]
-    grain = _kept_grain(filtered[..., noise.lead], light[..., noise.lead], usable, skin)
+    grain_window = _grain_window(side or max(mask.shape))
+    grain = _kept_grain(filtered[..., noise.lead], light[..., noise.lead], usable, skin, grain_window)
     own = np.where(usable, leading.own * grain, 0.0)
     if (grain < 1).any():
-        window = _grain_window(mask.shape)
-        smooth = np.stack([window_mean(c, known, window) for c in np.moveaxis(filtered, -1, 0)], -1)
+        smooth = np.stack([window_mean(c, known, grain_window) for c in np.moveaxis(filtered, -1, 0)], -1)
         filtered = smooth + grain[..., None] * (filtered - smooth)
     kept = np.where((usable & shrink)[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
@@ -100,7 +104,9 @@ def divide_light(
     return Division(albedo, own, np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0))
 
 
-def _kept_grain(value: FloatArray, light: FloatArray, usable: BoolArray, skin: NDArray | None) -> FloatArray:
+def _kept_grain(
+    value: FloatArray, light: FloatArray, usable: BoolArray, skin: NDArray | None, window: int
+) -> FloatArray:
     """Return (H, W) the part that a texel in the dark keeps of its difference from the mean around it.
 
     Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
@@ -117,18 +123,16 @@ def _kept_grain(value: FloatArray, light: FloatArray, usable: BoolArray, skin: N
         return whole
     around = np.maximum(window_mean(value, known, _AROUND), 1e-12)
     relative = value / around
-    rough = window_mean(
-        (relative - window_mean(relative, known, _grain_window(value.shape))) ** 2, known, WINDOW
-    )
+    rough = window_mean((relative - window_mean(relative, known, window)) ** 2, known, WINDOW)
     usual = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2)
     kept = np.clip(usual / np.maximum(rough, 1e-12), 0.0, 1.0)
     sure = dim if skin is None else dim * skin
     return np.asarray(1 - sure * (1 - kept))
 
 
-def _grain_window(shape: tuple[int, ...]) -> int:
+def _grain_window(side: int) -> int:
     """Return the odd side, in texels, of the means that grain differs from."""
-    return max(3, 2 * round(_GRAIN * max(shape) / 2 - 0.5) + 1)
+    return max(3, 2 * round(_GRAIN * side / 2 - 0.5) + 1)
 
 
 @dataclass(frozen=True)

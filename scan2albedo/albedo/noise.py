@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.optimize import nnls
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -121,20 +122,31 @@ def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
 
 def _structure(field: FloatArray, usable: BoolArray, lag: int, axis: int) -> tuple[FloatArray, FloatArray]:
     """Return g(lag) along an axis over a window, by mean squares and robustly; 0 from too few texels."""
-    start, end, middle = ([slice(None)] * 2 for _ in range(3))
-    start[axis], end[axis] = slice(None, -lag), slice(lag, None)
-    middle[axis] = slice(lag // 2, lag // 2 - lag)
-    pairs, squares = np.zeros(field.shape), np.zeros(field.shape)
     if min(field.shape) <= 3:
-        return pairs, squares
-    known = usable[tuple(start)] & usable[tuple(end)]
-    pairs[tuple(middle)] = known
-    squares[tuple(middle)] = np.where(known, (field[tuple(end)] - field[tuple(start)]) ** 2 / 2, 0.0)
-    count = _sum(pairs, WINDOW)
-    share = np.where(count >= _LEAST_PAIRS, 1 / np.maximum(count, 1.0), 0.0)
+        return np.zeros(field.shape), np.zeros(field.shape)
+    down, across = (lag, 0) if axis == 0 else (0, lag)
+    pairs, squares, roots = (_sum(part, WINDOW) for part in _steps(field, usable, down, across))
+    share = np.where(pairs >= _LEAST_PAIRS, 1 / np.maximum(pairs, 1.0), 0.0)
     # The mean of the root of a normal deviate's size, to the fourth power, is 0.457 of its variance.
-    roots = np.maximum(_sum(np.sqrt(np.sqrt(squares)), WINDOW), 0.0)
-    return share * _sum(squares, WINDOW), (share * roots) ** 4 / 0.457
+    robust = (share * np.maximum(roots, 0.0)) ** 2
+    return share * squares, robust * robust / 0.457
+
+
+@njit(cache=True, nogil=True)
+def _steps(field, usable, down, across):  # type: ignore[no-untyped-def]
+    """Return (H, W) of the pairs of texels so far apart, in their middles: whether both are usable, half the
+    square of their difference, and the fourth root of that."""
+    rows, columns = field.shape
+    pairs, squares, roots = np.zeros((3, rows, columns))
+    for row in range(rows - down):
+        for column in range(columns - across):
+            if usable[row, column] and usable[row + down, column + across]:
+                half = 0.5 * (field[row + down, column + across] - field[row, column]) ** 2
+                i, j = row + down // 2, column + across // 2
+                pairs[i, j] = 1.0
+                squares[i, j] = half
+                roots[i, j] = np.sqrt(np.sqrt(half))
+    return pairs, squares, roots
 
 
 def _rounding_variance(linear: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What a processed face is for: relighting, swapped skin, blends, transferred expressions."""
+"""What a processed face is for: other light, skin or expression; the scan itself, and templates, unlit."""
 
 from scan2albedo.applications.blending import blend_faces
 from scan2albedo.applications.expression_transfer import TransferOptions, transfer_expression
@@ -8,11 +8,13 @@ from scan2albedo.applications.face_reflectance import (
     reflectance_of_processed,
 )
 from scan2albedo.applications.files import load_result, write_face
+from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
 from scan2albedo.applications.personal_model import personal_model
 from scan2albedo.applications.pictures import Picture, default_camera
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, RelitFace, relight
+from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile, template_texture
 from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
 
 __all__ = [
@@ -23,7 +25,10 @@ __all__ = [
     "RelightOptions",
     "RelitFace",
     "SwapOptions",
+    "TemplateTexture",
+    "TemplateTile",
     "TransferOptions",
+    "UnlitScan",
     "blend_faces",
     "default_camera",
     "frames_srgb",
@@ -35,7 +40,9 @@ __all__ = [
     "relight",
     "swap_texture",
     "sweep",
+    "template_texture",
     "transfer_expression",
+    "unlit_scan",
     "write_face",
     "write_frames",
     "write_gif",

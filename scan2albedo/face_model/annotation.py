@@ -68,7 +68,8 @@ class AnnotatedSurface:
 
     A surface made by `from_mesh` also has `template_points`, the place of each dense template vertex,
     `template_offset` (T, 3), vertex minus that surface point at rest in the point's local frame or zeros,
-    `template_faces` (T_F, 3), `template_from_model` (4, 4), the similarity from the model's frame in mm to
+    `template_faces` (T_F, 3), where it has them `template_uv` (T_F, 3, 2), texture coordinates of their
+    corners, `template_from_model` (4, 4), the similarity from the model's frame in mm to
     the template's own axes, origin and unit, and `notes`, a sentence for each thing decided and mended.
 
     .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
@@ -84,6 +85,7 @@ class AnnotatedSurface:
     template_points: SurfacePoints | None = None
     template_offset: FloatArray | None = None
     template_faces: IntArray | None = None
+    template_uv: FloatArray | None = None
     template_from_model: FloatArray | None = None
     notes: tuple[str, ...] = ()
     name: str = "annotated face model"

@@ -31,7 +31,8 @@ class FaceModelFile(BaseModel):
 
     These are control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where the counts
     below are not 0 landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
-    template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3), template_from_model (4, 4).
+    template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3), template_uv (T_F, 3, 2),
+    template_from_model (4, 4).
     """
 
     model_config = ConfigDict(extra="forbid", title="scan2albedo annotated face model")
@@ -93,6 +94,8 @@ def _arrays_of(model: AnnotatedSurface) -> Arrays:
         arrays["template_from_model"] = model.template_from_model.astype(np.float64)
     if model.template_faces is not None:
         arrays["template_faces"] = model.template_faces.astype(np.int32)
+    if model.template_uv is not None:
+        arrays["template_uv"] = model.template_uv.astype(np.float64)
     return arrays
 
 
@@ -120,6 +123,7 @@ def load_model(path: str | Path) -> AnnotatedSurface:
         template_points=_points(arrays, "template"),
         template_offset=arrays.get("template_offset"),
         template_faces=None if template_faces is None else template_faces.astype(np.int64),
+        template_uv=arrays.get("template_uv"),
         template_from_model=arrays.get("template_from_model"),
         notes=tuple(entry.notes),
         name=entry.name,
@@ -146,6 +150,8 @@ def _check_shapes(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
         expected["template_from_model"] = (4, 4)
     if entry.template_faces:
         expected["template_faces"] = (entry.template_faces, 3)
+    if "template_uv" in arrays:
+        expected["template_uv"] = (entry.template_faces, 3, 2)
     for name, shape in expected.items():
         got = arrays[name].shape if name in arrays else None
         if got != shape:

@@ -29,6 +29,8 @@ LANDMARK_REACH_MM = 30.0
 MAX_REGIONS = 253
 MIN_CONTROL_SIZE = 20
 WIDE_OFFSET_MM = 1.0
+SAME_UV = 1e-6
+"""Corners of a vertex whose texture coordinates differ by less have one place."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class DenseTemplate:
     vertices: FloatArray
     faces: IntArray
     uv: FloatArray | None
+    """(T, 2), or (F, 3, 2) of the corners."""
     regions: Mapping[str, IntArray] | None
     landmarks: FloatArray | IntArray | None
     name: str
@@ -71,7 +74,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         index = len(table)
         region[_over_holes(template, subdivision, control)] = index
         table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
-    chart, chart_note = _chart(given.uv, template, control, matrix, name)
+    chart, chart_note = _chart(_vertex_uv(given), template, control, matrix, name)
     return AnnotatedSurface(
         control_vertices=control.vertices,
         control_faces=control.faces,
@@ -84,10 +87,32 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         template_points=placed,
         template_offset=offset,
         template_faces=faces,
+        template_uv=_corner_uv(given),
         template_from_model=surface.template_from_surface,
         notes=(*surface.notes, *_cleaning_notes(surface, template, offset), *chart_note),
         name=name,
     )
+
+
+def _vertex_uv(given: DenseTemplate) -> FloatArray | None:
+    """Return (T, 2) where all corners of a vertex agree, (0, 0) without a face; None at seams and gaps."""
+    if given.uv is None or np.ndim(given.uv) != 3:
+        return given.uv
+    faces, corners = np.array(given.faces, np.int64), np.asarray(given.uv, np.float64)
+    if corners.shape != (len(faces), 3, 2):
+        raise ModelError(f"{given.name}: uv has shape {corners.shape}, expected ({len(faces)}, 3, 2)")
+    uv = np.zeros((len(given.vertices), 2))
+    uv[faces.ravel()] = corners.reshape(-1, 2)
+    return uv if (np.abs(uv[faces] - corners) < SAME_UV).all() else None
+
+
+def _corner_uv(given: DenseTemplate) -> FloatArray | None:
+    """Return (F, 3, 2) the coordinates of the faces' corners; None where some have none."""
+    if given.uv is None:
+        return None
+    uv = np.asarray(given.uv, np.float64)
+    corners = uv if uv.ndim == 3 else uv[np.array(given.faces, np.int64)]
+    return corners if np.isfinite(corners).all() else None
 
 
 def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:

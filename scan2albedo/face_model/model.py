@@ -9,8 +9,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
 from scan2albedo.errors import ModelError, ScanError
@@ -74,8 +72,10 @@ class AnnotatedFaceModel(AnnotatedSurface):
         faces : (F, 3) array of int
             Triangles. Vertices without a face, or on loose parts (eyeballs), are carried along by the
             nearest surface.
-        uv : (T, 2) array of float, optional
-            One continuous chart; a new one is drawn when omitted or when it folds over.
+        uv : (T, 2) or (F, 3, 2) array of float, optional
+            Texture coordinates of vertices, or of faces' corners: what `template_texture` paints. Where each
+            vertex has one place they are the chart too; a new one is drawn when there are seams, when it
+            folds over, or when uv is omitted.
         regions : mapping of str to array, optional
             Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
             faces that close a hole are region "filled"; these two names are reserved. Scans exert no force on
@@ -110,20 +110,11 @@ class AnnotatedFaceModel(AnnotatedSurface):
             parsed = read_mesh_file(file)
         except ScanError as error:
             raise ModelError(f"template {error}") from error
-        uv = None if parsed.uv is None else vertex_uv(len(parsed.vertices), parsed.faces, parsed.uv)
-        return cls.from_mesh(parsed.vertices, parsed.faces, uv, name=file.stem)
+        return cls.from_mesh(parsed.vertices, parsed.faces, parsed.uv, name=file.stem)
 
     @classmethod
     def _with_fields_of(cls, surface: AnnotatedSurface) -> Self:
         return cls(**{field.name: getattr(surface, field.name) for field in fields(surface)})
-
-
-def vertex_uv(count: int, faces: IntArray, corner_uv: FloatArray) -> FloatArray | None:
-    """Return (V, 2) uv where all corners of a vertex agree, (0, 0) without a face; None at seams and gaps."""
-    uv = np.zeros((count, 2))
-    uv[faces.ravel()] = corner_uv.reshape(-1, 2)
-    agree = np.abs(uv[faces] - corner_uv) < 1e-6
-    return uv if agree.all() else None
 
 
 def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:

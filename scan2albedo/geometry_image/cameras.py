@@ -12,6 +12,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera
+from scan2albedo.geometry.seams import split_at_seams
 
 _LEAST_PART, _LEAST_FACES = 0.02, 100
 """Faces of a piece of the texture from which a camera is fitted: as a part of all, and their number."""
@@ -77,12 +78,7 @@ def texture_cameras(scan: RawScan) -> TextureCameras | None:
 def _pieces(scan: RawScan) -> IntArray:
     """Return (F,) the connected piece of the texture that each face is part of."""
     assert scan.uv is not None
-    # One number for a vertex and its place in the texture; that two such numbers agree is next to impossible.
-    place = np.round(scan.uv * 2**20).astype(np.int64)
-    across, up = place[..., 0] * 0xC2B2AE3D27D4EB5, place[..., 1] * 0x165667B19E3779F
-    key = scan.faces * 0x9E3779B97F4A7C1 + across + up
-    _, corner = np.unique(key, return_inverse=True)
-    corner = corner.reshape(-1, 3)
+    corner = split_at_seams(scan.faces, scan.uv).faces
     edges = np.concatenate([corner[:, :2], corner[:, 1:]])
     count = int(corner.max()) + 1
     graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))

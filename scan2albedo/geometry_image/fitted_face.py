@@ -112,7 +112,7 @@ def geometry_image(
     require_type(scan, (RawScan, type(None)), "geometry_image: scan", "load_scan(path) returns one")
     check_size(size)
     _check_fitted(fitted)
-    scan = _without_covers(fitted, scan)
+    scan = None if scan is None else without_covers(fitted, scan)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)
     if not raster.covered.any():
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
@@ -146,10 +146,10 @@ def geometry_image(
     )
 
 
-def _without_covers(fitted: Fitted, scan: RawScan | None) -> RawScan | None:
+def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
     """Return the scan without the faces that the fit left out, whose colours are not the face's."""
     covered = getattr(fitted, "covered_faces", None)
-    if scan is None or covered is None or len(covered) != len(scan.faces):
+    if covered is None or len(covered) != len(scan.faces):
         return scan
     return scan.without_faces(covered)
 

@@ -63,10 +63,15 @@ class GlbFile:
         faces: NDArray[np.int64],
         material: int = 0,
         attributes: Mapping[str, tuple[NDArray[Any], str]] | None = None,
+        *,
+        normals: NDArray[np.float64] | None = None,
     ) -> int:
-        """Append a mesh with its normals and further attributes (array, kind); return its number."""
+        """Append a mesh with its normals and further attributes (array, kind); return its number.
+
+        `normals` (V, 3) are given where the mesh was split, so that light has no seams.
+        """
         places = vertices_mm * METRES_PER_MM
-        normals = vertex_normals(places, faces)
+        normals = vertex_normals(places, faces) if normals is None else normals.copy()
         normals[~normals.any(1)] = (0.0, 0.0, 1.0)
         stored = {
             "POSITION": self.add_array(places.astype("f4"), "VEC3", _VERTEX_DATA, bounds=True),

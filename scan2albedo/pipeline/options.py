@@ -101,6 +101,18 @@ class ProcessOptions:
     """Points that someone placed on the scan, soft constraints of registration and fit, see `load_scan`; or
     "auto": of the fit alone, see `detected_landmarks`."""
 
+    unlit: str | None = _option(
+        None,
+        str | None,
+        "Also write the scan itself without its light: 'face', or 'all' of it with the same lamps.",
+        metavar="face|all",
+    )
+    """Also the scan itself, its own vertices, coordinates and texels, without its light; see `unlit_scan`."""
+    texture_size: int = _option(
+        1024, int, "Height and width of the texture on your own template's coordinates.", min=8
+    )
+    """Height and width of each tile of `template_texture`, where the model's template has coordinates."""
+
     def __post_init__(self) -> None:
         if self.model is None or isinstance(self.model, Path):
             object.__setattr__(self, "model", str(self.model or "default"))
@@ -120,6 +132,7 @@ class ProcessOptions:
         """Refuse values that a late stage would refuse, before an early one has run."""
         # Imported here: they load compiled code, which the command line does not need to show its help.
         from scan2albedo.albedo.estimate import BRDFS
+        from scan2albedo.applications.light_removal import REACHES
         from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE
         from scan2albedo.io.units import MM_PER_UNIT
 
@@ -128,6 +141,12 @@ class ProcessOptions:
             raise ValueError(
                 f"size is {size!r}, expected a whole number from {SMALLEST_SIZE} to {LARGEST_SIZE}"
             )
+        if not isinstance(self.texture_size, Integral) or not 8 <= self.texture_size <= LARGEST_SIZE:
+            raise ValueError(
+                f"texture_size is {self.texture_size!r}, expected a whole number from 8 to {LARGEST_SIZE}"
+            )
+        if self.unlit not in (None, *REACHES):
+            raise ValueError(f"unlit is {self.unlit!r}, expected one of {', '.join(REACHES)}, or None")
         if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
             raise ValueError(f"lights is {self.lights!r}, expected 'auto' or a whole number from 1 to 4")
         if self.brdf not in BRDFS:

@@ -33,6 +33,7 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.plan_of_result import plan_of
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
+from scan2albedo.pipeline.unlit_stage import UNLIT_S, unlit_plan, wants_no_light, without_light
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.registration.refined_pose import refined_registration
 
@@ -135,6 +136,8 @@ class _Clock:
     options: ProcessOptions
     timings_s: dict[str, float] = field(default_factory=dict)
     start: float = field(default_factory=time.perf_counter)
+    kept_s: float = 0.0
+    """Seconds kept back for what follows the last search."""
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -151,7 +154,12 @@ class _Clock:
         if budget.seconds is None:
             return budget
         texel_s = DIVISION_S if stage == "albedo" else SAMPLING_S + DIVISION_S
-        left = budget.seconds - (time.perf_counter() - self.start) - texel_s * self.options.texels**2
+        left = (
+            budget.seconds
+            - (time.perf_counter() - self.start)
+            - texel_s * self.options.texels**2
+            - self.kept_s
+        )
         return replace(budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
 
@@ -181,6 +189,8 @@ def _processed(
             scan = with_landmarks(scan, options.landmarks, file)
             scaled = None if scaled is None else replace(scaled, scan=scan)
         model = chosen_model(options.model)
+    if options.unlit is not None and scan.texture_linear is not None:
+        clock.kept_s = UNLIT_S * scan.texture_linear[..., 0].size
     registration, fitted, estimate = None, None, None
     with _warnings_as_messages() as messages:
         if model is None and not (options.landmarks is None and scan.landmarks is None):
@@ -216,6 +226,10 @@ def _processed(
                     options=_estimate_options(options),
                     on_progress=on_progress,
                 )
+        unlit, template = None, None
+        if estimate is not None and wants_no_light(fitted, options):
+            with clock.timed("unlit"):
+                unlit, template = without_light(scan, fitted, estimate, options)
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
     return ProcessResult(
         scan=scan,
@@ -223,7 +237,10 @@ def _processed(
         fitted=fitted,
         geometry_image=image,
         albedo=estimate,
-        plan=plan_of(options, scan, registration, fitted, image, estimate),
+        unlit=unlit,
+        template=template,
+        plan=plan_of(options, scan, registration, fitted, image, estimate)
+        + unlit_plan(options, unlit, template),
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,
         options=options.recorded(model),

@@ -29,10 +29,13 @@ from scan2albedo.io.result_records import (
     RegistrationRecord,
     ResultRecord,
 )
+from scan2albedo.pipeline.textured_files import TEMPLATE_FILES, UNLIT_FILES, write_template, write_unlit
 from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
+    from scan2albedo.applications.light_removal import UnlitScan
+    from scan2albedo.applications.template_baking import TemplateTexture
     from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
     from scan2albedo.fitting import FittedFace
     from scan2albedo.registration import Registration
@@ -51,6 +54,8 @@ FILES = frozenset(
         "skin.png",
         "fitted.glb",
         "template.obj",
+        *TEMPLATE_FILES,
+        *UNLIT_FILES,
         "registration.json",
         "landmarks.json",
         "landmarks.csv",
@@ -90,6 +95,10 @@ class ProcessResult:
     """What `process` was called with."""
     seed: int
     """What random steps began from."""
+    unlit: UnlitScan | None = None
+    """The scan itself without its light, where it was asked for."""
+    template: TemplateTexture | None = None
+    """The model's own template with its texture, where it has coordinates and the scan has colour."""
     source: Path | None = None
     """File the scan was read from."""
     out: Path | None = None
@@ -214,7 +223,8 @@ def write_result(
     albedo_srgb = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
     drawn: dict[str, bytes] = {}
     if pictures:
-        panels = result_panels(result.scan, fitted, image, estimate, albedo_srgb)
+        unlit = None if result.unlit is None else result.unlit.scan
+        panels = result_panels(result.scan, fitted, image, estimate, albedo_srgb, unlit)
         drawn["overview.png"] = figure_png(overview_figure(summary, panels, columns=6))
         drawn["error_vs_time.png"] = figure_png(result.trace.plot(), dpi=110)
     # An older run may have had more stages.
@@ -235,8 +245,12 @@ def write_result(
             write_png(staging / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
         if fitted is not None:
             write_glb(staging / "fitted.glb", fitted.vertices, fitted.faces, fitted.uv, albedo_srgb)
-            if fitted.template_vertices is not None and fitted.model.template_faces is not None:
+            if result.template is not None:
+                write_template(staging, result.template)
+            elif fitted.template_vertices is not None and fitted.model.template_faces is not None:
                 write_obj(staging / "template.obj", fitted.template_vertices, fitted.model.template_faces)
+        if result.unlit is not None:
+            write_unlit(staging, result.unlit)
         if poses is not None:
             write_record(staging / "registration.json", poses)
         if (landmarks := _landmarks_record(result)) is not None:

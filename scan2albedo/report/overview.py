@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,8 @@ Picture = NDArray[np.uint8]
 RESIDUAL_SCALE_MM = 2.0
 """Residual shown in the brightest colour of the heat map."""
 _PNG_LEVEL = 3
+_WIDER = 1.35
+"""Pictures of the scan show more around the face than those of the fit."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,12 @@ def result_panels(
     image: GeometryImage,
     estimate: AlbedoEstimate | None,
     albedo_srgb: Picture | None,
+    unlit: RawScan | None = None,
 ) -> list[Panel]:
-    """Return the panels of a processed scan, from the input to the albedo, whose preview is `albedo_srgb`."""
+    """Return the panels of a processed scan, from the input to the albedo, whose preview is `albedo_srgb`.
+
+    `unlit` is the scan itself without its light, where that was asked for.
+    """
     charts = _chart_panels(image, estimate, albedo_srgb)
     if fitted is None:
         return charts
@@ -91,6 +97,8 @@ def result_panels(
                 fitted.vertices, fitted.faces, texture_srgb=(uv, texture), view=view, shaded=False
             )
             panels.append(Panel(f"face with its {name}", picture))
+    if unlit is not None:
+        panels.append(_scan_panel("scan without its light", unlit, fitted, view))
     return panels
 
 
@@ -130,20 +138,27 @@ def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> flo
 
 
 def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
+    panel = _scan_panel("registered input, found landmarks", scan, fitted, view)
+    if fitted.landmarks is None:
+        return panel
+    wide = View(view.center_mm, view.half_width_mm * _WIDER)
+    return replace(panel, dots=wide.pixels(fitted.landmarks, len(panel.picture)))
+
+
+def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
     texture, color = _scan_srgb(scan)
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
     if texture is not None:
         texture = texture[0][near], texture[1]
-    wide = View(view.center_mm, view.half_width_mm * 1.35)
+    wide = View(view.center_mm, view.half_width_mm * _WIDER)
     if scan.has_color:
         picture = render_mesh(
             placed, scan.faces[near], vertex_color_srgb=color, texture_srgb=texture, view=wide, shaded=False
         )
     else:
         picture = render_mesh(placed, scan.faces[near], view=wide)
-    dots = None if fitted.landmarks is None else wide.pixels(fitted.landmarks, len(picture))
-    return Panel("registered input, found landmarks", picture, dots)
+    return Panel(title, picture)
 
 
 def _scan_srgb(scan: RawScan) -> tuple[tuple[FloatArray, Picture] | None, FloatArray | None]:

@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.model import vertex_uv
+from scan2albedo.face_model.from_mesh import DenseTemplate, _corner_uv, _vertex_uv
 
 
 @pytest.fixture(scope="module")
@@ -27,17 +27,29 @@ def test_order_and_chart_are_the_files(obj):
     assert made.name == "mine"
     assert len(made.template_points.face) == len(default.control_vertices) + 1
     np.testing.assert_array_equal(made.template_faces, default.control_faces)
+    np.testing.assert_allclose(made.template_uv, default.uv[default.control_faces], atol=1e-12)
     assert np.abs(made.uv - default.uv).mean() < 0.01
 
 
 def test_a_vertex_with_two_texture_coordinates_has_none():
     faces = np.array([[0, 1, 2], [1, 3, 2]])
     uv = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
-    np.testing.assert_array_equal(vertex_uv(5, faces, uv[faces])[:4], uv)
+    vertices = np.zeros((5, 3))
+
+    def given(corners):
+        return DenseTemplate(vertices, faces, corners, None, None, "mine")
+
+    np.testing.assert_array_equal(_vertex_uv(given(uv[faces]))[:4], uv)
+    np.testing.assert_array_equal(_corner_uv(given(uv[faces])), uv[faces])
     seam = uv[faces]
     seam[1, 0] = [0.5, 0.5]
-    assert vertex_uv(4, faces, seam) is None
-    assert vertex_uv(4, faces, np.full((2, 3, 2), np.nan)) is None
+    assert _vertex_uv(given(seam)) is None
+    np.testing.assert_array_equal(_corner_uv(given(seam)), seam)
+    gaps = given(np.full((2, 3, 2), np.nan))
+    assert _vertex_uv(gaps) is None
+    assert _corner_uv(gaps) is None
+    with pytest.raises(ModelError, match=r"uv has shape \(1, 3, 2\), expected \(2, 3, 2\)"):
+        _vertex_uv(given(seam[:1]))
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "v 0 0 0\n"])

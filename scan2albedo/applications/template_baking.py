@@ -1,0 +1,157 @@
+"""`template_texture`: colours of an unlit scan on the texture coordinates of anyone's template."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import ApplicationError
+from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.geometry.seams import split_at_seams
+from scan2albedo.geometry_image.fitted_face import without_covers
+from scan2albedo.geometry_image.texture_lookup import TextureLookup, texel_steps
+
+FIRST_TILE, TILES_IN_ROW, MOST_TILES = 1001, 10, 100
+"""UDIM: the tile of coordinates u in [0, 1], v in [0, 1] is 1001, that beside it 1002, that above it 1011."""
+
+
+@dataclass(frozen=True)
+class TemplateTile:
+    """One square of a template's texture.
+
+    `number` is that of UDIM, `faces` (F,) which of the template's lie in it; `color_linear` (S, S, 3) is
+    known where `seen` (S, S), and filled in from around elsewhere.
+    """
+
+    number: int
+    faces: BoolArray
+    color_linear: NDArray[np.float32]
+    seen: BoolArray
+
+
+@dataclass(frozen=True)
+class TemplateTexture:
+    """A template as it was fitted, with its own texture coordinates and one picture a tile.
+
+    `vertices` (T, 3) are in mm in the model's frame, in the template's order; `faces` (F, 3), `uv` (F, 3, 2).
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    uv: FloatArray
+    tiles: tuple[TemplateTile, ...]
+
+
+def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> TemplateTexture:
+    """Return a scan's colours on the texture coordinates of the template that was fitted to it.
+
+    Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
+    footprint. What the scan does not show is filled in smoothly from around, and not marked as seen.
+
+    Parameters
+    ----------
+    scan : RawScan
+        With colour: that which was fitted, or the same without its light (`unlit_scan`).
+    fitted : FittedFace
+        Of a model made from a template with texture coordinates (`AnnotatedFaceModel.from_file`).
+    size : int
+        Texels of a tile's side.
+
+    Raises
+    ------
+    ApplicationError
+        When the scan has no colour, or the model no template with texture coordinates.
+    ValueError
+        For a size below 8.
+    """
+    require_type(scan, RawScan, "template_texture: scan", "load_scan(path) returns one")
+    require_type(fitted, FittedFace, "template_texture: fitted", "fit(scan, model, pose) returns one")
+    vertices, faces, uv = fitted.template_vertices, fitted.model.template_faces, fitted.model.template_uv
+    if vertices is None or faces is None or uv is None:
+        raise ApplicationError(
+            f"{fitted.model.name}: the model has no template with texture coordinates; make it from a mesh "
+            "that has them (AnnotatedFaceModel.from_file)"
+        )
+    if not scan.has_color:
+        raise ApplicationError(f"{scan.name}: the scan has no colours to lay on a template")
+    if size < 8:
+        raise ValueError(f"size is {size}, expected at least 8 texels")
+    number = tile_numbers(uv)
+    lookup = TextureLookup(without_covers(fitted, scan))
+    tiles = tuple(
+        _tile(lookup, fitted, (vertices, faces, uv), number == tile, int(tile), size)
+        for tile in np.unique(number[number > 0])
+    )
+    return TemplateTexture(vertices, faces, uv, tiles)
+
+
+def tile_numbers(uv: FloatArray) -> IntArray:
+    """Return (F,) the UDIM number of the tile in which each face lies, by its corners (F, 3, 2); else 0.
+
+    >>> tile_numbers(np.array([[[0.1, 0.1], [1.0, 0.1], [0.1, 1.0]], [[1.2, 0], [1.4, 0], [1.2, 0.3]]]))
+    array([1001, 1002])
+    """
+    middle = np.floor(uv.mean(axis=1)).astype(np.int64)
+    inside = (middle >= 0).all(1) & (middle < TILES_IN_ROW).all(1)
+    return np.where(inside, FIRST_TILE + middle[:, 0] + TILES_IN_ROW * middle[:, 1], 0)
+
+
+def _tile(
+    lookup: TextureLookup,
+    fitted: FittedFace,
+    template: tuple[FloatArray, IntArray, FloatArray],
+    chosen: BoolArray,
+    number: int,
+    size: int,
+) -> TemplateTile:
+    """Return the tile that holds the template's faces `chosen` (F,)."""
+    vertices, faces, uv = template
+    column, row = (number - FIRST_TILE) % TILES_IN_ROW, (number - FIRST_TILE) // TILES_IN_ROW
+    split = split_at_seams(faces[chosen], uv[chosen] - [column, row])
+    places = np.stack([split.uv[:, 0] * size - 0.5, (1 - split.uv[:, 1]) * size - 0.5], axis=1)
+    raster = rasterize(places, np.zeros(len(places)), split.faces, (size, size))
+    there = raster.covered
+    color, seen = np.zeros((size, size, 3), np.float32), np.zeros((size, size), bool)
+    if there.any():
+        scan_from_model = invert_rigid(fitted.model_from_scan)
+        points = vertices[split.vertex]
+        normals = vertex_normals(vertices, faces)[split.vertex]
+        steps = texel_steps(points, split.uv, split.faces, (size, size))[raster.face[there]]
+        found = lookup.sample(
+            transform_points(scan_from_model, interpolate(raster, split.faces, points)[there]),
+            transform_directions(
+                scan_from_model, normalized(interpolate(raster, split.faces, normals))[there]
+            ),
+            np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+        )
+        color[there], seen[there] = found.color_linear, found.seen
+    return TemplateTile(number, chosen, filled_smoothly(color, seen), seen)
+
+
+def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
+    """Return an image (H, W, 3) with what is not `known` (H, W) filled in from coarser and coarser means.
+
+    References
+    ----------
+    .. [1] S. Gortler et al., "The Lumigraph", SIGGRAPH 1996 (pull-push).
+    """
+    import cv2
+
+    if known.all() or not known.any():
+        return color
+    height, width = known.shape
+    half = ((width + 1) // 2, (height + 1) // 2)
+    weight = known.astype(np.float32)
+    mass = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(color * weight[..., None], half, interpolation=cv2.INTER_AREA)
+    coarse = filled_smoothly((mean / np.maximum(mass, 1e-6)[..., None]).astype(np.float32), mass > 0)
+    back = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.where(known[..., None], color, back).astype(np.float32)

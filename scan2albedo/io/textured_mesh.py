@@ -1,0 +1,126 @@
+"""Meshes with pictures on their own texture coordinates, as OBJ with MTL and as GLB."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.seams import split_at_seams
+from scan2albedo.io.atomic import write_bytes, write_text
+from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.io.glb import GlbFile, plain_material
+
+_ROUGHNESS = 0.9
+_SKIN = "skin"
+
+
+@dataclass(frozen=True)
+class MeshPicture:
+    """A picture, the bytes of a PNG, that lies on the faces (F,) marked in `faces`; `name` is its file's."""
+
+    name: str
+    png: bytes
+    faces: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """A mesh: vertices (V, 3) mm, faces (F, 3), and its colours.
+
+    These are `pictures` at the corners' coordinates `uv` (F, 3, 2), v = 0 at their bottom rows, or
+    `vertex_color_linear` (V, 3). Each face has one picture at most.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    uv: FloatArray | None = None
+    pictures: tuple[MeshPicture, ...] = ()
+    vertex_color_linear: NDArray[np.float32] | None = None
+
+
+def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> tuple[str, ...]:
+    """Write a mesh as OBJ, with its MTL and pictures beside it; return the names of these.
+
+    Vertices keep their order and are written in a unit of `mm_per_unit`. Raises OutputError.
+    """
+    target = Path(path)
+    lines = [f"mtllib {target.stem}.mtl\n"] if mesh.pictures else []
+    places = mesh.vertices / mm_per_unit
+    if mesh.vertex_color_linear is not None:
+        colors = linear_to_srgb(np.clip(mesh.vertex_color_linear, 0, 1))
+        rows = np.column_stack([places, colors]).tolist()
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g} {r:.4f} {g:.4f} {b:.4f}\n" for x, y, z, r, g, b in rows]
+    else:
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in places.tolist()]
+    if mesh.uv is None:
+        lines += [f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist()]
+        write_text(target, "".join(lines))
+        return ()
+    split = split_at_seams(mesh.faces, mesh.uv)
+    lines += [f"vt {u:.9g} {v:.9g}\n" for u, v in split.uv.tolist()]
+    corners = np.stack([mesh.faces, split.faces], axis=-1).reshape(-1, 6) + 1
+    for name, chosen in _materials(mesh):
+        lines += [f"usemtl {name}\n"]
+        lines += [f"f {a}/{k} {b}/{m} {c}/{n}\n" for a, k, b, m, c, n in corners[chosen].tolist()]
+    materials = [f"newmtl {Path(picture.name).stem}\nmap_Kd {picture.name}\n" for picture in mesh.pictures]
+    for picture in mesh.pictures:
+        write_bytes(target.with_name(picture.name), picture.png)
+    write_text(target.with_suffix(".mtl"), "".join(materials))
+    write_text(target, "".join(lines))
+    return (target.with_suffix(".mtl").name, *(picture.name for picture in mesh.pictures))
+
+
+def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
+    """Write a mesh as GLB with its pictures inside, in metres; vertices are split where coordinates differ.
+
+    Raises OutputError.
+    """
+    file, materials, images = GlbFile(), list[dict[str, Any]](), list[dict[str, Any]]()
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    for name, chosen in _materials(mesh):
+        picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
+        material = plain_material(name, (1.0, 1.0, 1.0, 1.0), _ROUGHNESS, double_sided=False)
+        attributes: dict[str, tuple[NDArray[Any], str]] = {}
+        if mesh.uv is None:
+            vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+        else:
+            split = split_at_seams(mesh.faces[chosen], mesh.uv[chosen])
+            vertex, faces = split.vertex, split.faces
+            attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
+        if picture is not None:
+            view = file.add_bytes(picture.png)
+            material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": len(images)}
+            images.append({"bufferView": view, "mimeType": "image/png"})
+        elif mesh.vertex_color_linear is not None:
+            colors = np.clip(mesh.vertex_color_linear[vertex], 0, 1)
+            attributes["COLOR_0"] = (colors.astype("f4"), "VEC3")
+        file.add_mesh(
+            name,
+            mesh.vertices[vertex],
+            faces.reshape(-1, 3),
+            len(materials),
+            attributes,
+            normals=normals[vertex],
+        )
+        materials.append(material)
+    textures = {"images": images, "textures": [{"source": k} for k in range(len(images))]} if images else {}
+    nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]
+    file.write(path, nodes, list(range(len(nodes))), materials=materials, **textures)
+
+
+def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield names of materials and the faces (F,) that have each; the rest last."""
+    rest = np.ones(len(mesh.faces), bool)
+    for picture in mesh.pictures:
+        rest &= ~picture.faces
+        if picture.faces.any():
+            yield Path(picture.name).stem, picture.faces
+    if rest.any():
+        yield _SKIN, rest

@@ -1,0 +1,76 @@
+"""Meshes with pictures on their own coordinates come back as they were written."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.images import encode_image
+from scan2albedo.io.load_scan import read_mesh_file
+from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
+
+COLORS = [(0.8, 0.1, 0.1), (0.1, 0.6, 0.2)]
+
+
+def bent_sheet(n=6):
+    """A sheet whose left and right half have a picture each, apart on the texture."""
+    x, y = np.meshgrid(np.linspace(0, 100, n), np.linspace(0, 100, n))
+    vertices = np.stack([x.ravel(), y.ravel(), 0.01 * x.ravel() ** 2], axis=1)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + n], 1), np.stack([corner + 1, corner + n + 1, corner + n], 1)]
+    )
+    uv = (vertices[:, :2] / 100)[faces]
+    right = vertices[faces].mean(1)[:, 0] > 50
+    uv[right, :, 0] += 1.0  # the next tile
+    return vertices, faces, uv, right
+
+
+@pytest.fixture
+def sheet():
+    vertices, faces, uv, right = bent_sheet()
+    pictures = tuple(
+        MeshPicture(f"mine.{number}.png", encode_image(np.full((8, 8, 3), color), ".png"), chosen)
+        for number, color, chosen in zip((1001, 1002), COLORS, (~right, right), strict=True)
+    )
+    return TexturedMesh(vertices, faces, uv, pictures), right
+
+
+def test_an_obj_keeps_vertices_coordinates_and_a_picture_for_each_tile(sheet, tmp_path):
+    mesh, right = sheet
+    written = write_textured_obj(tmp_path / "mine.obj", mesh, mm_per_unit=10.0)
+    assert written == ("mine.mtl", "mine.1001.png", "mine.1002.png")
+    parsed = read_mesh_file(tmp_path / "mine.obj")
+    np.testing.assert_allclose(parsed.vertices * 10, mesh.vertices, atol=1e-6)
+    order = np.concatenate([np.flatnonzero(~right), np.flatnonzero(right)])  # by material
+    np.testing.assert_array_equal(parsed.faces, mesh.faces[order])
+    np.testing.assert_allclose(parsed.uv, mesh.uv[order], atol=1e-8)
+    np.testing.assert_array_equal(parsed.material, right[order])
+    for material, color in zip(parsed.materials, COLORS, strict=True):
+        np.testing.assert_allclose(material.texture_linear[4, 4], color, atol=0.01)
+
+
+def test_a_glb_has_them_too_and_light_without_seams(sheet, tmp_path):
+    mesh, right = sheet
+    write_textured_glb(tmp_path / "mine.glb", mesh)
+    parsed = read_mesh_file(tmp_path / "mine.glb")
+    assert len(parsed.faces) == len(mesh.faces)
+    np.testing.assert_array_equal(np.bincount(parsed.material), [(~right).sum(), right.sum()])
+    scene = trimesh.load(tmp_path / "mine.glb", process=False)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    for part in scene.geometry.values():
+        at = np.linalg.norm(part.vertices[:, None] * 1000 - mesh.vertices[None], axis=2).argmin(1)
+        np.testing.assert_allclose(part.vertex_normals, normals[at], atol=1e-5)
+
+
+def test_vertex_colours_stand_in_both(tmp_path):
+    vertices, faces, _, _ = bent_sheet()
+    colors = (vertices / 100).astype(np.float32)
+    mesh = TexturedMesh(vertices, faces, vertex_color_linear=colors)
+    assert write_textured_obj(tmp_path / "mine.obj", mesh) == ()
+    write_textured_glb(tmp_path / "mine.glb", mesh)
+    for name in ("mine.obj", "mine.glb"):
+        parsed = read_mesh_file(tmp_path / name)
+        found = encode_srgb_bytes(parsed.vertex_color_linear).astype(int)
+        assert np.abs(found - encode_srgb_bytes(colors)).max() <= 1

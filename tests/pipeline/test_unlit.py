@@ -1,0 +1,194 @@
+"""The scan itself without its light, and colours on a template's own coordinates, through `process`."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.applications import light_removal
+from scan2albedo.applications.light_removal import unlit_scan
+from scan2albedo.applications.template_baking import filled_smoothly, template_texture
+from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.io.images import read_image_linear
+from scan2albedo.pipeline.demo import compare_with_truth
+from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+
+SIZE = 128
+
+
+def with_template(model, columns=1):
+    """The default model with its control mesh as template, charted on so many tiles side by side."""
+    face, corner = np.zeros((2, len(model.control_vertices)), np.int64)
+    for number, triangle in enumerate(model.control_faces):
+        face[triangle], corner[triangle] = number, np.arange(3)
+    uv = model.uv[model.control_faces] * [columns, 1]
+    return replace(
+        model,
+        template_points=SurfacePoints(face, np.eye(3)[corner]),
+        template_faces=model.control_faces,
+        template_uv=uv,
+        name="mine",
+    )
+
+
+@pytest.fixture(scope="module")
+def case():
+    return raw_scan(0, options=RawScanOptions(size=SIZE, picture_size=500, spacing_mm=3.0))
+
+
+@pytest.fixture(scope="module")
+def result(case, tmp_path_factory):
+    model = with_template(s2a.AnnotatedFaceModel.default(), columns=2)
+    out = tmp_path_factory.mktemp("out")
+    return s2a.process(case[0], out, model=model, size=SIZE, unlit="all", texture_size=256)
+
+
+@pytest.fixture(scope="module")
+def face_unlit(result):
+    return unlit_scan(result.scan, result.fitted, result.albedo)
+
+
+def mse_percent(scan, result, truth):
+    """Of a scan's colours on the face, against the true albedo."""
+    image = s2a.geometry_image(result.fitted, scan, SIZE)
+    return compare_with_truth(replace(result, geometry_image=image), truth).texture.mse_percent
+
+
+def test_the_scans_own_texels_are_as_good_as_the_charts(case, result, face_unlit):
+    truth = case[1]
+    chart = compare_with_truth(result, truth)
+    assert chart.albedo.mse_percent < 0.3 * chart.texture.mse_percent
+    for unlit in (face_unlit, result.unlit):
+        inside = mse_percent(unlit.scan, result, truth)
+        # The rim of the face, a tenth of it, keeps its light or has it from a rougher shape.
+        assert inside < chart.albedo.mse_percent + 0.2 * chart.texture.mse_percent
+
+
+def test_nothing_but_colours_differs_and_beyond_the_face_nothing(result, face_unlit):
+    scan, unlit = result.scan, face_unlit.scan
+    for name in ("vertices", "faces", "uv"):
+        assert getattr(unlit, name) is getattr(scan, name)
+    far = face_unlit.confidence == 0
+    assert 0.2 < far.mean() < 0.95
+    apart = np.abs(unlit.texture_linear - scan.texture_linear).max(-1)
+    assert np.median(apart[far]) < 1e-6
+    assert np.median(apart[~far]) > 0.01
+    assert (result.unlit.confidence[far] <= 0.5).all()
+    assert (result.unlit.confidence > 0).sum() > (face_unlit.confidence > 0).sum()
+
+
+def test_tiles_leave_no_seam(result, face_unlit, monkeypatch):
+    monkeypatch.setattr(light_removal, "_TILE", 200)
+    tiled = unlit_scan(result.scan, result.fitted, result.albedo)
+    apart = np.abs(tiled.scan.texture_linear - face_unlit.scan.texture_linear).max(-1)
+    assert np.percentile(apart, 99) < 0.01
+
+
+def test_a_scan_with_vertex_colours_gets_unlit_ones(result, case):
+    scan, fitted = result.scan, result.fitted
+    color = np.full((len(scan.vertices), 3), 0.5, np.float32)
+    plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=color)
+    unlit = unlit_scan(plain, fitted, result.albedo)
+    assert unlit.confidence.shape == (len(scan.vertices),)
+    away = unlit.confidence == 0
+    assert np.isclose(unlit.scan.vertex_color_linear[away], 0.5).mean() > 0.99
+    # Even paint divided by the light is the light's inverse.
+    assert unlit.scan.vertex_color_linear[unlit.confidence > 0.5].std() > 0.02
+
+
+def test_what_was_left_out_of_the_fit_keeps_its_colours(result):
+    covered = np.zeros(len(result.scan.faces), bool)
+    nose = result.fitted.landmarks[30]
+    placed = (
+        result.scan.vertices @ result.fitted.model_from_scan[:3, :3].T + result.fitted.model_from_scan[:3, 3]
+    )
+    covered[np.linalg.norm(placed[result.scan.faces].mean(1) - nose, axis=1) < 12] = True
+    assert covered.any()
+    unlit = unlit_scan(result.scan, replace(result.fitted, covered_faces=covered), result.albedo)
+    corners = unlit.scan.uv[covered].mean(1)
+    height, width = unlit.confidence.shape
+    at = ((1 - corners[:, 1]) * height).astype(int), (corners[:, 0] * width).astype(int)
+    assert np.median(unlit.confidence[at]) == 0
+
+
+def test_errors_name_what_is_missing(result):
+    bare = replace(result.scan, uv=None, texture_linear=None)
+    with pytest.raises(ApplicationError, match="no colours"):
+        unlit_scan(bare, result.fitted, result.albedo)
+    with pytest.raises(ValueError, match="reach is 'head'"):
+        unlit_scan(result.scan, result.fitted, result.albedo, "head")
+    plain = replace(result.fitted, model=s2a.AnnotatedFaceModel.default())
+    with pytest.raises(ApplicationError, match="no template with texture coordinates"):
+        template_texture(result.scan, plain)
+    with pytest.raises(ValueError, match="unlit is 'head'"):
+        s2a.process(result.scan, unlit="head")
+
+
+def test_a_template_gets_the_colours_of_the_skin_below_it(result):
+    """Its control mesh's chart is that of the face, so its picture is the chart's."""
+    fitted = replace(result.fitted, model=with_template(s2a.AnnotatedFaceModel.default()))
+    painted = template_texture(result.scan, fitted, SIZE)
+    (tile,) = painted.tiles
+    assert tile.number == 1001
+    np.testing.assert_array_equal(painted.vertices, fitted.template_vertices)
+    image = result.geometry_image
+    both = tile.seen & image.seen
+    assert both.sum() > 0.8 * image.seen.sum()
+    apart = np.abs(tile.color_linear - image.texture_linear)[both]
+    assert apart.mean() < 0.02
+    assert (tile.color_linear[~tile.seen].max(-1) > 0.01).all()  # nothing is left black
+
+
+def test_each_tile_is_a_picture_of_its_own(result):
+    tiles = {tile.number: tile for tile in result.template.tiles}
+    assert sorted(tiles) == [1001, 1002]
+    assert (tiles[1001].faces ^ tiles[1002].faces).all()
+    # They meet in the middle of the face.
+    image, middle = s2a.geometry_image(result.fitted, result.unlit.scan, SIZE), SIZE // 2
+    for tile, column in ((tiles[1001], -3), (tiles[1002], 2)):
+        there = tile.color_linear[128:192, column], image.texture_linear[middle : middle + 32, middle]
+        assert np.abs(there[0][::2] - there[1]).mean() < 0.03
+
+
+def test_files_and_plan_tell_of_both(result):
+    names = {path.name for path in result.out.iterdir()}
+    unlit = {"unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"}
+    template = {"template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"}
+    assert unlit | template <= names
+    record = json.loads((result.out / "result.json").read_text())
+    assert unlit | template <= set(record["files"])
+    plan = {step["stage"]: step for step in record["plan"]}
+    assert plan["unlit"]["ran"]
+    assert plan["template_texture"]["ran"]
+    assert record["options"]["unlit"] == "all"
+    alpha = cv2.imread(str(result.out / "template.1001.png"), cv2.IMREAD_UNCHANGED)[..., 3]
+    tile = next(tile for tile in result.template.tiles if tile.number == 1001)
+    np.testing.assert_array_equal(alpha > 0, tile.seen)
+    again = s2a.load_scan(result.out / "unlit.obj", unit="mm")
+    np.testing.assert_allclose(again.vertices, result.scan.vertices, atol=1e-4)
+    stored = read_image_linear(result.out / "unlit.png")
+    assert np.abs(stored - np.clip(result.unlit.scan.texture_linear, 0, 1)).max() < 0.01
+    assert s2a.load_scan(result.out / "template.glb").texture_linear is not None
+
+
+def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
+    skipped = s2a.process(case[0], size=32, unlit="face", skip=["albedo"])
+    step = next(step for step in skipped.plan if step.stage == "unlit")
+    assert not step.ran
+    assert skipped.unlit is None
+
+
+def test_filling_goes_on_smoothly_and_keeps_what_is_known():
+    x = np.linspace(0, 1, 32, dtype=np.float32)
+    image = np.repeat((x[:, None] + x)[..., None], 3, axis=2)
+    known = np.zeros((32, 32), bool)
+    known[4:28, 4:28] = True
+    known[12:16, 12:16] = False
+    filled = filled_smoothly(np.where(known[..., None], image, 9).astype(np.float32), known)
+    np.testing.assert_array_equal(filled[known], image[known])
+    assert np.abs(filled - image)[12:16, 12:16].max() < 0.1
+    assert np.abs(filled - image).max() < 0.4

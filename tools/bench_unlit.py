@@ -1,0 +1,174 @@
+"""The scan without its light, at its own texels, beside the chart; and colours on other people's templates.
+
+usage: python tools/bench_unlit.py [traced] [templates]
+
+traced     path-traced raw scans with the true albedo on their own coordinates: 100 x MSE of V = max(R, G, B)
+           after the best single scale, of the lit scan, of the chart's albedo and of the unlit scan's own
+           texels on the face, and of the lit and the unlit scan beyond it.
+templates  a real scan, its colours on the texture coordinates of a mask of 468 vertices and of a head: PSNR
+           of the template's picture against the scan's, same camera, where the scan shows the template.
+
+The scans are not part of the repository (see `benchmarks/scan_files.py`).
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+
+import cv2
+import numpy as np
+from benchmarks.scan_files import DATA, face_data
+from numpy.typing import NDArray
+
+import scan2albedo as s2a
+from scan2albedo.applications.light_removal import unlit_scan
+from scan2albedo.applications.scan_on_chart import scan_on_chart
+from scan2albedo.applications.template_baking import TemplateTexture, template_texture
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.images import read_image_linear
+from scan2albedo.report.rendering import View, render_mesh
+
+LEAST_LIGHT = 0.03
+"""Texels that got less of the usual light do not count: there is no colour in them."""
+INSIDE = 0.99
+"""Weight of the face above which a texel counts as the face, and below 1 less which it does not."""
+HALF_WIDTH_MM, SIZE, SAMPLES = 110.0, 900, 3
+"""Of the pictures, and rays along each side of a pixel."""
+
+
+def main(what: tuple[str, ...]) -> None:
+    """Run the parts that are named, or both."""
+    for part in what or ("traced", "templates"):
+        {"traced": print_traced, "templates": print_templates}[part]()
+
+
+def mse_percent(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
+    """Return 100 x MSE of V after the best single scale."""
+    value, wanted = found.max(-1).astype(float), true.max(-1).astype(float)
+    scale = (value * wanted).sum() / (value * value).sum()
+    return float(100 * np.mean((scale * value - wanted) ** 2))
+
+
+def print_traced() -> None:
+    """Print errors at the chart's and at the scan's own texels."""
+    print(f"{'':16}{'face: lit':>11}{'chart':>8}{'own texels':>12}{'beyond: lit':>13}{'all':>8}{'CPU s':>8}")
+    for file in sorted((DATA / "traced").glob("p*.obj")):
+        result = s2a.process(file)
+        scan, fitted, estimate = result.scan, result.fitted, result.albedo
+        assert fitted is not None
+        assert estimate is not None
+        assert scan.texture_linear is not None
+        assert scan.uv is not None
+        begin = time.process_time()
+        face = unlit_scan(scan, fitted, estimate).scan.texture_linear
+        cpu_s = time.process_time() - begin
+        everywhere = unlit_scan(scan, fitted, estimate, "all").scan.texture_linear
+        assert face is not None
+        assert everywhere is not None
+        shape = scan.texture_linear.shape[:2]
+        picture = read_image_linear(file.with_name(f"{file.stem}_albedo.png"))
+        true = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        corners = pixels_from_uv(scan.uv.reshape(-1, 2), shape)
+        index = np.arange(len(corners)).reshape(-1, 3)
+        raster = rasterize(corners, np.zeros(len(corners)), index, shape)
+        on_chart = scan_on_chart(scan, fitted, estimate.image)
+        weight = interpolate(raster, index, on_chart.weight[scan.faces].reshape(-1, 1))[..., 0]
+        light = scan.texture_linear.max(-1) / np.maximum(true.max(-1), 1e-3)
+        lit = (
+            raster.covered & (true.min(-1) > 0.01) & (light > LEAST_LIGHT * np.median(light[weight > INSIDE]))
+        )
+        inside, beyond = lit & (weight > INSIDE), lit & (weight < 1 - INSIDE)
+        row = [
+            mse_percent(scan.texture_linear[inside], true[inside]),
+            _chart_error(result, true, on_chart.weight),
+            mse_percent(face[inside], true[inside]),
+            mse_percent(scan.texture_linear[beyond], true[beyond]),
+            mse_percent(everywhere[beyond], true[beyond]),
+        ]
+        print("{:16}{:11.2f}{:8.3f}{:12.3f}{:13.2f}{:8.2f}{:8.1f}".format(file.stem, *row, cpu_s), flush=True)
+
+
+def _chart_error(
+    result: s2a.ProcessResult, true: NDArray[np.floating], weight: NDArray[np.floating]
+) -> float:
+    """Return the error of the chart's albedo at its own texels, on the same part of the face."""
+    scan, fitted, estimate = result.scan, result.fitted, result.albedo
+    assert fitted is not None
+    assert estimate is not None
+    assert scan.uv is not None
+    image = estimate.image
+    assert image.texture_linear is not None
+    points = transform_points(invert_rigid(fitted.model_from_scan), image.position[image.mask])
+    hits = ClosestPointQuery(scan.vertices, scan.faces).query(points)
+    uv = np.einsum("nk,nkc->nc", hits.barycentric, scan.uv[hits.face])
+    wanted = bilinear(true, pixels_from_uv(uv, true.shape[:2]))
+    inside = np.einsum("nk,nk->n", hits.barycentric, weight[scan.faces[hits.face]]) > INSIDE
+    light = image.texture_linear[image.mask].max(-1) / np.maximum(wanted.max(-1), 1e-3)
+    counted = inside & image.seen[image.mask] & (wanted.min(-1) > 0.01)
+    counted &= light > LEAST_LIGHT * np.median(light[counted])
+    return mse_percent(estimate.albedo_linear[image.mask][counted], wanted[counted])
+
+
+def print_templates() -> None:
+    """Print how well templates with baked textures look like the scan."""
+    scan = s2a.load_scan(face_data("james.obj"))
+    people = np.load(face_data("ict_faces.npz"))
+    mask = s2a.AnnotatedFaceModel.from_file(face_data("canonical_face_model.obj"))
+    head = s2a.AnnotatedFaceModel.from_mesh(
+        people["shape_generic_neutral"],
+        people["faces"],
+        people["uv"][people["uv_faces"]],
+        control_size=2500,
+        name="head",
+    )
+    print(f"{'':12}{'texels':>8}{'tiles':>7}{'seen':>7}{'PSNR dB':>9}{'within 0.3 mm':>15}{'CPU s':>7}")
+    for name, model in (("mask", mask), ("head", head)):
+        fitted = s2a.fit(scan, model, s2a.register(scan, model))
+        placed = transform_points(fitted.model_from_scan, scan.vertices)
+        for size in (1024, 2048):
+            begin = time.process_time()
+            painted = template_texture(scan, fitted, size)
+            cpu_s = time.process_time() - begin
+            close = ClosestPointQuery(placed, scan.faces).query(painted.vertices).distance < 0.3
+            both = (
+                _psnr(painted, scan, placed, np.ones(len(close), bool)),
+                _psnr(painted, scan, placed, close),
+            )
+            seen = np.mean([tile.seen.mean() for tile in painted.tiles])
+            print(
+                f"{name:12}{size:8}{len(painted.tiles):7}{seen:7.0%}{both[0]:9.1f}{both[1]:15.1f}{cpu_s:7.1f}"
+            )
+
+
+def _psnr(
+    painted: TemplateTexture, scan: s2a.RawScan, placed: NDArray[np.floating], chosen: NDArray[np.bool_]
+) -> float:
+    """Return the PSNR of the first tile's faces with all their vertices `chosen` (T,), in dB."""
+    assert scan.uv is not None
+    assert scan.texture_linear is not None
+    view, tile = View((0.0, 0.0, 0.0), HALF_WIDTH_MM), painted.tiles[0]
+    faces = tile.faces & chosen[painted.faces].all(1)
+
+    def drawn(vertices, triangles, uv, texture):  # type: ignore[no-untyped-def]
+        picture = render_mesh(
+            vertices, triangles, view=view, size=SAMPLES * SIZE, texture_srgb=(uv, texture), shaded=False
+        )
+        return cv2.resize(picture.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA)
+
+    template = painted.vertices, painted.faces[faces], painted.uv[faces]
+    shown = drawn(*template, np.repeat(np.where(tile.seen[..., None], 0, 255).astype(np.uint8), 3, axis=2))
+    counted = shown.max(-1) == 0  # wholly on the template, and seen
+    ours = drawn(*template, encode_srgb_bytes(tile.color_linear))
+    theirs = drawn(placed, scan.faces, scan.uv, encode_srgb_bytes(scan.texture_linear))
+    return float(10 * np.log10(255**2 / np.mean((ours - theirs)[counted] ** 2)))
+
+
+if __name__ == "__main__":
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        main(tuple(sys.argv[1:]))
