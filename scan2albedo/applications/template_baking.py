@@ -39,7 +39,7 @@ class TemplateTile:
 
 @dataclass(frozen=True)
 class TemplateTexture:
-    """A template as it was fitted, with its own texture coordinates and one picture a tile.
+    """A template as it was fitted, with its own texture coordinates and one picture a tile, `tiles`.
 
     `vertices` (T, 3) are in mm in the model's frame, in the template's order; `faces` (F, 3), `uv` (F, 3, 2).
     """

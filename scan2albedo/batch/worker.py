@@ -125,7 +125,13 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         if not layout.is_running(task.run):
             raise BatchError("the batch has ended; nothing is written")
         begin = time.perf_counter()
-        folder = write_result(result, layout.out, pictures=task.options.pictures, recorded=recorded)
+        folder = write_result(
+            result,
+            layout.out,
+            files=task.options.files,
+            pictures=task.options.pictures,
+            recorded=recorded,
+        )
         files_s = time.perf_counter() - begin
     return {
         "input_sha256": result.input_sha256,

@@ -87,6 +87,11 @@ class ProcessOptions:
     shadow's outline to rectify, a saturated texel to inpaint)."""
     pictures: bool = _option(True, bool, "Draw overview.png and error_vs_time.png among the files.")
     """Whether these are drawn."""
+    files: str = _option(
+        "standard", str, "minimal: without pictures, EXR of the geometry image and light; standard; or all."
+    )
+    """Which files are written: "standard"; "minimal" leaves out what other files have, and pictures; "all"
+    also has the unlit scan."""
     textures: str | Path | None = _option(
         None, str | None, "Folder from which textures may be read beside the scan's own.", metavar="DIR"
     )
@@ -121,6 +126,8 @@ class ProcessOptions:
         if isinstance(self.landmarks, Path):
             object.__setattr__(self, "landmarks", str(self.landmarks))
         object.__setattr__(self, "landmarks", landmarks_option(self.landmarks))
+        if self.files == "all" and self.unlit is None:
+            object.__setattr__(self, "unlit", "face")
         object.__setattr__(self, "budget", Budget.of(self.budget))
         object.__setattr__(self, "skip", tuple(self.skip))
         object.__setattr__(self, "force", tuple(self.force))
@@ -145,6 +152,8 @@ class ProcessOptions:
             raise ValueError(
                 f"texture_size is {self.texture_size!r}, expected a whole number from 8 to {LARGEST_SIZE}"
             )
+        if self.files not in ("minimal", "standard", "all"):
+            raise ValueError(f"files is {self.files!r}, expected one of minimal, standard, all")
         if self.unlit not in (None, *REACHES):
             raise ValueError(f"unlit is {self.unlit!r}, expected one of {', '.join(REACHES)}, or None")
         if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
@@ -195,7 +204,7 @@ class ProcessOptions:
         }
 
 
-_RECORDED_OTHERWISE = ("budget", "seed", "pictures")
+_RECORDED_OTHERWISE = ("budget", "seed", "pictures", "files")
 
 
 def process_options() -> tuple[Field[Any], ...]:

@@ -117,7 +117,9 @@ def process(
         result = _processed(source, name, chosen, on_progress)
         if out is None:
             return result
-        return replace(result, out=write_result(result, Path(out), pictures=chosen.pictures))
+        return replace(
+            result, out=write_result(result, Path(out), files=chosen.files, pictures=chosen.pictures)
+        )
 
 
 def _name(source: str | Path | RawScan, name: str | None) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.version import VERSION
@@ -65,6 +66,10 @@ FILES = frozenset(
     }
 )
 """Every file a result may have."""
+
+PICTURES = frozenset({"overview.png", "error_vs_time.png"})
+LEFT_OUT = PICTURES | {"geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png"}
+"""What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
 
 
 SURE = 0.5
@@ -206,59 +211,106 @@ def own_files(folder: Path, recorded: Collection[str] = ()) -> frozenset[str]:
 
 
 def write_result(
-    result: ProcessResult, out: Path, *, pictures: bool = True, recorded: Collection[str] = ()
+    result: ProcessResult,
+    out: Path,
+    *,
+    files: str = "standard",
+    pictures: bool = True,
+    recorded: Collection[str] = (),
 ) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
     The files are made in a hidden folder beside it and then renamed into place: a run that is killed while
     they are made, or a disk that is full, leaves older results as they were and no half-file. An older
     `result.json` goes first and the new one comes last, so a folder that has one is whole. `overview.png` and
-    `error_vs_time.png` are left out without `pictures`. Raises `OutputError`, as `own_files` does.
+    `error_vs_time.png` are left out without `pictures`, `LEFT_OUT` where `files` is "minimal". Raises
+    `OutputError`, as `own_files` does.
     """
     folder = out / result.scan.name
     older = own_files(folder, recorded)
-    image, fitted, estimate = result.geometry_image, result.fitted, result.albedo
-    summary, record = result.summary(), _result_record(result)
-    poses = None if result.registration is None else _registration_record(result.registration, fitted)
-    albedo_srgb = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
-    drawn: dict[str, bytes] = {}
-    if pictures:
-        unlit = None if result.unlit is None else result.unlit.scan
-        panels = result_panels(result.scan, fitted, image, estimate, albedo_srgb, unlit)
-        drawn["overview.png"] = figure_png(overview_figure(summary, panels, columns=6))
-        drawn["error_vs_time.png"] = figure_png(result.trace.plot(), dpi=110)
+    record = _result_record(result)
+    left_out = LEFT_OUT if files == "minimal" else frozenset() if pictures else PICTURES
+    drawn = {name: draw() for name, draw in _pictures(result).items() if name not in left_out}
     # An older run may have had more stages.
     with result_folder(folder, RESULT_FILE, obsolete=older, staged_in=out) as staging:
         for name, png in drawn.items():
             (staging / name).write_bytes(png)
-        result.trace.to_csv(staging / "trace.csv")
-        write_geometry_image(staging / "geometry_image.npz", image)
-        write_geometry_image_exr(staging / "geometry_image.exr", image)
-        if image.skin is not None:
-            skin = np.where(image.mask, image.skin, 0)
-            write_png(staging / "skin.png", np.round(255 * skin).astype(np.uint8))
-        if estimate is not None and albedo_srgb is not None:
-            write_exr(staging / "albedo.exr", estimate.albedo_linear)
-            write_png(staging / "albedo.png", albedo_srgb)
-            write_exr(staging / "shading.exr", estimate.shading)
-            write_exr(staging / "specular.exr", estimate.specular)
-            write_png(staging / "shadow.png", np.round(255 * np.clip(estimate.shadow, 0, 1)).astype(np.uint8))
-        if fitted is not None:
-            write_glb(staging / "fitted.glb", fitted.vertices, fitted.faces, fitted.uv, albedo_srgb)
-            if result.template is not None:
-                write_template(staging, result.template)
-            elif fitted.template_vertices is not None and fitted.model.template_faces is not None:
-                write_obj(staging / "template.obj", fitted.template_vertices, fitted.model.template_faces)
-        if result.unlit is not None:
-            write_unlit(staging, result.unlit)
-        if poses is not None:
-            write_record(staging / "registration.json", poses)
-        if (landmarks := _landmarks_record(result)) is not None:
-            write_record(staging / "landmarks.json", landmarks)
-            write_landmarks_csv(staging / "landmarks.csv", landmarks)
-        files = (*sorted(path.name for path in staging.iterdir()), RESULT_FILE)
-        write_record(staging / RESULT_FILE, record.model_copy(update={"files": files}))
+        for name, write in (_stage_files(result) | _mesh_files(result)).items():
+            if name not in left_out:
+                write(staging / name)
+        written = (*sorted(path.name for path in staging.iterdir()), RESULT_FILE)
+        write_record(staging / RESULT_FILE, record.model_copy(update={"files": written}))
     return folder
+
+
+def _pictures(result: ProcessResult) -> dict[str, Callable[[], bytes]]:
+    """Return what draws each picture of `PICTURES`."""
+
+    def overview() -> bytes:
+        unlit = None if result.unlit is None else result.unlit.scan
+        panels = result_panels(
+            result.scan, result.fitted, result.geometry_image, result.albedo, _preview(result), unlit
+        )
+        return figure_png(overview_figure(result.summary(), panels, columns=6))
+
+    return {
+        "overview.png": overview,
+        "error_vs_time.png": lambda: figure_png(result.trace.plot(), dpi=110),
+    }
+
+
+def _preview(result: ProcessResult) -> NDArray[np.uint8] | None:
+    """Return the albedo as people see it, None without one."""
+    estimate = result.albedo
+    return None if estimate is None else preview_srgb(estimate.albedo_linear, result.geometry_image.mask)
+
+
+def _stage_files(result: ProcessResult) -> dict[str, Callable[[Path], object]]:
+    """Return what writes each file of the geometry image and of the albedo."""
+    image, estimate = result.geometry_image, result.albedo
+    files: dict[str, Callable[[Path], object]] = {
+        "trace.csv": result.trace.to_csv,
+        "geometry_image.npz": lambda path: write_geometry_image(path, image),
+        "geometry_image.exr": lambda path: write_geometry_image_exr(path, image),
+    }
+    if (skin := image.skin) is not None:
+        files["skin.png"] = lambda path: write_png(path, _gray_bytes(np.where(image.mask, skin, 0)))
+    if estimate is not None:
+        files |= {
+            "albedo.exr": lambda path: write_exr(path, estimate.albedo_linear),
+            "albedo.png": lambda path: write_png(path, preview_srgb(estimate.albedo_linear, image.mask)),
+            "shading.exr": lambda path: write_exr(path, estimate.shading),
+            "specular.exr": lambda path: write_exr(path, estimate.specular),
+            "shadow.png": lambda path: write_png(path, _gray_bytes(estimate.shadow)),
+        }
+    return files
+
+
+def _mesh_files(result: ProcessResult) -> dict[str, Callable[[Path], object]]:
+    """Return what writes the files of the fit, the template, the unlit scan, pose and landmarks."""
+    fitted, template, unlit = result.fitted, result.template, result.unlit
+    files: dict[str, Callable[[Path], object]] = {}
+    if fitted is not None:
+        surface = fitted.vertices, fitted.faces, fitted.uv
+        files["fitted.glb"] = lambda path: write_glb(path, *surface, _preview(result))
+        vertices, faces = fitted.template_vertices, fitted.model.template_faces
+        if template is not None:
+            files["template.obj"] = lambda path: write_template(path.parent, template)
+        elif vertices is not None and faces is not None:
+            files["template.obj"] = lambda path: write_obj(path, vertices, faces)
+    if unlit is not None:
+        files["unlit.obj"] = lambda path: write_unlit(path.parent, unlit)
+    if (registration := result.registration) is not None:
+        poses = _registration_record(registration, fitted)
+        files["registration.json"] = lambda path: write_record(path, poses)
+    if (landmarks := _landmarks_record(result)) is not None:
+        files["landmarks.json"] = lambda path: write_record(path, landmarks)
+        files["landmarks.csv"] = lambda path: write_landmarks_csv(path, landmarks)
+    return files
+
+
+def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def _registration_record(registration: Registration, fitted: FittedFace | None) -> RegistrationRecord:

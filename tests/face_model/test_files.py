@@ -37,6 +37,7 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
         template_points=points,
         template_offset=np.arange(9.0).reshape(3, 3),
         template_faces=np.array([[0, 1, 2]]),
+        template_uv=np.arange(6.0).reshape(1, 3, 2),
         name="mine",
     )
     save_model(model, tmp_path / "t.json")
@@ -46,6 +47,7 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
     np.testing.assert_array_equal(again.template_points.barycentric, points.barycentric)
     np.testing.assert_array_equal(again.template_offset, model.template_offset)
     np.testing.assert_array_equal(again.template_faces, [[0, 1, 2]])
+    np.testing.assert_array_equal(again.template_uv, model.template_uv)
 
 
 def test_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path):

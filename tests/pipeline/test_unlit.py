@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo.applications import light_removal
+from scan2albedo.applications import light_removal, load_result
 from scan2albedo.applications.light_removal import unlit_scan
 from scan2albedo.applications.template_baking import filled_smoothly, template_texture
 from scan2albedo.errors import ApplicationError
@@ -173,6 +173,28 @@ def test_files_and_plan_tell_of_both(result):
     stored = read_image_linear(result.out / "unlit.png")
     assert np.abs(stored - np.clip(result.unlit.scan.texture_linear, 0, 1)).max() < 0.01
     assert s2a.load_scan(result.out / "template.glb").texture_linear is not None
+
+
+def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(case, tmp_path):
+    options = {"size": 32, "budget": s2a.Budget(evaluations=20)}
+    minimal = s2a.process(case[0], tmp_path / "a", files="minimal", **options)
+    names = {path.name for path in minimal.out.iterdir()}
+    assert names == {
+        "result.json",
+        "registration.json",
+        "landmarks.json",
+        "landmarks.csv",
+        "trace.csv",
+        "geometry_image.npz",
+        "albedo.exr",
+        "albedo.png",
+        "fitted.glb",
+    }
+    load_result(minimal.out)
+    every = s2a.process(case[0], tmp_path / "a", files="all", **options)
+    assert {"unlit.glb", "overview.png"} <= {path.name for path in every.out.iterdir()}
+    with pytest.raises(ValueError, match="files is 'few'"):
+        s2a.process(case[0], files="few")
 
 
 def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
