@@ -98,19 +98,21 @@ class AnnotatedFaceModel(AnnotatedSurface):
         return cls._with_fields_of(make(surface, given, control_size))
 
     @classmethod
-    def from_file(cls, path: str | Path) -> Self:
+    def from_file(cls, path: str | Path, *, control_size: int = 1000) -> Self:
         """Make a model out of a template in an OBJ, PLY, GLB, glTF, STL or OFF file.
 
-        The vertices keep the file's order. The chart is the file's where every vertex has one texture
-        coordinate, else a new one. Raises `ModelError` when the file cannot be read, or `from_mesh` cannot
-        use the template.
+        `control_size` is that of `from_mesh`. The vertices keep the file's order. The chart is the file's
+        where every vertex has one texture coordinate, else a new one. Raises `ModelError` when the file
+        cannot be read, or `from_mesh` cannot use the template.
         """
         file = Path(path)
         try:
             parsed = read_mesh_file(file)
         except ScanError as error:
             raise ModelError(f"template {error}") from error
-        return cls.from_mesh(parsed.vertices, parsed.faces, parsed.uv, name=file.stem)
+        return cls.from_mesh(
+            parsed.vertices, parsed.faces, parsed.uv, control_size=control_size, name=file.stem
+        )
 
     @classmethod
     def _with_fields_of(cls, surface: AnnotatedSurface) -> Self:

@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
+from scan2albedo.face_model.from_mesh import FILLED_REGION, REST_REGION
 from scan2albedo.face_model.proportions import proportions
 from scan2albedo.fitting.result import FittedFace
-from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 PARTS = {
@@ -78,6 +79,28 @@ def doubts(fitted: FittedFace) -> Iterator[str]:
             f"the face's proportions are no person's, relative to the model's (and people's): {ratios}; was "
             "the scan stretched along an axis?"
         )
+
+
+def face_coverage(fitted: FittedFace) -> float:
+    """Return the part of the face's area that has scan near it.
+
+    Of a template of a whole head only what is annotated counts: ears, neck and the back of the head are no
+    part of the face.
+    """
+    model = fitted.model
+    rest = {
+        index for index in (_index(model, REST_REGION), _index(model, FILLED_REGION)) if index is not None
+    }
+    counted = ~np.isin(fitted.region, list(rest))
+    if model.template_points is None or not counted.any():
+        return fitted.metrics["coverage"]
+    area = face_areas(fitted.vertices, fitted.faces) * counted
+    seen = (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1)
+    return float(area @ seen / max(area.sum(), 1e-300))
+
+
+def _index(model: AnnotatedFaceModel, name: str) -> int | None:
+    return model.regions[name].index if name in model.regions else None
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
-from scan2albedo.fitting.plausibility import doubts
+from scan2albedo.fitting.plausibility import doubts, face_coverage
 from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
@@ -338,7 +338,7 @@ def _cautions(
             f"the pose is unsure (confidence {registration.confidence:.2f}): another one is nearly as good, "
             "or the scan hardly resembles a face; look at overview.png"
         )
-    coverage = 1.0 if fitted is None else fitted.metrics["coverage"]
+    coverage = 1.0 if fitted is None else face_coverage(fitted)
     if coverage < WHOLE_FACE:
         covered = fitted is not None and fitted.metrics["covered_mm2"] > 0
         why = (

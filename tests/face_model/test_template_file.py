@@ -29,6 +29,8 @@ def test_order_and_chart_are_the_files(obj):
     np.testing.assert_array_equal(made.template_faces, default.control_faces)
     np.testing.assert_allclose(made.template_uv, default.uv[default.control_faces], atol=1e-12)
     assert np.abs(made.uv - default.uv).mean() < 0.01
+    coarse = AnnotatedFaceModel.from_file(obj, control_size=300)
+    assert 200 < len(coarse.control_vertices) < 400
 
 
 def test_a_vertex_with_two_texture_coordinates_has_none():

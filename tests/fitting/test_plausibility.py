@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.face_model.annotation import Region
 from scan2albedo.fitting import fit
-from scan2albedo.fitting.plausibility import PARTS, asymmetry, doubts, missing_parts
+from scan2albedo.fitting.plausibility import PARTS, asymmetry, doubts, face_coverage, missing_parts
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, displacement, person
 from scan2albedo.synthetic.head import compact
 
@@ -85,3 +87,32 @@ def test_no_halves_are_compared_where_one_is_not_seen_or_the_model_is_lopsided(m
     assert asymmetry(replace(fitted, model=lopsided)) is None
     bare = replace(model, landmark_points=None)
     assert missing_parts(replace(fitted, model=bare)) == ()
+
+
+def test_of_a_template_only_its_annotated_part_is_the_face(model):
+    """Half of it, as if that were the back of a head, has no scan; nobody misses it."""
+    fitted = fitted_to(model, someone(model, 7))
+    behind = model.surface(0)[0][model.control_faces].mean(1)[:, 1] > 0
+    regions = {**model.regions, "face": Region("face", 200)}
+    template = replace(
+        model,
+        region=np.where(behind, np.uint8(200), model.region),
+        regions=regions,
+        template_points=SurfacePoints(np.zeros(1, np.int64), np.array([[1.0, 0, 0]])),
+    )
+    centres = fitted.vertices[fitted.faces].mean(1)
+    above = template.region[model.subdivision(fitted.levels).parent] == 200
+    unseen = np.zeros(len(fitted.vertices), bool)
+    unseen[fitted.faces[above]] = True
+    assert 0.3 < np.mean(centres[:, 1] > 0) < 0.7
+    half = replace(
+        fitted,
+        model=template,
+        region=template.region[model.subdivision(fitted.levels).parent],
+        residual_mm=np.where(unseen, np.nan, fitted.residual_mm),
+    )
+    assert face_coverage(half) > 0.9
+    assert (
+        face_coverage(replace(half, model=replace(template, template_points=None)))
+        == fitted.metrics["coverage"]
+    )
