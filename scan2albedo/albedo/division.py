@@ -29,6 +29,17 @@ _BLACK = 0.05
 
 
 @dataclass(frozen=True)
+class Usual:
+    """What is usual over a whole image: of noise its channel `lead` and `ratio` (`ChannelNoise`), the
+    `light`, and how `rough` the albedo is where it is lit, None where nothing lies in the dark."""
+
+    lead: int
+    ratio: float
+    light: float
+    rough: float | None
+
+
+@dataclass(frozen=True)
 class Division:
     """`albedo` (H, W) or (H, W, C), 0 outside the mask, and how sure it is.
 
@@ -39,6 +50,8 @@ class Division:
     albedo: NDArray
     confidence: FloatArray
     deviation: FloatArray
+    usual: Usual
+    """Of this image, for its other parts."""
 
 
 def divide_light(
@@ -51,6 +64,7 @@ def divide_light(
     skin: NDArray | None = None,
     shrink: bool = True,
     side: int | None = None,
+    usual: Usual | None = None,
 ) -> Division:
     """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
 
@@ -75,6 +89,8 @@ def divide_light(
     side : int, optional
         Texels along the side of a chart of the whole face with texels of this size; that of the mask when
         omitted.
+    usual : Usual, optional
+        That of another part of the same image, so that parts join without a seam.
     """
     channels = texture.reshape(*mask.shape, -1).astype(np.float64) - specular[..., None]
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
@@ -83,7 +99,8 @@ def divide_light(
     around = np.stack([window_mean(c, known, _AROUND) for c in np.moveaxis(quotient, -1, 0)], -1)
     around = np.maximum(around, max(_DARK * float(around.max(initial=0.0)), 1e-12))
     relative = quotient / around
-    noise = channel_noise(relative, channels, around, light, usable)
+    lead, ratio = (None, None) if usual is None else (usual.lead, usual.ratio)
+    noise = channel_noise(relative, channels, around, light, usable, lead=lead, ratio=ratio)
     weight = known * light[..., noise.lead] ** 2
     leading = _filtered(relative[..., noise.lead], weight, noise.leading)
     filtered = np.empty(relative.shape)
@@ -93,7 +110,12 @@ def divide_light(
             beside = _filtered(beside, weight, noise.beside[..., c]).field
         filtered[..., c] = (leading.field + beside) * around[..., c]
     grain_window = _grain_window(side or max(mask.shape))
-    grain = _kept_grain(filtered[..., noise.lead], light[..., noise.lead], usable, skin, grain_window)
+    lead_light = light[..., noise.lead]
+    if usual is None:
+        typical = float(np.median(lead_light[usable])) if usable.any() else 1.0
+        rough = _roughness(filtered[..., noise.lead], known, grain_window)
+        usual = Usual(noise.lead, noise.ratio, typical, _usual_rough(rough, lead_light, typical, usable))
+    grain = _kept_grain(filtered[..., noise.lead], lead_light, usable, skin, grain_window, usual)
     own = np.where(usable, leading.own * grain, 0.0)
     if (grain < 1).any():
         smooth = np.stack([window_mean(c, known, grain_window) for c in np.moveaxis(filtered, -1, 0)], -1)
@@ -101,11 +123,17 @@ def divide_light(
     kept = np.where((usable & shrink)[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
     deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, _BLACK)
-    return Division(albedo, own, np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0))
+    deviation = np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0)
+    return Division(albedo, own, deviation, usual)
 
 
 def _kept_grain(
-    value: FloatArray, light: FloatArray, usable: BoolArray, skin: NDArray | None, window: int
+    value: FloatArray,
+    light: FloatArray,
+    usable: BoolArray,
+    skin: NDArray | None,
+    window: int,
+    usual: Usual,
 ) -> FloatArray:
     """Return (H, W) the part that a texel in the dark keeps of its difference from the mean around it.
 
@@ -113,21 +141,27 @@ def _kept_grain(
     noise that the quotient amplifies, correlated from texel to texel where a photograph was resampled, or a
     line along a shadow: Wiener's filter draws it toward the mean. `value` (H, W) is the albedo's.
     """
-    whole = np.ones(value.shape)
-    if not usable.any():
-        return whole
-    known, typical = usable.astype(np.float64), float(np.median(light[usable]))
-    dim = np.clip((_DIM - light / typical) / (_DIM - _DARKER), 0.0, 1.0) * usable
-    lit = usable & (light > _DIM * typical)
-    if not (dim.any() and lit.any()):
-        return whole
-    around = np.maximum(window_mean(value, known, _AROUND), 1e-12)
-    relative = value / around
-    rough = window_mean((relative - window_mean(relative, known, window)) ** 2, known, WINDOW)
-    usual = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2)
-    kept = np.clip(usual / np.maximum(rough, 1e-12), 0.0, 1.0)
+    dim = np.clip((_DIM - light / usual.light) / (_DIM - _DARKER), 0.0, 1.0) * usable
+    if usual.rough is None or not dim.any():
+        return np.ones(value.shape)
+    kept = np.clip(usual.rough / np.maximum(_roughness(value, usable.astype(float), window), 1e-12), 0.0, 1.0)
     sure = dim if skin is None else dim * skin
     return np.asarray(1 - sure * (1 - kept))
+
+
+def _roughness(value: FloatArray, known: FloatArray, window: int) -> FloatArray:
+    """Return (H, W) the mean square difference of a field from its mean around, relative to that mean."""
+    around = np.maximum(window_mean(value, known, _AROUND), 1e-12)
+    relative = value / around
+    return window_mean((relative - window_mean(relative, known, window)) ** 2, known, WINDOW)
+
+
+def _usual_rough(rough: FloatArray, light: FloatArray, typical: float, usable: BoolArray) -> float | None:
+    """Return how rough an albedo may be, by where it is lit; None where nothing is dim or nothing is lit."""
+    lit = usable & (light > _DIM * typical)
+    if not lit.any() or not (usable & (light < _DIM * typical)).any():
+        return None
+    return max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2)
 
 
 def _grain_window(side: int) -> int:

@@ -44,10 +44,19 @@ class ChannelNoise:
     leading: FloatArray
     beside: FloatArray
     rounding: FloatArray
+    ratio: float = 1.0
+    """The multiple, for the whole image, of what two channels do not share."""
 
 
 def channel_noise(
-    relative: FloatArray, texture: FloatArray, around: FloatArray, light: FloatArray, usable: BoolArray
+    relative: FloatArray,
+    texture: FloatArray,
+    around: FloatArray,
+    light: FloatArray,
+    usable: BoolArray,
+    *,
+    lead: int | None = None,
+    ratio: float | None = None,
 ) -> ChannelNoise:
     """Return how noisy the quotient of texture and light is.
 
@@ -66,8 +75,11 @@ def channel_noise(
     texture, around, light : (H, W, C) float64
         Linear texture without highlights, the quotient's local mean, and the light.
     usable : (H, W) bool
+    lead, ratio : int and float, optional
+        Those of the whole image, where this is a part of it.
     """
-    lead = int(np.argmax(around[usable].mean(0))) if usable.any() else 0
+    if lead is None:
+        lead = int(np.argmax(around[usable].mean(0))) if usable.any() else 0
     beside = np.zeros(texture.shape)
     rounding = _rounding_variance(texture) / (light * around) ** 2
     spread = np.ptp(texture[usable], axis=-1) if usable.any() else np.zeros(1)
@@ -83,13 +95,14 @@ def channel_noise(
     one, two = (c for c in range(3) if c != lead)
     least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
     white = white_variance(relative[..., lead], usable)
-    shared = np.minimum(white - _WHITE_TEXTURE**2, _ratio(white, least, usable) * least)
+    ratio = _ratio(white, least, usable) if ratio is None else ratio
+    shared = np.minimum(white - _WHITE_TEXTURE**2, ratio * least)
     own = (differences[lead, one] + differences[lead, two] - differences[one, two]) / 2
     leading = np.maximum(_UNDERRATED * shared, np.minimum(own, _OWN * least))
     for c in (one, two):
         # White texture may colour a channel beside the others: it leaves one difference without any.
         beside[..., c] = np.minimum(differences[lead, c], 4 * least)
-    return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead])
+    return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead], ratio)
 
 
 def _ratio(white: FloatArray, least: FloatArray, usable: BoolArray) -> float:

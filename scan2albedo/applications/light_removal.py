@@ -7,6 +7,7 @@ filtered on the scan's own texels as it was on the chart.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo import AlbedoEstimate
-from scan2albedo.albedo.division import divide_light
+from scan2albedo.albedo.division import Usual, divide_light
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.scan_on_chart import ScanOnChart, scan_on_chart
 from scan2albedo.core.arguments import require_type
@@ -35,7 +36,7 @@ REACHES = ("face", "all")
 """How far the light is taken off: where the model was fitted, or from the whole scan."""
 OUTSIDE_CONFIDENCE = 0.5
 """Relative to the face: beyond the model the light is that of its lamps on the scan's own, rougher shape."""
-DARKEST = 0.05
+DARKEST = 0.1
 """Least light that divides, as a part of the usual."""
 _ROUGHER = 2.0
 """How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
@@ -43,7 +44,7 @@ _BLACK = 1e-3
 """Albedo below which the light is that of the estimate, not the quotient of two colours."""
 _SHADED_MM = 2.5
 """Beyond the face light is found on the scan with so much between its vertices."""
-_TILE, _MARGIN, _GUTTER = 2048, 48, 4
+_TILE, _MARGIN, _GUTTER = 2048, 128, 16
 """Texels of a tile's side, of what is looked at beside it, and of the light's going on beside charts."""
 
 
@@ -54,8 +55,8 @@ class UnlitScan:
     scan: RawScan
     """With its own vertices, faces and coordinates; its texture, or vertex colours, are unlit."""
     confidence: NDArray[np.float32]
-    """(H, W) of the texture, or (V,): how much of a texel's albedo is its own measurement, half of it beyond
-    the face, and 0 where the light was left in."""
+    """(H, W) of the texture, or (V,): how surely the light was taken off: 1 on the face, 0 where it was left
+    in, `OUTSIDE_CONFIDENCE` beyond the face."""
 
 
 def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reach: str = "face") -> UnlitScan:
@@ -75,7 +76,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     Raises
     ------
     ApplicationError
-        When the scan has no colour, or the estimate is of another face.
+        When the scan has no colour or is not where the face was fitted, or the albedo is of another face.
     ValueError
         For another `reach`.
 
@@ -90,8 +91,15 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         raise ValueError(f"reach is {reach!r}, expected one of {', '.join(REACHES)}")
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours, and so no light to take off")
+    occluder = estimate.image.occluder
+    if occluder is None or not np.array_equal(occluder[0], fitted.vertices):
+        raise ApplicationError(f"{scan.name}: the albedo was estimated of another face than the fitted one")
     light = _ChartLight.of(estimate)
     on_chart = scan_on_chart(scan, fitted, estimate.image)
+    if not on_chart.weight.any():
+        raise ApplicationError(
+            f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
+        )
     beyond: FloatArray = np.full((len(scan.vertices), 3), light.usual)
     if reach == "all":
         beyond = np.maximum(_light_beyond(scan, fitted, estimate), DARKEST * light.usual)
@@ -108,13 +116,12 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
 
 @dataclass(frozen=True)
 class _ChartLight:
-    """The light on the chart: `log_light` (H, W, 3), `confidence` (H, W, 1), and the `usual` light.
+    """The light on the chart: `log_light` (H, W, 3), and the `usual` light.
 
     A chart of the same face with texels of 1 mm has a side of `side_mm`.
     """
 
     log_light: FloatArray
-    confidence: FloatArray
     usual: float
     side_mm: float
 
@@ -128,11 +135,9 @@ class _ChartLight:
         black = _BLACK * max(float(np.median(albedo[mask])), 1e-12)
         light = (image.texture_linear + black * estimate.shading) / (albedo + black)
         log_light = np.log(np.maximum(light, DARKEST * usual))
-        confidence = np.asarray(estimate.confidence, np.float64)[..., None]
         areas = image.texel_areas_mm2()
         return cls(
             log_light=filled_from_nearest(log_light, mask),
-            confidence=filled_from_nearest(confidence, mask),
             usual=usual,
             side_mm=max(mask.shape) * float(np.sqrt(np.median(areas))) if len(areas) else max(mask.shape),
         )
@@ -161,18 +166,21 @@ class _Parts:
         across, beside = second - first, third - first
         texels = np.abs(across[:, 0] * beside[:, 1] - across[:, 1] * beside[:, 0]) / 2
         area_mm2 = face_areas(scan.vertices, scan.faces[face]).sum()
-        return round(_ROUGHER * self.light.side_mm * float(np.sqrt(texels.sum() / max(area_mm2, 1e-12))))
+        return max(
+            1, round(_ROUGHER * self.light.side_mm * float(np.sqrt(texels.sum() / max(area_mm2, 1e-12))))
+        )
 
     def light_at(
         self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the light (N, 3) and the confidence (N,) at places (N, 2) of the chart, which count by
-        `weight` (N,), beside the light beyond it (N, 3)."""
+        """Return the light (N, 3) and how surely it is known (N,) at places (N, 2) of the chart.
+
+        These count by `weight` (N,), the light beyond them (N, 3) by the rest.
+        """
         pixels = pixels_from_uv(uv, self.light.log_light.shape[:2])
         share = weight[:, None]
         log_light = share * bilinear(self.light.log_light, pixels) + (1 - share) * log_beyond
-        sure = share * bilinear(self.light.confidence, pixels) + (1 - share) * self.outside
-        return np.exp(log_light), sure[:, 0]
+        return np.exp(log_light), weight + (1 - weight) * self.outside
 
 
 def _light_beyond(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate) -> FloatArray:
@@ -207,25 +215,40 @@ def _unlit_texture(
     corners = pixels_from_uv(in_first_period(uv, texture.shape).reshape(-1, 2), shape).reshape(-1, 3, 2)
     first, last = np.floor(corners.min(1)), np.ceil(corners.max(1))
     result, confidence = np.array(texture), np.zeros(shape, np.float32)
-    for top in range(0, shape[0], _TILE):
-        for left in range(0, shape[1], _TILE):
-            low = np.array([max(left - _MARGIN, 0), max(top - _MARGIN, 0)])
-            high = np.minimum([left + _TILE + _MARGIN, top + _TILE + _MARGIN], [shape[1], shape[0]])
-            inside = np.flatnonzero(((last >= low) & (first <= high)).all(1))
-            if len(inside) == 0:
-                continue
-            window = np.s_[low[1] : high[1], low[0] : high[0]]
-            unlit, sure = _unlit_tile(parts, texture[window], corners[inside] - low, inside)
-            own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
-            result[top : top + _TILE, left : left + _TILE] = unlit[own]
-            confidence[top : top + _TILE, left : left + _TILE] = sure[own]
+    usual = None
+    for top, left in _tiles(shape, corners.mean(1)[(parts.on_chart.weight[parts.scan.faces] > 0).any(1)]):
+        low = np.array([max(left - _MARGIN, 0), max(top - _MARGIN, 0)])
+        high = np.minimum([left + _TILE + _MARGIN, top + _TILE + _MARGIN], [shape[1], shape[0]])
+        inside = np.flatnonzero(((last >= low) & (first <= high)).all(1))
+        if len(inside) == 0:
+            continue
+        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        unlit, sure, usual = _unlit_tile(parts, texture[window], corners[inside] - low, inside, usual)
+        own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
+        result[top : top + _TILE, left : left + _TILE] = unlit[own]
+        confidence[top : top + _TILE, left : left + _TILE] = sure[own]
     return result, confidence
 
 
+def _tiles(shape: tuple[int, int], face: FloatArray) -> list[tuple[int, int]]:
+    """Return (top, left) of the tiles of a texture, that first which has most of the places `face` (N, 2).
+
+    What is usual there serves for all, so that they join without a seam.
+    """
+    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
+    count = Counter(map(tuple, places.tolist()))
+    every = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
+    return sorted(every, key=lambda tile: -count[tile])
+
+
 def _unlit_tile(
-    parts: _Parts, texture: NDArray[np.float32], corners: FloatArray, faces: NDArray[np.int64]
-) -> tuple[FloatArray, FloatArray]:
-    """Return a tile of the texture without its light, and its confidence.
+    parts: _Parts,
+    texture: NDArray[np.float32],
+    corners: FloatArray,
+    faces: NDArray[np.int64],
+    usual: Usual | None,
+) -> tuple[FloatArray, FloatArray, Usual | None]:
+    """Return a tile of the texture without its light, how surely it was taken off, and what is usual.
 
     `corners` (N, 3, 2) are the places, in pixels of the tile, of the scan's `faces` (N,).
     """
@@ -243,25 +266,19 @@ def _unlit_tile(
     divisor, known = np.full(texture.shape, parts.light.usual), np.zeros(texture.shape[:2])
     divisor[there], known[there] = light, sure
     usable = known > 0
-    albedo, own = _divided(texture, divisor, there, usable, parts.side)
-    # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
-    unlit = np.where(there[..., None], albedo, texture / _spread(divisor, there, parts.light.usual))
-    return unlit * parts.light.usual, known * own
-
-
-def _divided(
-    texture: NDArray[np.float32], light: FloatArray, there: BoolArray, usable: BoolArray, side: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return texture over light, its noise filtered where `usable`, and how much is its own there."""
-    albedo, own = texture / light, np.zeros(there.shape)
+    albedo = texture / divisor
     if usable.any():
         rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         none = np.zeros(there[box].shape)
-        division = divide_light(texture[box], light[box], none, there[box], usable[box], side=side)
-        albedo[box] = np.where(usable[box][..., None], division.albedo, albedo[box])
-        own[box] = division.confidence
-    return albedo, own
+        filtered = divide_light(
+            texture[box], divisor[box], none, there[box], usable[box], side=parts.side, usual=usual
+        )
+        albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
+        usual = filtered.usual
+    # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
+    unlit = np.where(there[..., None], albedo, texture / _spread(divisor, there, parts.light.usual))
+    return unlit * parts.light.usual, known, usual
 
 
 def _spread(light: FloatArray, there: BoolArray, usual: float) -> FloatArray:

@@ -52,7 +52,7 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> Sc
     weight[near] = _smooth((_FAR_MM - hits.distance) / (_FAR_MM - _NEAR_MM))
     weight[near] *= _smooth((cosine - _FACING[0]) / (_FACING[1] - _FACING[0]))
     weight[near] *= _smooth(_from_rim_mm(image, uv[near]) / _RIM_MM)
-    if fitted.covered_faces is not None:
+    if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
         weight[scan.faces[fitted.covered_faces]] = 0.0
     return ScanOnChart(uv, weight)
 

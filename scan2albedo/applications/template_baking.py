@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from scan2albedo.geometry.seams import split_at_seams
 from scan2albedo.geometry_image.fitted_face import without_covers
 from scan2albedo.geometry_image.texture_lookup import TextureLookup, texel_steps
 
+LARGEST_TEXTURE = 8192
+"""Texels of a side: pictures with more are not read back."""
 FIRST_TILE, TILES_IN_ROW, MOST_TILES = 1001, 10, 100
 """UDIM: the tile of coordinates u in [0, 1], v in [0, 1] is 1001, that beside it 1002, that above it 1011."""
 
@@ -70,7 +73,7 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     ApplicationError
         When the scan has no colour, or the model no template with texture coordinates.
     ValueError
-        For a size below 8.
+        For another size than 8 to 8192.
     """
     require_type(scan, RawScan, "template_texture: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "template_texture: fitted", "fit(scan, model, pose) returns one")
@@ -82,8 +85,8 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         )
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours to lay on a template")
-    if size < 8:
-        raise ValueError(f"size is {size}, expected at least 8 texels")
+    if not isinstance(size, Integral) or not 8 <= size <= LARGEST_TEXTURE:
+        raise ValueError(f"size is {size!r}, expected a whole number of texels from 8 to {LARGEST_TEXTURE}")
     number = tile_numbers(uv)
     lookup = TextureLookup(without_covers(fitted, scan))
     tiles = tuple(

@@ -31,6 +31,8 @@ MIN_CONTROL_SIZE = 20
 WIDE_OFFSET_MM = 1.0
 SAME_UV = 1e-6
 """Corners of a vertex whose texture coordinates differ by less have one place."""
+UDIM_TILES, UV_SLACK = 10, 1e-3
+"""Tiles along a side, and how far beyond them coordinates may lie."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         region[_over_holes(template, subdivision, control)] = index
         table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
     chart, chart_note = _chart(_vertex_uv(given), template, control, matrix, name)
+    corner_uv, uv_note = _corner_uv(given)
     return AnnotatedSurface(
         control_vertices=control.vertices,
         control_faces=control.faces,
@@ -87,9 +90,9 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         template_points=placed,
         template_offset=offset,
         template_faces=faces,
-        template_uv=_corner_uv(given),
+        template_uv=corner_uv,
         template_from_model=surface.template_from_surface,
-        notes=(*surface.notes, *_cleaning_notes(surface, template, offset), *chart_note),
+        notes=(*surface.notes, *_cleaning_notes(surface, template, offset), *chart_note, *uv_note),
         name=name,
     )
 
@@ -106,13 +109,20 @@ def _vertex_uv(given: DenseTemplate) -> FloatArray | None:
     return uv if (np.abs(uv[faces] - corners) < SAME_UV).all() else None
 
 
-def _corner_uv(given: DenseTemplate) -> FloatArray | None:
-    """Return (F, 3, 2) the coordinates of the faces' corners; None where some have none."""
+def _corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, tuple[str, ...]]:
+    """Return (F, 3, 2) the coordinates of the faces' corners, and a note where they can carry no texture."""
     if given.uv is None:
-        return None
+        return None, ()
     uv = np.asarray(given.uv, np.float64)
     corners = uv if uv.ndim == 3 else uv[np.array(given.faces, np.int64)]
-    return corners if np.isfinite(corners).all() else None
+    why = ""
+    if not np.isfinite(corners).all():
+        why = f"{int((~np.isfinite(corners)).any((1, 2)).sum())} faces have no texture coordinates"
+    elif (corners < -UV_SLACK).any() or (corners > UDIM_TILES + UV_SLACK).any():
+        why = f"texture coordinates lie beyond the tiles of UDIM (u and v from 0 to {UDIM_TILES})"
+    elif not np.ptp(corners, axis=1).any():
+        why = "all corners have the same texture coordinates"
+    return (None, (f"no texture will be painted: {why}",)) if why else (corners, ())
 
 
 def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:

@@ -98,9 +98,7 @@ def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArra
         return Uncovered(scan)
     gone = np.any(cover[scan.faces], axis=1)
     covered_mm2 = float(face_areas(scan.vertices, scan.faces[gone]).sum())
-    if covered_mm2 < LEAST_MM2:
-        return Uncovered(scan)
-    if gone.all():
+    if covered_mm2 < LEAST_MM2 or gone.all():
         return Uncovered(scan)
     border = np.zeros(len(cover), bool)
     border[scan.faces[gone]] = True

@@ -166,6 +166,11 @@ class ResultRecord(RunRecord):
     )
     timings_s: dict[str, Number] = Field(description="Wall-clock seconds of each stage.")
     notes: tuple[str, ...] = Field((), description="What loading repaired, and warnings of the stages.")
+    template_from_model: Matrix | None = Field(
+        None,
+        description="Row-major 4x4 acting on column vectors: points of template.obj into the axes, origin "
+        "and unit of the template's own file.",
+    )
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 

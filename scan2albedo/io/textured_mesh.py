@@ -69,7 +69,10 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
     for name, chosen in _materials(mesh):
         lines += [f"usemtl {name}\n"]
         lines += [f"f {a}/{k} {b}/{m} {c}/{n}\n" for a, k, b, m, c, n in corners[chosen].tolist()]
-    materials = [f"newmtl {Path(picture.name).stem}\nmap_Kd {picture.name}\n" for picture in mesh.pictures]
+    materials = [
+        f"newmtl {Path(picture.name).stem}\nKd 1 1 1\nillum 1\nmap_Kd {picture.name}\n"
+        for picture in mesh.pictures
+    ]
     for picture in mesh.pictures:
         write_bytes(target.with_name(picture.name), picture.png)
     write_text(target.with_suffix(".mtl"), "".join(materials))
@@ -86,7 +89,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
-        material = plain_material(name, (1.0, 1.0, 1.0, 1.0), _ROUGHNESS, double_sided=False)
+        material = plain_material(name, (1.0, 1.0, 1.0, 1.0), _ROUGHNESS)
         attributes: dict[str, tuple[NDArray[Any], str]] = {}
         if mesh.uv is None:
             vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)

@@ -114,7 +114,7 @@ class ProcessOptions:
     )
     """Also the scan itself, its own vertices, coordinates and texels, without its light; see `unlit_scan`."""
     texture_size: int = _option(
-        1024, int, "Height and width of the texture on your own template's coordinates.", min=8
+        1024, int, "Height and width of the texture on your own template's coordinates, up to 8192.", min=8
     )
     """Height and width of each tile of `template_texture`, where the model's template has coordinates."""
 
@@ -140,6 +140,7 @@ class ProcessOptions:
         # Imported here: they load compiled code, which the command line does not need to show its help.
         from scan2albedo.albedo.estimate import BRDFS
         from scan2albedo.applications.light_removal import REACHES
+        from scan2albedo.applications.template_baking import LARGEST_TEXTURE
         from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE
         from scan2albedo.io.units import MM_PER_UNIT
 
@@ -148,10 +149,9 @@ class ProcessOptions:
             raise ValueError(
                 f"size is {size!r}, expected a whole number from {SMALLEST_SIZE} to {LARGEST_SIZE}"
             )
-        if not isinstance(self.texture_size, Integral) or not 8 <= self.texture_size <= LARGEST_SIZE:
-            raise ValueError(
-                f"texture_size is {self.texture_size!r}, expected a whole number from 8 to {LARGEST_SIZE}"
-            )
+        size, most = self.texture_size, LARGEST_TEXTURE
+        if not isinstance(size, Integral) or not 8 <= size <= most:
+            raise ValueError(f"texture_size is {size!r}, expected a whole number from 8 to {most}")
         if self.files not in ("minimal", "standard", "all"):
             raise ValueError(f"files is {self.files!r}, expected one of minimal, standard, all")
         if self.unlit not in (None, *REACHES):

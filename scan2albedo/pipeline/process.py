@@ -15,7 +15,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
-from scan2albedo.core import Budget, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, Plan, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
@@ -33,7 +33,7 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.plan_of_result import plan_of
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
-from scan2albedo.pipeline.unlit_stage import UNLIT_S, unlit_plan, wants_no_light, without_light
+from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, kept_s, without_light
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.registration.refined_pose import refined_registration
 
@@ -150,18 +150,23 @@ class _Clock:
         finally:
             self.timings_s[stage] = time.perf_counter() - begin
 
+    def left_s(self) -> float:
+        """Return the seconds left of the budget."""
+        seconds = Budget.of(self.options.budget).seconds
+        return float("inf") if seconds is None else seconds - (time.perf_counter() - self.start)
+
+    def keep(self, seconds: float) -> None:
+        """Keep seconds back, but no more than a part of the budget."""
+        budget = Budget.of(self.options.budget).seconds
+        self.kept_s = seconds if budget is None else min(seconds, MOST_OF_BUDGET * budget)
+
     def share(self, stage: str) -> Budget:
         """Return the stage's part of what is left of the budget."""
         budget = Budget.of(self.options.budget)
         if budget.seconds is None:
             return budget
         texel_s = DIVISION_S if stage == "albedo" else SAMPLING_S + DIVISION_S
-        left = (
-            budget.seconds
-            - (time.perf_counter() - self.start)
-            - texel_s * self.options.texels**2
-            - self.kept_s
-        )
+        left = self.left_s() - texel_s * self.options.texels**2 - self.kept_s
         return replace(budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
 
@@ -191,9 +196,9 @@ def _processed(
             scan = with_landmarks(scan, options.landmarks, file)
             scaled = None if scaled is None else replace(scaled, scan=scan)
         model = chosen_model(options.model)
-    if options.unlit is not None and scan.texture_linear is not None:
-        clock.kept_s = UNLIT_S * scan.texture_linear[..., 0].size
+    clock.keep(kept_s(scan, options))
     registration, fitted, estimate = None, None, None
+    unlit, template, unlit_plan = None, None, Plan(())
     with _warnings_as_messages() as messages:
         if model is None and not (options.landmarks is None and scan.landmarks is None):
             warnings.warn("landmarks are not used: without a model nothing is fitted to them", stacklevel=2)
@@ -228,10 +233,13 @@ def _processed(
                     options=_estimate_options(options),
                     on_progress=on_progress,
                 )
-        unlit, template = None, None
-        if estimate is not None and wants_no_light(fitted, options):
+        if options.unlit is not None or (fitted is not None and fitted.model.template_uv is not None):
             with clock.timed("unlit"):
-                unlit, template = without_light(scan, fitted, estimate, options)
+                left = clock.left_s()
+                unlit, template, unlit_plan = without_light(scan, fitted, estimate, options, left)
+            for step in unlit_plan:
+                if not step.ran:
+                    warnings.warn(f"{step.stage} is left out: {step.reason}", stacklevel=2)
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
     return ProcessResult(
         scan=scan,
@@ -241,8 +249,7 @@ def _processed(
         albedo=estimate,
         unlit=unlit,
         template=template,
-        plan=plan_of(options, scan, registration, fitted, image, estimate)
-        + unlit_plan(options, unlit, template),
+        plan=plan_of(options, scan, registration, fitted, image, estimate) + unlit_plan,
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,
         options=options.recorded(model),

@@ -338,6 +338,7 @@ def _landmarks_record(result: ProcessResult) -> LandmarksRecord | None:
 def _result_record(result: ProcessResult) -> ResultRecord:
     """Return the record of a result whose files are not named yet."""
     scan, estimate = result.scan, result.albedo
+    own = None if result.fitted is None else result.fitted.model.template_from_model
     return ResultRecord(
         scan2albedo_version=VERSION,
         versions=installed_versions(),
@@ -352,5 +353,6 @@ def _result_record(result: ProcessResult) -> ResultRecord:
         parameters={} if estimate is None else plain_json(estimate.parameters),
         timings_s=dict(result.timings_s),
         notes=result.notes,
+        template_from_model=None if own is None else own.tolist(),
         files=(),
     )

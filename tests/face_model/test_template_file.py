@@ -42,14 +42,18 @@ def test_a_vertex_with_two_texture_coordinates_has_none():
         return DenseTemplate(vertices, faces, corners, None, None, "mine")
 
     np.testing.assert_array_equal(_vertex_uv(given(uv[faces]))[:4], uv)
-    np.testing.assert_array_equal(_corner_uv(given(uv[faces])), uv[faces])
+    np.testing.assert_array_equal(_corner_uv(given(uv[faces]))[0], uv[faces])
     seam = uv[faces]
     seam[1, 0] = [0.5, 0.5]
     assert _vertex_uv(given(seam)) is None
-    np.testing.assert_array_equal(_corner_uv(given(seam)), seam)
+    np.testing.assert_array_equal(_corner_uv(given(seam))[0], seam)
     gaps = given(np.full((2, 3, 2), np.nan))
     assert _vertex_uv(gaps) is None
-    assert _corner_uv(gaps) is None
+    beyond, flat = given(seam - 2), given(0 * seam)
+    for useless, why in ((gaps, "2 faces have no"), (beyond, "beyond the tiles"), (flat, "the same")):
+        found, (note,) = _corner_uv(useless)
+        assert found is None
+        assert why in note
     with pytest.raises(ModelError, match=r"uv has shape \(1, 3, 2\), expected \(2, 3, 2\)"):
         _vertex_uv(given(seam[:1]))
 

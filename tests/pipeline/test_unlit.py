@@ -124,6 +124,17 @@ def test_errors_name_what_is_missing(result):
     plain = replace(result.fitted, model=s2a.AnnotatedFaceModel.default())
     with pytest.raises(ApplicationError, match="no template with texture coordinates"):
         template_texture(result.scan, plain)
+    elsewhere = replace(result.scan, vertices=result.scan.vertices + 1000)
+    with pytest.raises(ApplicationError, match="no part of the scan lies at the fitted face"):
+        unlit_scan(elsewhere, result.fitted, result.albedo)
+    moved = replace(result.fitted, vertices=result.fitted.vertices + 1)
+    with pytest.raises(ApplicationError, match="of another face"):
+        unlit_scan(result.scan, moved, result.albedo)
+    for size in (7, 9000, "x", 8.5):
+        with pytest.raises(ValueError, match="whole number of texels"):
+            template_texture(result.scan, result.fitted, size)
+    with pytest.raises(ValueError, match="texture_size is 9000"):
+        s2a.process(result.scan, texture_size=9000)
     with pytest.raises(ValueError, match="unlit is 'head'"):
         s2a.process(result.scan, unlit="head")
 
@@ -165,6 +176,7 @@ def test_files_and_plan_tell_of_both(result):
     assert plan["unlit"]["ran"]
     assert plan["template_texture"]["ran"]
     assert record["options"]["unlit"] == "all"
+    assert record["template_from_model"] is None  # the model was not made from a mesh
     alpha = cv2.imread(str(result.out / "template.1001.png"), cv2.IMREAD_UNCHANGED)[..., 3]
     tile = next(tile for tile in result.template.tiles if tile.number == 1001)
     np.testing.assert_array_equal(alpha > 0, tile.seen)
@@ -201,7 +213,16 @@ def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
     skipped = s2a.process(case[0], size=32, unlit="face", skip=["albedo"])
     step = next(step for step in skipped.plan if step.stage == "unlit")
     assert not step.ran
+    assert step.reason == "no albedo was estimated, and so no light to take off the scan"
+    assert f"unlit is left out: {step.reason}" in skipped.messages
     assert skipped.unlit is None
+
+
+def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
+    tight = s2a.process(case[0], size=32, unlit="all", budget=0.05)
+    step = next(step for step in tight.plan if step.stage == "unlit")
+    assert step.reason == "the budget ended before it"
+    assert tight.fitted is not None
 
 
 def test_filling_goes_on_smoothly_and_keeps_what_is_known():
