@@ -10,6 +10,7 @@ from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
@@ -134,11 +135,13 @@ def estimate_albedo(
     _warn_when_turned_away(toward_viewer(image, usable, view), view)
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     scene = LitImage(image, usable, brdf, view, options, meter)
-    if brdf == "spherical-harmonics":
-        return _divide_harmonics(scene)
-    paper = options.objective == "albedo-deviation"
-    found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-    return _divide(scene, found, seed)
+    # The systems are small: further threads of BLAS would wait for work and burn as much time again.
+    with threadpool_limits(1, "blas"):
+        if brdf == "spherical-harmonics":
+            return _divide_harmonics(scene)
+        paper = options.objective == "albedo-deviation"
+        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+        return _divide(scene, found, seed)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
