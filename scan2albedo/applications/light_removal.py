@@ -42,6 +42,8 @@ _ROUGHER = 2.0
 """How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
 _BLACK = 1e-3
 """Albedo below which the light is that of the estimate, not the quotient of two colours."""
+_SPOT, _DARK_SPOT = 0.012, 0.7
+"""Half side of what is around a spot, as a part of the chart's, and how much darker it is, as a logarithm."""
 _SHADED_MM = 2.5
 """Beyond the face light is found on the scan with so much between its vertices."""
 _TILE, _MARGIN, _GUTTER = 2048, 128, 16
@@ -137,10 +139,22 @@ class _ChartLight:
         log_light = np.log(np.maximum(light, DARKEST * usual))
         areas = image.texel_areas_mm2()
         return cls(
-            log_light=filled_from_nearest(log_light, mask),
+            log_light=_without_dark_spots(filled_from_nearest(log_light, mask)),
             usual=usual,
             side_mm=max(mask.shape) * float(np.sqrt(np.median(areas))) if len(areas) else max(mask.shape),
         )
+
+
+def _without_dark_spots(log_light: FloatArray) -> FloatArray:
+    """Return log light (H, W, 3) without small spots much darker than around: folds of the surface."""
+    import cv2
+
+    mean = log_light.mean(-1)
+    side = 2 * round(_SPOT * max(mean.shape)) + 1
+    low, high = float(mean.min()), float(mean.max())
+    steps = np.round((mean - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
+    usual = low + cv2.medianBlur(steps, side).astype(np.float64) * ((high - low) / 255)
+    return log_light + np.maximum(usual - _DARK_SPOT - mean, 0.0)[..., None]
 
 
 @dataclass(frozen=True)

@@ -225,6 +225,16 @@ def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
     assert tight.fitted is not None
 
 
+def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
+    light = np.zeros((200, 200, 3))
+    light[:, 100:] = -1.5
+    light[50:53, 40:44] = -2.5
+    found = light_removal._without_dark_spots(light)
+    assert found[50:53, 40:44].min() > -0.75
+    np.testing.assert_array_equal(found[:, 110:], light[:, 110:])
+    np.testing.assert_array_equal(found[100:, :90], light[100:, :90])
+
+
 def test_filling_goes_on_smoothly_and_keeps_what_is_known():
     x = np.linspace(0, 1, 32, dtype=np.float32)
     image = np.repeat((x[:, None] + x)[..., None], 3, axis=2)
