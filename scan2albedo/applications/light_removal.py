@@ -84,7 +84,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
 
     Notes
     -----
-    Linear in the texels; tiles of the texture take turns, so that the memory does not grow with it.
+    Linear in the texels. Tiles of the texture take turns: beside it and its copy, memory does not grow.
     """
     require_type(scan, RawScan, "unlit_scan: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "unlit_scan: fitted", "fit(scan, model, pose) returns one")
