@@ -46,6 +46,32 @@ def is_folder_name(name: str) -> bool:
 
 
 @dataclass(frozen=True)
+class TextureTile:
+    """One of several pictures that a texture was packed of: its material's name, and its place in pixels."""
+
+    name: str
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def holds(self, uv: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Return (F,) which faces, by their corners' coordinates (F, 3, 2), lie on it in a texture (H, W)."""
+        column, row = (
+            uv[..., 0].mean(1) * shape[1] - self.left,
+            (1 - uv[..., 1].mean(1)) * shape[0] - self.top,
+        )
+        inside = (column >= 0) & (column <= self.width) & (row >= 0) & (row <= self.height)
+        return np.asarray(inside)
+
+    def own_uv(self, uv: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+        """Return coordinates of the texture (H, W) as those of this picture alone."""
+        across = (uv[..., 0] * shape[1] - self.left) / self.width
+        down = ((1 - uv[..., 1]) * shape[0] - self.top) / self.height
+        return np.stack([across, 1 - down], axis=-1)
+
+
+@dataclass(frozen=True)
 class RawScan:
     """A raw scan; inputs are checked and converted, never mutated.
 
@@ -70,6 +96,8 @@ class RawScan:
     """What loading decided and repaired (unit, dropped faces, missing texture), one sentence each."""
     mm_per_unit: float = 1.0
     """Millimetres per unit of the file that it was read from."""
+    texture_tiles: tuple[TextureTile, ...] = ()
+    """Of which pictures the texture was packed; none where it is one picture."""
     landmarks: PlacedLandmarks | None = None
     """Points that someone placed on it: soft constraints of its registration and fit."""
 

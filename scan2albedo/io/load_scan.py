@@ -146,6 +146,7 @@ def _loaded(
         name=name or scan_name(file),
         notes=tuple(notes),
         mm_per_unit=factor,
+        texture_tiles=packed.tiles,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.raw_scan import TextureTile
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 
@@ -22,11 +23,12 @@ _SOLID_SIZE = 4
 
 @dataclass(frozen=True)
 class PackedTexture:
-    """Texture, per-corner coordinates and notes for a `RawScan`; both None when there is nothing."""
+    """Texture, per-corner coordinates, notes and tiles for a `RawScan`; both None when there is nothing."""
 
     uv: FloatArray | None
     texture_linear: Image | None
     notes: tuple[str, ...]
+    tiles: tuple[TextureTile, ...] = ()
 
 
 def pack_texture(mesh: ParsedMesh) -> PackedTexture:
@@ -48,7 +50,7 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     material_of_picture = np.array([*_first_with_same_picture(mesh.materials), -1])
     if not mapped.any():
         return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
-    tiles, tile, uv, notes = _tiles(mesh, np.where(mapped, material_of_picture[material], -1))
+    tiles, names, tile, uv, notes = _tiles(mesh, np.where(mapped, material_of_picture[material], -1))
     if len(tiles) == 1:
         return PackedTexture(uv, tiles[0], notes)
     texture, boxes = _lay_out(tiles)
@@ -60,7 +62,8 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
             *notes,
             f"packed {pictures} textures into one of {texture.shape[1]}x{texture.shape[0]}",
         )
-    return PackedTexture(_into_boxes(uv, boxes[tile], texture.shape), texture, notes)
+    placed = tuple(TextureTile(name, *box) for name, box in zip(names, boxes.tolist(), strict=True))
+    return PackedTexture(_into_boxes(uv, boxes[tile], texture.shape), texture, notes, placed)
 
 
 def _first_with_same_picture(materials: tuple[Material, ...]) -> list[int]:
@@ -71,13 +74,14 @@ def _first_with_same_picture(materials: tuple[Material, ...]) -> list[int]:
 
 def _tiles(
     mesh: ParsedMesh, texture_of_face: IntArray
-) -> tuple[list[Image], IntArray, FloatArray, tuple[str, ...]]:
-    """Return (tiles, tile of each face (F,), uv inside its tile (F, 3, 2), notes)."""
+) -> tuple[list[Image], list[str], IntArray, FloatArray, tuple[str, ...]]:
+    """Return (tiles, their names, tile of each face (F,), uv inside its tile (F, 3, 2), notes)."""
     assert mesh.uv is not None
     uv = np.full(mesh.uv.shape, 0.5)
     tile = np.full(len(uv), -1)
     material = np.full(len(uv), -1) if mesh.material is None else mesh.material
     tiles: list[Image] = []
+    names: list[str] = []
     notes: list[str] = []
     used = np.unique(texture_of_face[texture_of_face >= 0])
     pictures = [mesh.materials[index].texture_linear for index in used]
@@ -91,6 +95,7 @@ def _tiles(
         left -= repeated.shape[0] * repeated.shape[1] - texels
         tile[faces] = len(tiles)
         tiles.append(repeated)
+        names.append(mesh.materials[index].name)
         notes += [f"{mesh.materials[index].name}: {note}"] if note else []
     plain = np.flatnonzero(tile < 0)
     colors, color_of_face = np.unique(material[plain], return_inverse=True)
@@ -98,7 +103,8 @@ def _tiles(
     for index in colors:
         color = mesh.materials[index].base_color_linear if index >= 0 else Material("").base_color_linear
         tiles.append(np.full((_SOLID_SIZE, _SOLID_SIZE, 3), color, np.float32))
-    return tiles, tile, uv, tuple(notes)
+        names.append(mesh.materials[index].name if index >= 0 else "no material")
+    return tiles, names, tile, uv, tuple(notes)
 
 
 def _inside_unit_square(uv: FloatArray, texture: Image, most: int) -> tuple[FloatArray, Image, str]:

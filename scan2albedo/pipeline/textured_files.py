@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scan2albedo.applications.light_removal import UnlitScan
 from scan2albedo.applications.template_baking import (
@@ -13,11 +14,22 @@ from scan2albedo.applications.template_baking import (
     TemplateTexture,
     TemplateTile,
 )
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import encode_image, write_png
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
 
-UNLIT_FILES = ("unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png")
+MOST_PICTURES = 100
+UNLIT_FILES = (
+    "unlit.glb",
+    "unlit.obj",
+    "unlit.mtl",
+    "unlit.png",
+    "unlit_confidence.png",
+    *(f"unlit.{number}.png" for number in range(MOST_PICTURES)),
+    *(f"unlit_confidence.{number}.png" for number in range(MOST_PICTURES)),
+)
+"""With several pictures each has a number, in the order of the scan's materials."""
 TEMPLATE_FILES = (
     "template.glb",
     "template.mtl",
@@ -32,21 +44,33 @@ def write_unlit(folder: Path, unlit: UnlitScan) -> None:
 
     Scans without a texture have vertex colours there, and no pictures.
     """
-    scan, pictures = unlit.scan, tuple[MeshPicture, ...]()
-    if scan.uv is not None and scan.texture_linear is not None:
-        png = encode_image(scan.texture_linear, ".png")
-        pictures = (MeshPicture("unlit.png", png, np.ones(len(scan.faces), bool)),)
-        confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
-        write_png(folder / "unlit_confidence.png", confidence)
-    mesh = TexturedMesh(
-        vertices=scan.vertices,
-        faces=scan.faces,
-        uv=scan.uv if pictures else None,
-        pictures=pictures,
-        vertex_color_linear=None if pictures else scan.vertex_color_linear,
-    )
+    scan = unlit.scan
+    if scan.uv is None or scan.texture_linear is None:
+        mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
+    else:
+        mesh = _with_pictures(folder, unlit, scan.texture_linear, scan.uv)
     write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
     write_textured_glb(folder / "unlit.glb", mesh)
+
+
+def _with_pictures(
+    folder: Path, unlit: UnlitScan, texture: NDArray[np.float32], uv: FloatArray
+) -> TexturedMesh:
+    """Return the scan with the pictures and coordinates it came with; write how sure each picture is."""
+    scan, shape = unlit.scan, (texture.shape[0], texture.shape[1])
+    confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
+    if not 1 < len(scan.texture_tiles) <= MOST_PICTURES:
+        write_png(folder / "unlit_confidence.png", confidence)
+        whole = MeshPicture("unlit.png", encode_image(texture, ".png"), np.ones(len(scan.faces), bool))
+        return TexturedMesh(scan.vertices, scan.faces, uv, (whole,))
+    own_uv, pictures = uv.copy(), list[MeshPicture]()
+    for number, tile in enumerate(scan.texture_tiles):
+        chosen = tile.holds(uv, shape)
+        own_uv[chosen] = tile.own_uv(uv[chosen], shape)
+        place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
+        write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
+        pictures.append(MeshPicture(f"unlit.{number}.png", encode_image(texture[place], ".png"), chosen))
+    return TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
 
 
 def write_template(folder: Path, template: TemplateTexture) -> None:

@@ -9,12 +9,14 @@ import pytest
 
 import scan2albedo as s2a
 from scan2albedo.applications import light_removal, load_result
-from scan2albedo.applications.light_removal import unlit_scan
+from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import filled_smoothly, template_texture
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
-from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.images import encode_image, read_image_linear
+from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
+from scan2albedo.pipeline.textured_files import write_unlit
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128
@@ -223,6 +225,31 @@ def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
     step = next(step for step in tight.plan if step.stage == "unlit")
     assert step.reason == "the budget ended before it"
     assert tight.fitted is not None
+
+
+def test_several_pictures_come_back_as_they_came(tmp_path):
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 180, 9), np.linspace(0, 180, 9)))
+    vertices = np.stack([x, y, 0.002 * (x - 90) ** 2], axis=1)
+    first = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
+    faces = np.concatenate([first[:, None] + [0, 1, 9], first[:, None] + [1, 10, 9]])
+    right = vertices[faces].mean(1)[:, 0] > 90
+    rng = np.random.default_rng(0)
+    pictures = tuple(
+        MeshPicture(name, encode_image(rng.uniform(0.2, 0.9, (*size, 3)), ".png"), chosen)
+        for name, size, chosen in (("a.png", (40, 30), ~right), ("b.png", (20, 50), right))
+    )
+    uv = np.clip((vertices[:, :2] / 180)[faces], 0.01, 0.99)
+    write_textured_obj(tmp_path / "two.obj", TexturedMesh(vertices, faces, uv, pictures))
+    scan = s2a.load_scan(tmp_path / "two.obj", unit="mm")
+    assert [tile.name for tile in scan.texture_tiles] == ["a", "b"]
+    write_unlit(tmp_path, UnlitScan(scan, np.ones(scan.texture_linear.shape[:2], np.float32)))
+    for number, picture in enumerate(pictures):
+        assert (tmp_path / f"unlit.{number}.png").read_bytes() == picture.png
+        assert (tmp_path / f"unlit_confidence.{number}.png").is_file()
+    again = s2a.load_scan(tmp_path / "unlit.obj", unit="mm")
+    np.testing.assert_allclose(again.uv, scan.uv, atol=1e-7)
+    np.testing.assert_array_equal(again.texture_linear, scan.texture_linear)
+    assert s2a.load_scan(tmp_path / "unlit.glb").texture_linear.shape == scan.texture_linear.shape
 
 
 def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
