@@ -37,13 +37,15 @@ REACHES = ("face", "all")
 OUTSIDE_CONFIDENCE = 0.5
 """Relative to the face: beyond the model the light is that of its lamps on the scan's own, rougher shape."""
 DARKEST = 0.1
-"""Least light that divides, as a part of the usual."""
+"""Least light that divides, as a part of the usual: less makes noise bright, more leaves deep shadows dark
+(`tools/bench_unlit.py traced`)."""
 _ROUGHER = 2.0
 """How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
 _BLACK = 1e-3
 """Albedo below which the light is that of the estimate, not the quotient of two colours."""
 _SPOT, _DARK_SPOT = 0.012, 0.7
-"""Half side of what is around a spot, as a part of the chart's, and how much darker it is, as a logarithm."""
+"""Half side of what is around a spot, as a part of the chart's, and how much darker it is, as a logarithm:
+by eye, on the folded lips of a coarse template."""
 _SHADED_MM = 2.5
 """Beyond the face light is found on the scan with so much between its vertices."""
 _TILE, _MARGIN, _GUTTER = 2048, 128, 16

@@ -176,7 +176,7 @@ def _model_sha256(model: str) -> str | None:
 
 def _landmarks_of_all(landmarks: Any, count: int) -> str:
     """Return the absolute path of a batch's landmarks; ValueError for those that cannot be of all scans."""
-    if landmarks == AUTO:
+    if isinstance(landmarks, str) and landmarks == AUTO:
         return AUTO
     if not isinstance(landmarks, str) or (count > 1 and not Path(landmarks).is_dir()):
         raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")

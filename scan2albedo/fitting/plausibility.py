@@ -88,19 +88,13 @@ def face_coverage(fitted: FittedFace) -> float:
     part of the face.
     """
     model = fitted.model
-    rest = {
-        index for index in (_index(model, REST_REGION), _index(model, FILLED_REGION)) if index is not None
-    }
-    counted = ~np.isin(fitted.region, list(rest))
+    rest = [model.regions[name].index for name in (REST_REGION, FILLED_REGION) if name in model.regions]
+    counted = ~np.isin(fitted.region, rest)
     if model.template_points is None or not counted.any():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
     seen = (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1)
     return float(area @ seen / max(area.sum(), 1e-300))
-
-
-def _index(model: AnnotatedFaceModel, name: str) -> int | None:
-    return model.regions[name].index if name in model.regions else None
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.plan_of_result import plan_of
 from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
-from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, kept_s, without_light
+from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, unlit_seconds, without_light
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.registration.refined_pose import refined_registration
 
@@ -180,23 +180,13 @@ def _processed(
     clock = _Clock(options)
     if options.landmarks_detected:
         require_detector()
-    file, scaled = None if isinstance(source, RawScan) else Path(source), None
+    file = None if isinstance(source, RawScan) else Path(source)
     with clock.timed("load"):
         # Hashed before it is read: a file that changes meanwhile is stale at once.
         sha256 = input_sha256(file, options.textures) if file is not None and os.path.isfile(file) else None
-        if not isinstance(source, RawScan):
-            if options.unit == "auto" and options.model != "none" and "register" not in options.skip:
-                scaled = load_of_any_size(Path(source), name, options.textures)
-                scan = scaled.scan
-            else:
-                scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
-        else:
-            scan = source if name is None else replace(source, name=name)
-        if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
-            scan = with_landmarks(scan, options.landmarks, file)
-            scaled = None if scaled is None else replace(scaled, scan=scan)
+        scan, scaled = _loaded(source, name, options)
         model = chosen_model(options.model)
-    clock.keep(kept_s(scan, options))
+    clock.keep(unlit_seconds(scan, options))
     registration, fitted, estimate = None, None, None
     unlit, template, unlit_plan = None, None, Plan(())
     with _warnings_as_messages() as messages:
@@ -258,6 +248,24 @@ def _processed(
         source=file,
         messages=(*messages, *_cautions(registration, fitted, estimate)),
     )
+
+
+def _loaded(
+    source: str | Path | RawScan, name: str | None, options: ProcessOptions
+) -> tuple[RawScan, ScaledScan | None]:
+    """Return the scan with the landmarks that are given; `scaled` where its unit is still to be found."""
+    file, scaled = None if isinstance(source, RawScan) else Path(source), None
+    if isinstance(source, RawScan):
+        scan = source if name is None else replace(source, name=name)
+    elif options.unit == "auto" and options.model != "none" and "register" not in options.skip:
+        scaled = load_of_any_size(Path(source), name, options.textures)
+        scan = scaled.scan
+    else:
+        scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
+    if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
+        scan = with_landmarks(scan, options.landmarks, file)
+        scaled = None if scaled is None else replace(scaled, scan=scan)
+    return scan, scaled
 
 
 def _registered(

@@ -15,7 +15,7 @@ MOST_OF_BUDGET = 0.3
 """Part of a budget that is kept for them: the face itself comes first."""
 
 
-def kept_s(scan: RawScan, options: ProcessOptions) -> float:
+def unlit_seconds(scan: RawScan, options: ProcessOptions) -> float:
     """Return the seconds that the unlit scan needs; 0 where it is not asked for."""
     if options.unlit is None or scan.texture_linear is None:
         return 0.0
@@ -35,30 +35,56 @@ def without_light(
     What would take longer than `left_s` is left out.
     """
     unlit, template, steps = None, None, list[PlanStep]()
-    uv = None if fitted is None else fitted.model.template_uv
     if options.unlit is not None:
-        what = "whole scan" if options.unlit == "all" else "face"
-        if fitted is None or estimate is None:
-            why = "there is no face" if fitted is None else "no albedo was estimated"
-            steps.append(PlanStep("unlit", False, f"{why}, and so no light to take off the scan"))
-        elif kept_s(scan, options) > left_s:
-            steps.append(PlanStep("unlit", False, "the budget ended before it", f"{left_s:.1f} s left"))
-        else:
-            unlit = unlit_scan(scan, fitted, estimate, options.unlit)
-            size = unlit.confidence.shape
-            evidence = f"{' x '.join(map(str, size))} {'texels' if len(size) == 2 else 'vertices'}"
-            steps.append(PlanStep("unlit", True, f"the light is taken off the {what}", evidence))
-    if fitted is not None and uv is not None and estimate is not None:
-        needed_s = PAINTED_S * options.texture_size**2
-        if needed_s > left_s:
-            step = PlanStep("template_texture", False, "the budget ended before it", f"{left_s:.1f} s left")
-        else:
-            # A template may reach beyond the face, so its texture has no light anywhere.
-            everywhere = unlit if options.unlit == "all" else None
-            colors = (everywhere or unlit_scan(scan, fitted, estimate, "all")).scan
-            template = template_texture(colors, fitted, options.texture_size)
-            seen = sum(float(tile.seen.mean()) for tile in template.tiles) / max(len(template.tiles), 1)
-            evidence = f"{len(template.tiles)} tile(s), {seen:.0%} of their texels seen"
-            step = PlanStep("template_texture", True, "the template has texture coordinates", evidence)
+        unlit, step = _unlit(scan, fitted, estimate, options, left_s)
+        steps.append(step)
+    if fitted is not None and fitted.model.template_uv is not None and estimate is not None:
+        everywhere = unlit if options.unlit == "all" else None
+        template, step = _template(scan, fitted, estimate, everywhere, options, left_s)
         steps.append(step)
     return unlit, template, Plan(tuple(steps))
+
+
+def _unlit(
+    scan: RawScan,
+    fitted: FittedFace | None,
+    estimate: AlbedoEstimate | None,
+    options: ProcessOptions,
+    left_s: float,
+) -> tuple[UnlitScan | None, PlanStep]:
+    assert options.unlit is not None
+    if fitted is None or estimate is None:
+        why = "there is no face" if fitted is None else "no albedo was estimated"
+        return None, PlanStep("unlit", False, f"{why}, and so no light to take off the scan")
+    if unlit_seconds(scan, options) > left_s:
+        return None, _too_late("unlit", left_s)
+    unlit = unlit_scan(scan, fitted, estimate, options.unlit)
+    size = unlit.confidence.shape
+    what = "whole scan" if options.unlit == "all" else "face"
+    evidence = f"{' x '.join(map(str, size))} {'texels' if len(size) == 2 else 'vertices'}"
+    return unlit, PlanStep("unlit", True, f"the light is taken off the {what}", evidence)
+
+
+def _template(
+    scan: RawScan,
+    fitted: FittedFace,
+    estimate: AlbedoEstimate,
+    everywhere: UnlitScan | None,
+    options: ProcessOptions,
+    left_s: float,
+) -> tuple[TemplateTexture | None, PlanStep]:
+    """Paint the template from the scan without light `everywhere`, which is made here if need be.
+
+    A template may reach beyond the face, so its texture has no light anywhere.
+    """
+    if PAINTED_S * options.texture_size**2 > left_s:
+        return None, _too_late("template_texture", left_s)
+    colors = (everywhere or unlit_scan(scan, fitted, estimate, "all")).scan
+    template = template_texture(colors, fitted, options.texture_size)
+    seen = sum(float(tile.seen.mean()) for tile in template.tiles) / max(len(template.tiles), 1)
+    evidence = f"{len(template.tiles)} tile(s), {seen:.0%} of their texels seen"
+    return template, PlanStep("template_texture", True, "the template has texture coordinates", evidence)
+
+
+def _too_late(stage: str, left_s: float) -> PlanStep:
+    return PlanStep(stage, False, "the budget ended before it", f"{left_s:.1f} s left")

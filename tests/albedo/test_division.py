@@ -175,3 +175,21 @@ def test_nothing_usable_leaves_the_quotient():
     division = divide_light(texture, np.ones((30, 30)), np.zeros((30, 30)), ~nothing, nothing)
     assert division.albedo == pytest.approx(texture)
     assert not division.confidence.any()
+
+
+def test_a_part_of_an_image_joins_the_whole_without_a_seam():
+    rng = np.random.default_rng(0)
+    light = np.ones((160, 320, 3))
+    light[:80, 160:], light[80:, 160:] = 0.6, 0.25
+    noise = 0.02 * rng.normal(size=light.shape)
+    texture = np.maximum(0.4 * np.array([1, 0.7, 0.6]) * light + noise, 0.001)
+    mask, none = np.ones((160, 320), bool), np.zeros((160, 320))
+    whole = divide_light(texture, light, none, mask, mask, side=512)
+    part, inner = np.s_[:, 130:], np.s_[:, 40:]
+
+    def apart(usual):
+        parts = (field[part] for field in (texture, light, none, mask, mask))
+        return np.abs(divide_light(*parts, side=512, usual=usual).albedo - whole.albedo[part])[inner].max()
+
+    assert apart(whole.usual) < 1e-6
+    assert apart(None) > 1e-4

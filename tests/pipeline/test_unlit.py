@@ -83,7 +83,7 @@ def test_nothing_but_colours_differs_and_beyond_the_face_nothing(result, face_un
     assert (result.unlit.confidence > 0).sum() > (face_unlit.confidence > 0).sum()
 
 
-def test_tiles_leave_no_seam(result, face_unlit, monkeypatch):
+def test_tiles_lie_where_they_belong(result, face_unlit, monkeypatch):
     monkeypatch.setattr(light_removal, "_TILE", 200)
     tiled = unlit_scan(result.scan, result.fitted, result.albedo)
     apart = np.abs(tiled.scan.texture_linear - face_unlit.scan.texture_linear).max(-1)
