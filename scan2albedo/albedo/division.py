@@ -186,6 +186,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
     variance nearby is v and the noise's n, the best linear estimate keeps the part c = 1 - n / v; noise of
     variance c n stays. The means are weighted, and leave out what lies beyond an edge (bilateral).
     """
+    field = np.ascontiguousarray(field)
     if not noise.any():
         return _Filtered(field, np.ones(field.shape), np.zeros(field.shape))
     # Running sums may end below 0 by a rounding error.

@@ -169,7 +169,7 @@ def build_level(
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     toward = np.zeros(image.position.shape)
     toward[image.mask] = image.toward_camera(view)
-    center = mean(np.moveaxis(np.indices(image.shape), 0, -1))
+    center = mean(np.moveaxis(np.indices(image.shape, np.float64), 0, -1))
     middle = np.zeros((*filled.shape, 3))
     middle[filled] = position
     anchor = image.position[tuple(_closest_texels(image.position, middle, usable, factor)[filled].T)]

@@ -124,7 +124,7 @@ def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
     ----------
     .. [1] N. Cressie, D. Hawkins, "Robust estimation of the variogram", Mathematical Geology 12, 1980.
     """
-    least = np.full(field.shape, np.inf)
+    least, field = np.full(field.shape, np.inf), np.ascontiguousarray(field)
     for axis in (0, 1):
         lags = [_structure(field, usable, lag, axis) for lag in (1, 2, 3)]
         for (first, second, third), slack in zip(zip(*lags, strict=True), (1.0, _HEAVY), strict=True):

@@ -142,7 +142,8 @@ class ShadowLattice:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         nearness = float(x[model.position_of("near")]) if model.near else 0.0
         blended = np.stack([self._blended(model, (*x[3 * k : 3 * k + 2], nearness)) for k in range(lights)])
-        return blended[:, 0], blended[:, 1:]
+        # Contiguous whatever the number of lights: the shading is compiled for one layout.
+        return np.ascontiguousarray(blended[:, 0]), np.ascontiguousarray(blended[:, 1:])
 
     def _steps(self, model: LightModel) -> tuple[float, float, float]:
         """Return the lattice's spacing along its axes: wide for lamps whose shadows are soft."""

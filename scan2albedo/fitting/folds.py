@@ -65,9 +65,13 @@ class FoldFinder:
         return np.asarray(np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]]))
 
 
-@njit(cache=True, nogil=True)
-def turned_faces(normals, points, faces, min_cosine):  # type: ignore[no-untyped-def]
+def turned_faces(normals: FloatArray, points: FloatArray, faces: IntArray, min_cosine: float) -> IntArray:
     """Return the faces whose normal, with vertices at `points`, turned too far from unit `normals` (F, 3)."""
+    return np.flatnonzero(_turned(normals, points, faces, min_cosine))
+
+
+@njit(cache=True, nogil=True)
+def _turned(normals, points, faces, min_cosine):  # type: ignore[no-untyped-def]
     turned = np.zeros(len(faces), np.bool_)
     for f in range(len(faces)):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -78,4 +82,4 @@ def turned_faces(normals, points, faces, min_cosine):  # type: ignore[no-untyped
         along = x * nx + y * ny + z * nz
         if nx != 0 or ny != 0 or nz != 0:
             turned[f] = along < min_cosine * np.sqrt(x * x + y * y + z * z)
-    return np.flatnonzero(turned)
+    return turned

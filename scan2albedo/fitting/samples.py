@@ -110,7 +110,8 @@ def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     for v in range(len(vertex)):
         length = np.sqrt(vertex[v, 0] ** 2 + vertex[v, 1] ** 2 + vertex[v, 2] ** 2)
         if length > 0:
-            vertex[v] /= length
+            for k in range(3):
+                vertex[v, k] /= length
     return vertex, face
 
 

@@ -237,6 +237,8 @@ def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntAr
     np.cumsum(2 * np.bincount(index.ravel(), minlength=vertex_count), out=ends[1:])
     every = np.empty(ends[-1], np.int64)
     _list_corners(index, ends[:-1].copy(), every)
+    for long in np.flatnonzero(np.diff(ends) > _LONG_ROW):
+        every[ends[long] : ends[long + 1]].sort()
     begins = np.zeros_like(ends)
     count = _sort_rows_once(ends, every, begins)
     return begins, every[:count].copy()
@@ -257,12 +259,10 @@ def _list_corners(faces, place, every):  # type: ignore[no-untyped-def]
 def _sort_rows_once(ends, every, begins):  # type: ignore[no-untyped-def]
     """Sort each row of `every` and drop duplicates, in place; write where rows begin, return N.
 
-    By insertion, since rows are short; the write position never overtakes the read position.
+    By insertion, since rows are short, or sorted before; the write position never overtakes the read position.
     """
     count = 0
     for v in range(len(ends) - 1):
-        if ends[v + 1] - ends[v] > _LONG_ROW:
-            every[ends[v] : ends[v + 1]] = np.sort(every[ends[v] : ends[v + 1]])
         for k in range(ends[v], ends[v + 1]):
             here, place = every[k], count
             while place > begins[v] and every[place - 1] > here:

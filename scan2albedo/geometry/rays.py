@@ -92,7 +92,7 @@ class RayCaster:
     def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
         """Return the first hit of each ray; distances in the mesh's unit along unit directions."""
         start, heading = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
-        heading = np.broadcast_to(heading, start.shape)
+        heading = np.array(np.broadcast_to(heading, start.shape), order="C")
         face = np.full(len(start), -1, np.int64)
 
         def shoot(block: slice) -> None:

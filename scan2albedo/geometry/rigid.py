@@ -184,8 +184,9 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
     total, center, second = _first_and_second_moments(vertices, faces, anchor)
     if total <= 0:
         return vertices - anchor, compose(np.eye(3), -anchor)
+    center /= total
     origin = anchor + center
-    _, vectors = np.linalg.eigh(second)
+    _, vectors = np.linalg.eigh(second / total - np.outer(center, center))
     axes = np.ascontiguousarray(vectors[:, ::-1])
     axes = axes * np.where(_third_moments(vertices, faces, origin, axes) < 0, -1.0, 1.0)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -194,7 +195,7 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
 
 @njit(cache=True, nogil=True)
 def _first_and_second_moments(vertices, faces, anchor):  # type: ignore[no-untyped-def]
-    """Return area, centroid relative to the anchor, and covariance of the faces' centroids, by area."""
+    """Return area, and its sums of the faces' centroids relative to the anchor and of their products."""
     total, center, second = 0.0, np.zeros(3), np.zeros((3, 3))
     middle = np.empty(3)
     for f in range(faces.shape[0]):
@@ -204,10 +205,7 @@ def _first_and_second_moments(vertices, faces, anchor):  # type: ignore[no-untyp
             center[i] += area * middle[i]
             for j in range(3):
                 second[i, j] += area * middle[i] * middle[j]
-    if total <= 0:
-        return total, center, second
-    center /= total
-    return total, center, second / total - np.outer(center, center)
+    return total, center, second
 
 
 @njit(cache=True, nogil=True)

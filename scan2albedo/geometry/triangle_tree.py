@@ -159,11 +159,12 @@ def _to_triangle(x, y, z, corners, f):  # type: ignore[no-untyped-def]
 def _nearest(points, corners, boxes, first, count, right, closest, face, weights, distance):  # type: ignore[no-untyped-def]
     stack = np.empty(_DEPTH, np.int64)
     gap = np.empty(_DEPTH)
-    found = 0
+    # Typed, since literals would have the functions below compiled again.
+    root, found = np.int64(0), np.int64(0)
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         best, u, v, w = _to_triangle(x, y, z, corners, found)
-        stack[0], gap[0] = 0, _squared_distance_to_box(x, y, z, boxes, 0)
+        stack[0], gap[0] = root, _squared_distance_to_box(x, y, z, boxes, root)
         waiting = 1
         while waiting > 0:
             waiting -= 1

@@ -16,6 +16,9 @@ OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY = range(
 
 _USE_MATERIAL, _MATERIAL_LIBRARY = (np.frombuffer(word, np.uint8) for word in (b"usemtl", b"mtllib"))
 
+# Numbers, since `ord` takes long to compile.
+_V, _F, _T, _N, _I, _E, _HASH, _SLASH, _POINT = b"vftnie#/."
+
 _POWERS_OF_TEN = 10.0 ** np.arange(23)
 
 
@@ -35,11 +38,11 @@ def _is_word(text, start, word):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _keyword_kind(text, start, end):  # type: ignore[no-untyped-def]
     length = end - start
-    if length == 1 and text[start] == ord("v"):
+    if length == 1 and text[start] == _V:
         return VERTEX
-    if length == 1 and text[start] == ord("f"):
+    if length == 1 and text[start] == _F:
         return FACE
-    if length == 2 and text[start] == ord("v") and text[start + 1] == ord("t"):
+    if length == 2 and text[start] == _V and text[start + 1] == _T:
         return TEXTURE_COORDINATE
     # The whole word: "usemap" and "maplib" are keywords of OBJ too.
     if length == 6 and _is_word(text, start, _USE_MATERIAL):
@@ -113,13 +116,13 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
     if text[position] == 43 or text[position] == 45:
         sign = -1.0 if text[position] == 45 else 1.0
         position += 1
-    if position < end and (text[position] | 32) == ord("n"):
+    if position < end and (text[position] | 32) == _N:
         return np.nan, True
-    if position < end and (text[position] | 32) == ord("i"):
+    if position < end and (text[position] | 32) == _I:
         return sign * np.inf, True
     mantissa, dropped, seen, position = _parse_unsigned(text, position, end)
     exponent = dropped
-    if position < end and text[position] == ord("."):
+    if position < end and text[position] == _POINT:
         position += 1
         while position < end and 48 <= text[position] <= 57:
             if mantissa < 100_000_000_000_000_000:
@@ -127,9 +130,9 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
                 exponent -= 1
             seen += 1
             position += 1
-    if position < end and text[position] == ord("#"):
+    if position < end and text[position] == _HASH:
         return np.nan, seen > 0  # 1.#QNAN and 1.#INF of old Microsoft compilers
-    if position < end and (text[position] | 32) == ord("e"):
+    if position < end and (text[position] | 32) == _E:
         position += 1
         negative = position < end and text[position] == 45
         if position < end and (text[position] == 43 or text[position] == 45):
@@ -155,7 +158,7 @@ def parse_float_lines(text, starts, ends, width):  # type: ignore[no-untyped-def
         while True:
             while position < end and _is_blank(text[position]):
                 position += 1
-            if position >= end or text[position] == ord("#"):
+            if position >= end or text[position] == _HASH:
                 break
             begin = position
             while position < end and not _is_blank(text[position]):
@@ -201,7 +204,7 @@ def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
         inside = False
         for position in range(starts[line], ends[line]):
             blank = _is_blank(text[position])
-            if not inside and text[position] == ord("#"):
+            if not inside and text[position] == _HASH:
                 break
             counts[line] += not blank and not inside
             inside = not blank
@@ -233,9 +236,9 @@ def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
             while _is_blank(text[position]):
                 position += 1
             corners[row, 0], good, position = _parse_integer(text, position, text.size)
-            if position < text.size and text[position] == ord("/"):
+            if position < text.size and text[position] == _SLASH:
                 corners[row, 1], _, position = _parse_integer(text, position + 1, text.size)
-                if position < text.size and text[position] == ord("/"):
+                if position < text.size and text[position] == _SLASH:
                     _, _, position = _parse_integer(text, position + 1, text.size)
             ended = position == text.size or text[position] == 10 or _is_blank(text[position])
             if not (good and ended and corners[row, 0] != 0):

@@ -17,6 +17,7 @@ import numpy as np
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
 from scan2albedo.core import Budget, Plan, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
@@ -113,7 +114,7 @@ def process(
         own_files(Path(out) / _name(source, name))
         check_writable(Path(out))
         remove_leftovers(Path(out))
-    with memory_errors_named(_name(source, name)):
+    with memory_errors_named(_name(source, name)), compiled_beside():
         result = _processed(source, name, chosen, on_progress)
         if out is None:
             return result

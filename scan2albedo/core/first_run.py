@@ -1,0 +1,164 @@
+"""The first run after an installation: helper processes compile kernels that its later stages need.
+
+Numba compiles one kernel at a time in a process, and keeps it on disk. While the first run compiles what its
+first stages call, helpers compile what its last stages call; the run finds that on disk. What no helper has
+compiled in time, the run compiles itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+SWITCH = "SCAN2ALBEDO_COMPILE"
+"""Environment variable that keeps helpers away where it is "serial"."""
+MOST_HELPERS = 3
+RECORD = "first_run_kernels.txt"
+"""File beside this one that `tools/record_kernels.py` writes: module, function and signature on a line."""
+_COLD = 0.25
+"""Part of the kernels that must be missing on disk for helpers to be worth their start."""
+_ALLOCATIONS = 100_000
+"""Objects made between garbage collections while much is compiled; by Python's own rule they take a sixth."""
+_UNDER_WAY = threading.Lock()
+
+
+class RecordedKernel(NamedTuple):
+    """A kernel that a run calls, and the types of its arguments as numba reads them."""
+
+    module: str
+    function: str
+    signature: str
+
+    def dispatcher(self) -> Any:
+        """Return the kernel, a plain function where numba is switched off; its module is loaded."""
+        return getattr(importlib.import_module(self.module), self.function)
+
+    def argument_types(self) -> tuple[Any, ...]:
+        """Return numba's types: as a tuple, by which a call looks the kernel up on disk."""
+        from numba.core.sigutils import normalize_signature
+
+        types, _ = normalize_signature(self.signature)
+        return tuple(types)
+
+
+def recorded_kernels() -> tuple[RecordedKernel, ...]:
+    """Return the kernels that a run calls from Python, in the order of their first calls."""
+    lines = resources.files(__package__).joinpath(RECORD).read_text("utf-8").splitlines()
+    return tuple(RecordedKernel(*line.split(" ", 2)) for line in lines)
+
+
+@contextlib.contextmanager
+def compiled_beside() -> Iterator[None]:
+    """Have helpers compile during the block what is not on disk yet; they end with the block."""
+    if not _UNDER_WAY.acquire(blocking=False):
+        yield
+        return
+    helpers, thresholds = list[subprocess.Popen[bytes]](), gc.get_threshold()
+    try:
+        count = _helper_count()
+        if count and _is_cold([kernel.dispatcher() for kernel in recorded_kernels()]):
+            if thresholds[0] > 0:
+                gc.set_threshold(max(thresholds[0], _ALLOCATIONS), *thresholds[1:])
+            helpers = _started(count)
+        yield
+    finally:
+        gc.set_threshold(*thresholds)
+        for helper in helpers:
+            helper.kill()
+            helper.communicate()
+        _UNDER_WAY.release()
+
+
+def _helper_count() -> int:
+    """Return how many helpers there may be: one for each further core; none where they could do harm."""
+    if os.environ.get(SWITCH) == "serial" or multiprocessing.parent_process() is not None:
+        return 0
+    # Programs with Python inside name themselves as the executable, and would start once more.
+    if getattr(sys, "frozen", False) or not Path(sys.executable or "").stem.lower().startswith("python"):
+        return 0
+    affinity = getattr(os, "sched_getaffinity", None)
+    cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    return min(cores - 1, MOST_HELPERS)
+
+
+def _is_cold(kernels: Sequence[Any]) -> bool:
+    """Whether many of the kernels are not on disk, and can be kept there once they are compiled.
+
+    Files older than a kernel's source are removed: numba does not use them, but where one process writes the
+    new index first, another might read an old file by it.
+    """
+    missing, listed = 0, dict[str, list[os.DirEntry[str]]]()
+    for kernel in kernels:
+        # A plain function where numba is switched off, no path where nothing is kept.
+        folder = getattr(getattr(kernel, "stats", None), "cache_path", None)
+        if not folder or not os.access(folder, os.W_OK):
+            return False
+        if folder not in listed:
+            with os.scandir(folder) as entries:
+                listed[folder] = [entry for entry in entries if entry.name.endswith((".nbi", ".nbc"))]
+        source = Path(kernel.py_func.__code__.co_filename)
+        start, changed = f"{source.stem}.{kernel.py_func.__qualname__}-", source.stat().st_mtime
+        fresh = False
+        for entry in listed[folder]:
+            if entry.name.startswith(start) and entry.stat().st_mtime < changed:
+                Path(entry.path).unlink(missing_ok=True)
+            elif entry.name.startswith(start):
+                fresh = True
+        missing += not fresh
+    return missing > _COLD * len(kernels)
+
+
+def _started(count: int) -> list[subprocess.Popen[bytes]]:
+    """Start helpers, silent and of low priority, which see the modules that this process sees."""
+    helpers = list[subprocess.Popen[bytes]]()
+    priority = getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0) | getattr(
+        subprocess, "CREATE_NO_WINDOW", 0
+    )
+    path = os.pathsep.join(folder for folder in sys.path if folder)
+    with contextlib.suppress(OSError):
+        for number in range(count):
+            command = [sys.executable, "-P", "-m", __name__, str(number), str(count)]
+            helpers.append(
+                subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    env={**os.environ, "PYTHONPATH": path, SWITCH: "serial"},
+                    creationflags=priority,
+                )
+            )
+    return helpers
+
+
+def _end_with_parent() -> None:
+    """End this process when the pipe from its parent closes, which it does however that ends."""
+    with contextlib.suppress(OSError):
+        os.read(0, 1)
+    os._exit(0)
+
+
+def _help(number: int, count: int) -> None:
+    """Compile every `count`-th of the recorded kernels, the last ones first."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if hasattr(os, "nice"):
+        os.nice(5)
+    gc.disable()
+    for kernel in recorded_kernels()[::-1][number::count]:
+        # Whatever fails here is told by the run itself, if it ever comes to it.
+        with contextlib.suppress(Exception):
+            kernel.dispatcher().compile(kernel.argument_types())
+
+
+if __name__ == "__main__":
+    _help(int(sys.argv[1]), int(sys.argv[2]))
