@@ -25,15 +25,14 @@ from make_readme_picture import (
     Pixels,
     narrow,
     panels,
+    scan_picture,
     sheet,
     smaller,
 )
-from numpy.typing import NDArray
 from PIL import Image
 
 import scan2albedo as s2a
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.report.rendering import View, render_mesh
 from scan2albedo.synthetic.raw_scan import RawScanOptions
@@ -81,21 +80,6 @@ def unlit_panels(result: ProcessResult) -> Panels:
             upright = transform_points(result.fitted.model_from_scan, scan.vertices)
             made.append((f"{what}, {where}", scan_picture(scan, upright, view)))
     return made
-
-
-def scan_picture(scan: s2a.RawScan, vertices: NDArray[np.floating], view: View) -> Pixels:
-    """Return a scan's own colours, whose vertices (V, 3) were turned, without any shading."""
-    size = FINER * HEIGHT
-    if scan.uv is not None and scan.texture_linear is not None:
-        texture = (scan.uv, encode_srgb_bytes(scan.texture_linear))
-        return smaller(
-            render_mesh(vertices, scan.faces, texture_srgb=texture, view=view, size=size, shaded=False)
-        )
-    assert scan.vertex_color_linear is not None
-    colors = encode_srgb_bytes(scan.vertex_color_linear[None])[0] / 255
-    return smaller(
-        render_mesh(vertices, scan.faces, vertex_color_srgb=colors, view=view, size=size, shaded=False)
-    )
 
 
 def example_panels(folder: Path) -> dict[str, Panels]:
