@@ -190,12 +190,12 @@ def _angles_deg(
     gap, nearest = cKDTree(truth.image.position[inside]).query(transform_points(truth_from_model, place))
     true = truth.image.normal[inside][nearest] @ truth_from_model[:3, :3]
     begin = time.process_time()
-    shape = FineShape(fitted, scan)
+    FineShape(fitted, scan)
     cpu_s = time.process_time() - begin
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     hits, own = ClosestPointQuery(placed, scan.faces).query(place), vertex_normals(placed, scan.faces)
     raw = normalized(np.einsum("nk,nkc->nc", hits.barycentric, own[scan.faces[hits.face]]))
-    fit = shape.normals(place, np.zeros(len(place), bool))[0]
+    fit = FineShape(fitted, None).normals(place)[0]
     close = gap < 1.5  # mm: the truth ends before the template does
     area = face_areas(painted.vertices, frames.split.vertex[frames.split.faces])
     texels = np.bincount(raster.face[known], minlength=len(area))

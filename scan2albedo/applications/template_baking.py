@@ -62,7 +62,7 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
 
     Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
     footprint. What the scan does not show is filled in smoothly from around, and not marked as seen. The
-    tangent-space normals are the scan's where it is seen, freed from noise, and else the fitted surface's.
+    tangent-space normals are the scan's where it has a surface, freed from noise, and else the fitted one's.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def _tile(
             np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
         )
         color[there], seen[there] = found.color_linear, found.seen
-        normal[there], stands[there] = tangent_normals(shape.normals(place, found.seen), outward, tangents)
+        normal[there], stands[there] = tangent_normals(shape.normals(place), outward, tangents)
         # Beside the charts they go on, for reduced pictures (mipmaps).
         normal = normalized(filled_smoothly(normal, stands).astype(np.float64)).astype(np.float32)
     return TemplateTile(number, chosen, filled_smoothly(color, seen), seen, normal)
