@@ -1,12 +1,14 @@
 """The scan without its light, at its own texels, beside the chart; and colours on other people's templates.
 
-usage: python tools/bench_unlit.py [traced] [templates] [peers PYTHON]
+usage: python tools/bench_unlit.py [traced] [templates] [normals] [peers PYTHON]
 
 traced     path-traced raw scans with the true albedo on their own coordinates: 100 x MSE of V = max(R, G, B)
            after the best single scale, of the lit scan, of the chart's albedo and of the unlit scan's own
            texels on the face, and of the lit and the unlit scan beyond it.
 templates  a real scan, its colours on the texture coordinates of a mask of 468 vertices and of a head: PSNR
            of the template's picture against the scan's, same camera, where the scan shows the template.
+normals    synthetic scans, coarse and fine: mean angle in degrees to the true normals, where the scan shows
+           it, of a mask of 468 vertices by itself, the fitted surface, the scan, and the mask's normal map.
 peers      the same wish on the mask as others do it: trimesh's `nricp_amberg`, started from our pose, and
            some thirty lines that lay the colours on its coordinates (`benchmarks/fit_peers.py`);
            autofacemonker, whose own template has no coordinates, with colours at its vertices. PYTHON has
@@ -30,17 +32,22 @@ import numpy as np
 from bench_fit import run_peer
 from benchmarks.scan_files import DATA, face_data
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
 from scan2albedo.applications.light_removal import unlit_scan
 from scan2albedo.applications.scan_on_chart import scan_on_chart
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture
+from scan2albedo.applications.template_normals import FineShape
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize
+from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.geometry.tangents import tangent_mesh
 from scan2albedo.io.color import encode_srgb_bytes, srgb_to_linear
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 LEAST_LIGHT = 0.03
 """Texels that got less of the usual light do not count: there is no colour in them."""
@@ -52,12 +59,13 @@ PEERS_SIZE = 1024
 
 
 def main(what: tuple[str, ...]) -> None:
-    """Run the parts that are named, or the first two."""
+    """Run the parts that are named, or all but the peers."""
     if what[:1] == ("peers",):
         print_peers(*what[1:])
         return
-    for part in what or ("traced", "templates"):
-        {"traced": print_traced, "templates": print_templates}[part]()
+    parts = {"traced": print_traced, "templates": print_templates, "normals": print_normals}
+    for part in what or tuple(parts):
+        parts[part]()
 
 
 def mse_percent(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
@@ -212,6 +220,58 @@ def print_peers(python: str) -> None:
 
 def _print_peer(name: str, by_hand: str, cpu_s: float, psnr_db: float) -> None:
     print(f"{name:36}{by_hand:>17}{cpu_s:7.1f}{psnr_db:9.1f}", flush=True)
+
+
+def print_normals() -> None:
+    """Print how far normals are from the truth's, with and without the template's normal map."""
+    mask = s2a.AnnotatedFaceModel.from_file(face_data("canonical_face_model.obj"))
+    print(f"{'spacing':>9}{'noise mm':>10}{'seed':>6}{'mask':>7}{'fit':>7}{'scan':>7}{'map':>7}{'CPU s':>7}")
+    for spacing_mm, noise_mm in ((2.2, 0.2), (1.0, 0.05), (0.8, 0.15)):
+        for seed in range(2):
+            options = RawScanOptions(spacing_mm=spacing_mm, noise_mm=noise_mm, picture_size=400)
+            scan, truth = raw_scan(seed, options=options)
+            fitted = s2a.fit(scan, mask, s2a.register(scan, mask))
+            angles, cpu_s = _angles_deg(scan, fitted, truth)
+            row = "".join(f"{angle:7.2f}" for angle in angles)
+            print(f"{spacing_mm:9}{noise_mm:10}{seed:6}{row}{cpu_s:7.1f}", flush=True)
+
+
+def _angles_deg(
+    scan: s2a.RawScan, fitted: s2a.FittedFace, truth: SyntheticTruth
+) -> tuple[list[float], float]:
+    """Return mean angles to the true normals of template, fit, scan and map, and the map's CPU seconds."""
+    painted = template_texture(scan, fitted, 1024)
+    (tile,) = painted.tiles
+    frames = tangent_mesh(
+        painted.vertices, painted.faces, painted.uv, vertex_normals(painted.vertices, painted.faces)
+    )
+    raster = rasterize_uv(frames.split.uv, frames.split.faces, 1024)
+    known = tile.seen & raster.covered
+    place, flat, tangent = (
+        interpolate(raster, frames.split.faces, values)[known]
+        for values in (painted.vertices[frames.split.vertex], frames.normals, frames.tangents)
+    )
+    flat, right = normalized(flat), normalized(tangent[:, :3])
+    up = tangent[:, 3:] * np.cross(flat, right)
+    x, y, z = tile.normal[known].astype(float).T[..., None]
+    truth_from_model = truth.model_from_scan @ invert_rigid(fitted.model_from_scan)
+    inside = truth.image.mask
+    gap, nearest = cKDTree(truth.image.position[inside]).query(transform_points(truth_from_model, place))
+    true = truth.image.normal[inside][nearest] @ truth_from_model[:3, :3]
+    begin = time.process_time()
+    FineShape(fitted, scan)
+    cpu_s = time.process_time() - begin
+    placed = transform_points(fitted.model_from_scan, scan.vertices)
+    hits, own = ClosestPointQuery(placed, scan.faces).query(place), vertex_normals(placed, scan.faces)
+    raw = normalized(np.einsum("nk,nkc->nc", hits.barycentric, own[scan.faces[hits.face]]))
+    fit = FineShape(fitted, None).normals(place)[0]
+    close = gap < 1.5  # mm: the truth ends before the template does
+    area = face_areas(painted.vertices, frames.split.vertex[frames.split.faces])
+    texels = np.bincount(raster.face[known], minlength=len(area))
+    weight = (area / np.maximum(texels, 1))[raster.face[known]] * close
+    found = flat, fit, raw, normalized(x * right + y * up + z * flat)
+    angle = [np.arccos(np.clip(np.einsum("ij,ij->i", normal, true), -1, 1)) for normal in found]
+    return [float(np.degrees(np.average(each, weights=weight))) for each in angle], cpu_s
 
 
 def _psnr(
