@@ -20,7 +20,7 @@ COMING: set[str] = set()
 ORDER = ["registration", "fitting", "geometry_image", "light_and_albedo", "face_model", "applications"]
 ORDER += ["recognition", "eyeglasses", "reflectance", "files"]
 """Python blocks use what those of earlier pages made; other pages come last."""
-YOURS = {"out", "scans", "masks", "frames", "fits", "photographs"}
+YOURS = {"out", "site", "scans", "masks", "frames", "fits", "photographs"}
 """Folders of the reader's own."""
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -1,12 +1,18 @@
 """The scan without its light, at its own texels, beside the chart; and colours on other people's templates.
 
-usage: python tools/bench_unlit.py [traced] [templates]
+usage: python tools/bench_unlit.py [traced] [templates] [normals] [peers PYTHON]
 
 traced     path-traced raw scans with the true albedo on their own coordinates: 100 x MSE of V = max(R, G, B)
            after the best single scale, of the lit scan, of the chart's albedo and of the unlit scan's own
            texels on the face, and of the lit and the unlit scan beyond it.
 templates  a real scan, its colours on the texture coordinates of a mask of 468 vertices and of a head: PSNR
            of the template's picture against the scan's, same camera, where the scan shows the template.
+normals    synthetic scans, coarse and fine: mean angle in degrees to the true normals, where the scan shows
+           it, of a mask of 468 vertices by itself, the fitted surface, the scan, and the mask's normal map.
+peers      the same wish on the mask as others do it: trimesh's `nricp_amberg`, started from our pose, and
+           some thirty lines that lay the colours on its coordinates (`benchmarks/fit_peers.py`);
+           autofacemonker, whose own template has no coordinates, with colours at its vertices. PYTHON has
+           trimesh, rtree and autofacemonker. None of them takes the light off.
 
 The scans are not part of the repository (see `benchmarks/scan_files.py`).
 """
@@ -14,24 +20,34 @@ The scans are not part of the repository (see `benchmarks/scan_files.py`).
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from bench_fit import run_peer
 from benchmarks.scan_files import DATA, face_data
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
 from scan2albedo.applications.light_removal import unlit_scan
 from scan2albedo.applications.scan_on_chart import scan_on_chart
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture
+from scan2albedo.applications.template_normals import FineShape
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize
+from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.geometry.tangents import tangent_mesh
+from scan2albedo.io.color import encode_srgb_bytes, srgb_to_linear
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 LEAST_LIGHT = 0.03
 """Texels that got less of the usual light do not count: there is no colour in them."""
@@ -39,12 +55,17 @@ INSIDE = 0.99
 """Weight of the face above which a texel counts as the face, and below 1 less which it does not."""
 HALF_WIDTH_MM, SIZE, SAMPLES = 110.0, 900, 3
 """Of the pictures, and rays along each side of a pixel."""
+PEERS_SIZE = 1024
 
 
 def main(what: tuple[str, ...]) -> None:
-    """Run the parts that are named, or both."""
-    for part in what or ("traced", "templates"):
-        {"traced": print_traced, "templates": print_templates}[part]()
+    """Run the parts that are named, or all but the peers."""
+    if what[:1] == ("peers",):
+        print_peers(*what[1:])
+        return
+    parts = {"traced": print_traced, "templates": print_templates, "normals": print_normals}
+    for part in what or tuple(parts):
+        parts[part]()
 
 
 def mse_percent(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
@@ -145,27 +166,146 @@ def print_templates() -> None:
             )
 
 
+def print_peers(python: str) -> None:
+    """Print seconds and likeness of a template with a scan's colours, by ways that others offer."""
+    scan = s2a.load_scan(face_data("james.obj"))
+    assert scan.uv is not None
+    assert scan.texture_linear is not None
+    print(f"{'':34}{'programs to write':>19}{'CPU s':>7}{'PSNR dB':>9}")
+    begin = time.process_time()
+    mask = s2a.AnnotatedFaceModel.from_file(face_data("canonical_face_model.obj"))
+    fitted = s2a.fit(scan, mask, s2a.register(scan, mask))
+    painted = template_texture(scan, fitted, PEERS_SIZE)
+    cpu_s = time.process_time() - begin
+    placed = transform_points(fitted.model_from_scan, scan.vertices)
+    everything = np.ones(len(painted.vertices), bool)
+    _print_peer("scan2albedo process --model", "none", cpu_s, _psnr(painted, scan, placed, everything))
+    at_rest = mask.template_of(mask.control_vertices)
+    assert at_rest is not None
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        given = {"scan_vertices": placed, "scan_faces": scan.faces, "faces": painted.faces}
+        np.savez(folder / "in.npz", vertices=at_rest, **given)
+        if run_peer(python, "nricp_amberg", folder / "in.npz", folder / "moved.npz"):
+            moved = np.load(folder / "moved.npz")
+            texture = encode_srgb_bytes(scan.texture_linear)
+            given |= {"uv": painted.uv, "scan_uv": scan.uv, "texture": texture, "size": np.array(PEERS_SIZE)}
+            np.savez(folder / "in.npz", vertices=moved["vertices"], **given)
+            if run_peer(python, "bake", folder / "in.npz", folder / "baked.npz"):
+                baked = np.load(folder / "baked.npz")
+                color = srgb_to_linear(baked["color_srgb"] / 255).astype(np.float32)
+                tile = replace(painted.tiles[0], color_linear=color)
+                other = replace(painted, vertices=moved["vertices"], tiles=(tile,))
+                spent = float(moved["cpu_s"] + baked["cpu_s"])
+                both = _psnr(other, scan, placed, everything)
+                _print_peer("trimesh nricp_amberg and a bake", "pose, bake", spent, both)
+        if run_peer(python, "autofacemonker", face_data("james.obj"), folder / "warped.npz"):
+            warped = np.load(folder / "warped.npz")
+            begin = time.process_time()
+            query = ClosestPointQuery(scan.vertices, scan.faces).query(warped["vertices"])
+            uv = np.einsum("nk,nkc->nc", query.barycentric, scan.uv[query.face])
+            shape = scan.texture_linear.shape[:2]
+            colors = bilinear(scan.texture_linear, pixels_from_uv(uv, shape))
+            spent = float(warped["cpu_s"]) + time.process_time() - begin
+            upright = transform_points(fitted.model_from_scan, warped["vertices"])
+            shown = _drawn(
+                upright, warped["faces"], vertex_color_srgb=encode_srgb_bytes(colors[None])[0] / 255
+            )
+            counted = (
+                _drawn(upright, warped["faces"], vertex_color_srgb=np.zeros((len(upright), 3))).max(-1) == 0
+            )
+            likeness = _likeness(shown, scan, placed, counted)
+            _print_peer("autofacemonker, colours at vertices", "colours", spent, likeness)
+
+
+def _print_peer(name: str, by_hand: str, cpu_s: float, psnr_db: float) -> None:
+    print(f"{name:36}{by_hand:>17}{cpu_s:7.1f}{psnr_db:9.1f}", flush=True)
+
+
+def print_normals() -> None:
+    """Print how far normals are from the truth's, with and without the template's normal map."""
+    mask = s2a.AnnotatedFaceModel.from_file(face_data("canonical_face_model.obj"))
+    print(f"{'spacing':>9}{'noise mm':>10}{'seed':>6}{'mask':>7}{'fit':>7}{'scan':>7}{'map':>7}{'CPU s':>7}")
+    for spacing_mm, noise_mm in ((2.2, 0.2), (1.0, 0.05), (0.8, 0.15)):
+        for seed in range(2):
+            options = RawScanOptions(spacing_mm=spacing_mm, noise_mm=noise_mm, picture_size=400)
+            scan, truth = raw_scan(seed, options=options)
+            fitted = s2a.fit(scan, mask, s2a.register(scan, mask))
+            angles, cpu_s = _angles_deg(scan, fitted, truth)
+            row = "".join(f"{angle:7.2f}" for angle in angles)
+            print(f"{spacing_mm:9}{noise_mm:10}{seed:6}{row}{cpu_s:7.1f}", flush=True)
+
+
+def _angles_deg(
+    scan: s2a.RawScan, fitted: s2a.FittedFace, truth: SyntheticTruth
+) -> tuple[list[float], float]:
+    """Return mean angles to the true normals of template, fit, scan and map, and the map's CPU seconds."""
+    painted = template_texture(scan, fitted, 1024)
+    (tile,) = painted.tiles
+    frames = tangent_mesh(
+        painted.vertices, painted.faces, painted.uv, vertex_normals(painted.vertices, painted.faces)
+    )
+    raster = rasterize_uv(frames.split.uv, frames.split.faces, 1024)
+    known = tile.seen & raster.covered
+    place, flat, tangent = (
+        interpolate(raster, frames.split.faces, values)[known]
+        for values in (painted.vertices[frames.split.vertex], frames.normals, frames.tangents)
+    )
+    flat, right = normalized(flat), normalized(tangent[:, :3])
+    up = tangent[:, 3:] * np.cross(flat, right)
+    x, y, z = tile.normal[known].astype(float).T[..., None]
+    truth_from_model = truth.model_from_scan @ invert_rigid(fitted.model_from_scan)
+    inside = truth.image.mask
+    gap, nearest = cKDTree(truth.image.position[inside]).query(transform_points(truth_from_model, place))
+    true = truth.image.normal[inside][nearest] @ truth_from_model[:3, :3]
+    begin = time.process_time()
+    FineShape(fitted, scan)
+    cpu_s = time.process_time() - begin
+    placed = transform_points(fitted.model_from_scan, scan.vertices)
+    hits, own = ClosestPointQuery(placed, scan.faces).query(place), vertex_normals(placed, scan.faces)
+    raw = normalized(np.einsum("nk,nkc->nc", hits.barycentric, own[scan.faces[hits.face]]))
+    fit = FineShape(fitted, None).normals(place)[0]
+    close = gap < 1.5  # mm: the truth ends before the template does
+    area = face_areas(painted.vertices, frames.split.vertex[frames.split.faces])
+    texels = np.bincount(raster.face[known], minlength=len(area))
+    weight = (area / np.maximum(texels, 1))[raster.face[known]] * close
+    found = flat, fit, raw, normalized(x * right + y * up + z * flat)
+    angle = [np.arccos(np.clip(np.einsum("ij,ij->i", normal, true), -1, 1)) for normal in found]
+    return [float(np.degrees(np.average(each, weights=weight))) for each in angle], cpu_s
+
+
 def _psnr(
     painted: TemplateTexture, scan: s2a.RawScan, placed: NDArray[np.floating], chosen: NDArray[np.bool_]
 ) -> float:
     """Return the PSNR of the first tile's faces with all their vertices `chosen` (T,), in dB."""
+    tile = painted.tiles[0]
+    faces = tile.faces & chosen[painted.faces].all(1)
+    template, uv = (painted.vertices, painted.faces[faces]), painted.uv[faces]
+    unseen = np.repeat(np.where(tile.seen[..., None], 0, 255).astype(np.uint8), 3, axis=2)
+    counted = _drawn(*template, texture_srgb=(uv, unseen)).max(-1) == 0  # wholly on the template, and seen
+    shown = _drawn(*template, texture_srgb=(uv, encode_srgb_bytes(tile.color_linear)))
+    return _likeness(shown, scan, placed, counted)
+
+
+def _likeness(
+    shown: NDArray[np.floating],
+    scan: s2a.RawScan,
+    placed: NDArray[np.floating],
+    counted: NDArray[np.bool_],
+) -> float:
+    """Return the PSNR of a picture beside that of the scan whose vertices are `placed`, in dB."""
     assert scan.uv is not None
     assert scan.texture_linear is not None
-    view, tile = View((0.0, 0.0, 0.0), HALF_WIDTH_MM), painted.tiles[0]
-    faces = tile.faces & chosen[painted.faces].all(1)
+    texture = (scan.uv, encode_srgb_bytes(scan.texture_linear))
+    difference = shown - _drawn(placed, scan.faces, texture_srgb=texture)
+    return float(10 * np.log10(255**2 / np.mean(difference[counted] ** 2)))
 
-    def drawn(vertices, triangles, uv, texture):  # type: ignore[no-untyped-def]
-        picture = render_mesh(
-            vertices, triangles, view=view, size=SAMPLES * SIZE, texture_srgb=(uv, texture), shaded=False
-        )
-        return cv2.resize(picture.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA)
 
-    template = painted.vertices, painted.faces[faces], painted.uv[faces]
-    shown = drawn(*template, np.repeat(np.where(tile.seen[..., None], 0, 255).astype(np.uint8), 3, axis=2))
-    counted = shown.max(-1) == 0  # wholly on the template, and seen
-    ours = drawn(*template, encode_srgb_bytes(tile.color_linear))
-    theirs = drawn(placed, scan.faces, scan.uv, encode_srgb_bytes(scan.texture_linear))
-    return float(10 * np.log10(255**2 / np.mean((ours - theirs)[counted] ** 2)))
+def _drawn(vertices: NDArray[np.floating], faces: NDArray[np.integer], **colors: Any) -> NDArray[np.float32]:
+    """Return a picture (S, S, 3) from the front of a mesh without shading, in bytes of sRGB."""
+    view = View((0.0, 0.0, 0.0), HALF_WIDTH_MM)
+    picture = render_mesh(vertices, faces, view=view, size=SAMPLES * SIZE, shaded=False, **colors)
+    return cv2.resize(picture.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA)
 
 
 if __name__ == "__main__":

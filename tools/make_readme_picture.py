@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import scan2albedo as s2a
-from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.report.overview import preview_srgb
 from scan2albedo.report.rendering import View, render_mesh
@@ -70,21 +70,23 @@ def panels(result: ProcessResult) -> list[tuple[str, Pixels]]:
 
 def raw_panel(scan: s2a.RawScan) -> Pixels:
     """Return the scan as it was delivered: its own pose, hair, shoulders, holes and crumbs."""
-    assert scan.uv is not None
-    assert scan.texture_linear is not None
-    texture = np.round(255 * np.clip(linear_to_srgb(scan.texture_linear), 0, 1)).astype(np.uint8)
     low, high = np.percentile(scan.vertices, [0.5, 99.5], axis=0)
     x, y, z = (low + high) / 2
-    view = View((x, y, z), 0.54 * float((high - low)[:2].max()))
-    return smaller(
-        render_mesh(
-            scan.vertices,
-            scan.faces,
-            texture_srgb=(scan.uv, texture),
-            view=view,
-            size=FINER * HEIGHT,
-            shaded=False,
+    return scan_picture(scan, scan.vertices, View((x, y, z), 0.54 * float((high - low)[:2].max())))
+
+
+def scan_picture(scan: s2a.RawScan, vertices: NDArray[np.floating], view: View) -> Pixels:
+    """Return a scan's own colours, whose vertices (V, 3) were turned, without any shading."""
+    size = FINER * HEIGHT
+    if scan.uv is not None and scan.texture_linear is not None:
+        texture = (scan.uv, encode_srgb_bytes(scan.texture_linear))
+        return smaller(
+            render_mesh(vertices, scan.faces, texture_srgb=texture, view=view, size=size, shaded=False)
         )
+    assert scan.vertex_color_linear is not None
+    colors = encode_srgb_bytes(scan.vertex_color_linear[None])[0] / 255
+    return smaller(
+        render_mesh(vertices, scan.faces, vertex_color_srgb=colors, view=view, size=size, shaded=False)
     )
 
 

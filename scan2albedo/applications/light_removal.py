@@ -7,6 +7,7 @@ filtered on the scan's own texels as it was on the chart.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +19,7 @@ from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.division import Usual, divide_light
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.scan_on_chart import ScanOnChart, scan_on_chart
+from scan2albedo.applications.shadow_lines import outlines, without_lines
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -104,10 +106,12 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         raise ApplicationError(
             f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
         )
-    beyond: FloatArray = np.full((len(scan.vertices), 3), light.usual)
     if reach == "all":
-        beyond = np.maximum(_light_beyond(scan, fitted, estimate), DARKEST * light.usual)
-    parts = _Parts(scan, light, on_chart, np.log(beyond), OUTSIDE_CONFIDENCE if reach == "all" else 0.0)
+        beyond = _light_beyond(scan, fitted, estimate, DARKEST * light.usual)
+        parts = _Parts(scan, light, on_chart, *beyond, OUTSIDE_CONFIDENCE)
+    else:
+        usual = np.full((len(scan.vertices), 3), math.log(light.usual))
+        parts = _Parts(scan, light, on_chart, usual, np.zeros((len(scan.vertices), 2)), 0.0)
     notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
     if scan.uv is not None and scan.texture_linear is not None:
         texture, confidence = _unlit_texture(parts, scan.texture_linear, scan.uv)
@@ -161,30 +165,39 @@ def _without_dark_spots(log_light: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Parts:
-    """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3)."""
+    """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3).
+
+    `outlines` (V, 2) are those of the latter, see `shadow_lines`.
+    """
 
     scan: RawScan
     light: _ChartLight
     on_chart: ScanOnChart
     log_beyond: FloatArray
+    outlines: FloatArray
     outside: float
 
-    @cached_property
+    @property
     def side(self) -> int:
         """Side of a chart of the face with texels as large as the scan's are there."""
+        if self.texels_per_mm <= 0:
+            return max(self.light.log_light.shape)
+        return max(1, round(_ROUGHER * self.light.side_mm * self.texels_per_mm))
+
+    @cached_property
+    def texels_per_mm(self) -> float:
+        """Of the scan's texture on the face; 0 where none is."""
         scan, texture = self.scan, self.scan.texture_linear
         face = (self.on_chart.weight[scan.faces] > 0).all(1)
         if texture is None or scan.uv is None or not face.any():
-            return max(self.light.log_light.shape)
+            return 0.0
         first, second, third = np.moveaxis(
             pixels_from_uv(scan.uv[face].reshape(-1, 2), texture.shape[:2]).reshape(-1, 3, 2), 1, 0
         )
         across, beside = second - first, third - first
         texels = np.abs(across[:, 0] * beside[:, 1] - across[:, 1] * beside[:, 0]) / 2
         area_mm2 = face_areas(scan.vertices, scan.faces[face]).sum()
-        return max(
-            1, round(_ROUGHER * self.light.side_mm * float(np.sqrt(texels.sum() / max(area_mm2, 1e-12))))
-        )
+        return float(np.sqrt(texels.sum() / max(area_mm2, 1e-12)))
 
     def light_at(
         self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray
@@ -199,8 +212,13 @@ class _Parts:
         return np.exp(log_light), weight + (1 - weight) * self.outside
 
 
-def _light_beyond(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate) -> FloatArray:
-    """Return (V, 3) the light of the estimate's lamps and environment on the scan's own shape."""
+def _light_beyond(
+    scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, least: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return log light (V, 3) of the estimate's lamps and environment on the scan's own shape.
+
+    And (V, 2) where it has `outlines`.
+    """
     vertices = transform_points(fitted.model_from_scan, scan.vertices)
     thin = thinned(vertices, scan.faces, _SHADED_MM)
     if len(thin.faces) == 0:
@@ -219,8 +237,10 @@ def _light_beyond(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate) -
         estimate.shadow_offset_mm,
         estimate.environment,
     ).shading.light_linear
+    log_lit = np.log(np.maximum(lit, least))
     hits = surface_query(thin.vertices, thin.faces).query(vertices)
-    return np.einsum("nk,nkc->nc", hits.barycentric, lit[thin.faces[hits.face]])
+    log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
+    return log_beyond, outlines(thin.vertices, thin.faces, log_lit, vertices)
 
 
 def _unlit_texture(
@@ -291,6 +311,10 @@ def _unlit_tile(
             texture[box], divisor[box], none, there[box], usable[box], side=parts.side, usual=usual
         )
         albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
+        near = np.zeros((*texture.shape[:2], 2))
+        near[there] = interpolated(parts.outlines) * np.stack([1 - weight, np.ones_like(weight)], axis=1)
+        if near[..., 0].any():
+            albedo[box] = without_lines(albedo[box], near[box], there[box], parts.texels_per_mm)
         usual = filtered.usual
     # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
     unlit = np.where(there[..., None], albedo, texture / _spread(divisor, there, parts.light.usual))

@@ -8,15 +8,16 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.applications.template_normals import FineShape, tangent_normals
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.geometry.seams import split_at_seams
+from scan2albedo.geometry.tangents import tangent_mesh
 from scan2albedo.geometry_image.fitted_face import without_covers
 from scan2albedo.geometry_image.texture_lookup import TextureLookup, texel_steps
 
@@ -31,13 +32,16 @@ class TemplateTile:
     """One square of a template's texture.
 
     `number` is that of UDIM, `faces` (F,) which of the template's lie in it; `color_linear` (S, S, 3) is
-    known where `seen` (S, S), and filled in from around elsewhere.
+    known where `seen` (S, S), and filled in from around elsewhere. `normal` (S, S, 3), unit vectors, is the
+    shape that the template is too coarse for, in the frames of `geometry.tangents.tangent_mesh`: x along u,
+    y along v, z out. It is (0, 0, 1) where the template's own shape is all that is known.
     """
 
     number: int
     faces: BoolArray
     color_linear: NDArray[np.float32]
     seen: BoolArray
+    normal: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     """Return a scan's colours on the texture coordinates of the template that was fitted to it.
 
     Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
-    footprint. What the scan does not show is filled in smoothly from around, and not marked as seen.
+    footprint. What the scan does not show is filled in smoothly from around, and not marked as seen. The
+    tangent-space normals are the scan's where it has a surface, freed from noise, and else the fitted one's.
 
     Parameters
     ----------
@@ -88,9 +93,10 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     if not isinstance(size, Integral) or not 8 <= size <= LARGEST_TEXTURE:
         raise ValueError(f"size is {size!r}, expected a whole number of texels from 8 to {LARGEST_TEXTURE}")
     number = tile_numbers(uv)
-    lookup = TextureLookup(without_covers(fitted, scan))
+    shown = without_covers(fitted, scan)
+    sources = TextureLookup(shown), FineShape(fitted, shown)
     tiles = tuple(
-        _tile(lookup, fitted, (vertices, faces, uv), number == tile, int(tile), size)
+        _tile(sources, fitted, (vertices, faces, uv), number == tile, int(tile), size)
         for tile in np.unique(number[number > 0])
     )
     return TemplateTexture(vertices, faces, uv, tiles)
@@ -108,7 +114,7 @@ def tile_numbers(uv: FloatArray) -> IntArray:
 
 
 def _tile(
-    lookup: TextureLookup,
+    sources: tuple[TextureLookup, FineShape],
     fitted: FittedFace,
     template: tuple[FloatArray, IntArray, FloatArray],
     chosen: BoolArray,
@@ -116,27 +122,32 @@ def _tile(
     size: int,
 ) -> TemplateTile:
     """Return the tile that holds the template's faces `chosen` (F,)."""
-    vertices, faces, uv = template
-    column, row = (number - FIRST_TILE) % TILES_IN_ROW, (number - FIRST_TILE) // TILES_IN_ROW
-    split = split_at_seams(faces[chosen], uv[chosen] - [column, row])
-    places = np.stack([split.uv[:, 0] * size - 0.5, (1 - split.uv[:, 1]) * size - 0.5], axis=1)
-    raster = rasterize(places, np.zeros(len(places)), split.faces, (size, size))
+    (lookup, shape), (vertices, faces, uv) = sources, template
+    offset = np.array([(number - FIRST_TILE) % TILES_IN_ROW, (number - FIRST_TILE) // TILES_IN_ROW])
+    frames = tangent_mesh(vertices, faces[chosen], uv[chosen], vertex_normals(vertices, faces))
+    split = frames.split
+    raster = rasterize_uv(split.uv - offset, split.faces, size)
     there = raster.covered
-    color, seen = np.zeros((size, size, 3), np.float32), np.zeros((size, size), bool)
+    color, seen, stands = np.zeros((size, size, 3), np.float32), np.zeros_like(there), there.copy()
+    normal = np.tile(np.array([0, 0, 1], np.float32), (size, size, 1))
     if there.any():
         scan_from_model = invert_rigid(fitted.model_from_scan)
         points = vertices[split.vertex]
-        normals = vertex_normals(vertices, faces)[split.vertex]
         steps = texel_steps(points, split.uv, split.faces, (size, size))[raster.face[there]]
+        place, outward, tangents = (
+            interpolate(raster, split.faces, values)[there]
+            for values in (points, frames.normals, frames.tangents)
+        )
         found = lookup.sample(
-            transform_points(scan_from_model, interpolate(raster, split.faces, points)[there]),
-            transform_directions(
-                scan_from_model, normalized(interpolate(raster, split.faces, normals))[there]
-            ),
+            transform_points(scan_from_model, place),
+            transform_directions(scan_from_model, normalized(outward)),
             np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
         )
         color[there], seen[there] = found.color_linear, found.seen
-    return TemplateTile(number, chosen, filled_smoothly(color, seen), seen)
+        normal[there], stands[there] = tangent_normals(shape.normals(place), outward, tangents)
+        # Beside the charts they go on, for reduced pictures (mipmaps).
+        normal = normalized(filled_smoothly(normal, stands).astype(np.float64)).astype(np.float32)
+    return TemplateTile(number, chosen, filled_smoothly(color, seen), seen, normal)
 
 
 def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:

@@ -182,12 +182,10 @@ def _marked(task: ScanTask, layout: Layout) -> Iterator[None]:
 def _one_thread() -> Iterator[None]:
     """Hold every library to one thread during the block; processes share the cores."""
     import cv2
-    import numba
     from threadpoolctl import threadpool_limits
 
     import scan2albedo.pipeline.process  # noqa: F401  loads the libraries that are to be limited
 
-    numba.set_num_threads(1)
     cv2.setNumThreads(1)
     with threadpool_limits(limits=1):
         yield

@@ -10,12 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
 _PANELS_A_ROW = 6
 _LOG_FROM = 5.0
 """Ratio of errors from which their axis is logarithmic: within a decade it has hardly a number on it."""
+_SHORT_S = 0.1
+"""Stages that take less are drawn in milliseconds."""
+_TICKS = 5
+"""Intervals between labels of an axis, at most: more overlap."""
 
 
 @dataclass(frozen=True)
@@ -85,15 +90,38 @@ class Trace:
         for unused in axes[len(stages) :]:
             unused.set_axis_off()
         for axis, stage in zip(axes, stages, strict=False):
-            rows = self.of_stage(stage).rows
             axis.set_title(stage)
-            axis.set_xlabel("elapsed [s]")
-            if not rows:
-                continue
-            axis.set_ylabel(f"error [{rows[0].unit}]")
-            axis.plot([r.elapsed_s for r in rows], [r.error for r in rows], marker=".", linewidth=1)
-            errors = [r.error for r in rows]
-            if min(errors) > 0 and max(errors) > _LOG_FROM * min(errors):
-                axis.set_yscale("log")
-            axis.grid(True, which="both", alpha=0.3)
+            _draw(axis, self.of_stage(stage).rows)
         return figure
+
+
+def _draw(axis: Axes, rows: tuple[TraceRow, ...]) -> None:
+    """Draw one stage's error against its run time; a single error is told in words, for it makes no curve."""
+    from matplotlib.ticker import MaxNLocator
+
+    errors = [row.error for row in rows]
+    if len(set(errors)) < 2:
+        told = "nothing recorded"
+        if rows:
+            done = "evaluation" if rows[-1].evaluations == 1 else "evaluations"
+            told = (
+                f"{errors[0]:.3g} {rows[0].unit}\n{rows[-1].evaluations} {done}, {_span(rows[-1].elapsed_s)}"
+            )
+        axis.set_axis_off()
+        axis.text(0.5, 0.5, told, ha="center", va="center", transform=axis.transAxes)
+        return
+    short = rows[-1].elapsed_s < _SHORT_S
+    axis.plot([row.elapsed_s * (1000 if short else 1) for row in rows], errors, marker=".", linewidth=1)
+    axis.set_xlabel("elapsed [ms]" if short else "elapsed [s]")
+    axis.set_ylabel(f"error [{rows[0].unit}]")
+    axis.xaxis.set_major_locator(MaxNLocator(_TICKS))
+    if min(errors) > 0 and max(errors) > _LOG_FROM * min(errors):
+        axis.set_yscale("log")
+    else:
+        axis.yaxis.set_major_locator(MaxNLocator(_TICKS))
+    axis.ticklabel_format(axis="x", useOffset=False, style="plain")
+    axis.grid(True, which="both", alpha=0.3)
+
+
+def _span(seconds: float) -> str:
+    return f"{1000 * seconds:.3g} ms" if seconds < _SHORT_S else f"{seconds:.3g} s"

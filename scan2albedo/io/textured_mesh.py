@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.seams import split_at_seams
+from scan2albedo.geometry.tangents import tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.glb import GlbFile, plain_material
@@ -23,11 +24,16 @@ _SKIN = "skin"
 
 @dataclass(frozen=True)
 class MeshPicture:
-    """A picture, the bytes of a PNG, that lies on the faces (F,) marked in `faces`; `name` is its file's."""
+    """A picture, the bytes of a PNG, that lies on the faces (F,) marked in `faces`; `name` is its file's.
+
+    `normal_png`, if any, is the normal map beside it, in the frames of `geometry.tangents.tangent_mesh`.
+    """
 
     name: str
     png: bytes
     faces: NDArray[np.bool_]
+    normal_name: str = ""
+    normal_png: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -69,39 +75,50 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
     for name, chosen in _materials(mesh):
         lines += [f"usemtl {name}\n"]
         lines += [f"f {a}/{k} {b}/{m} {c}/{n}\n" for a, k, b, m, c, n in corners[chosen].tolist()]
-    materials = [
-        f"newmtl {Path(picture.name).stem}\nKd 1 1 1\nillum 1\nmap_Kd {picture.name}\n"
-        for picture in mesh.pictures
-    ]
+    materials, written = "", [target.with_suffix(".mtl").name]
     for picture in mesh.pictures:
         write_bytes(target.with_name(picture.name), picture.png)
-    write_text(target.with_suffix(".mtl"), "".join(materials))
+        materials += f"newmtl {Path(picture.name).stem}\nKd 1 1 1\nillum 1\nmap_Kd {picture.name}\n"
+        written.append(picture.name)
+        if picture.normal_png is not None:
+            write_bytes(target.with_name(picture.normal_name), picture.normal_png)
+            materials += f"norm {picture.normal_name}\n"
+            written.append(picture.normal_name)
+    write_text(target.with_suffix(".mtl"), materials)
     write_text(target, "".join(lines))
-    return (target.with_suffix(".mtl").name, *(picture.name for picture in mesh.pictures))
+    return tuple(written)
 
 
 def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     """Write a mesh as GLB with its pictures inside, in metres; vertices are split where coordinates differ.
 
-    Raises OutputError.
+    Where there is a normal map they have tangents too. Raises OutputError.
     """
     file, materials, images = GlbFile(), list[dict[str, Any]](), list[dict[str, Any]]()
+
+    def texture(name: str, png: bytes) -> dict[str, int]:
+        images.append({"name": Path(name).stem, "bufferView": file.add_bytes(png), "mimeType": "image/png"})
+        return {"index": len(images) - 1}
+
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0), _ROUGHNESS)
         attributes: dict[str, tuple[NDArray[Any], str]] = {}
+        if picture is not None:
+            material["pbrMetallicRoughness"]["baseColorTexture"] = texture(picture.name, picture.png)
         if mesh.uv is None:
             vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         else:
             split = split_at_seams(mesh.faces[chosen], mesh.uv[chosen])
+            if picture is not None and picture.normal_png is not None:
+                frames = tangent_mesh(mesh.vertices, mesh.faces[chosen], mesh.uv[chosen], normals)
+                split = frames.split
+                attributes["TANGENT"] = (frames.tangents.astype("f4"), "VEC4")
+                material["normalTexture"] = texture(picture.normal_name, picture.normal_png)
             vertex, faces = split.vertex, split.faces
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
-        if picture is not None:
-            view = file.add_bytes(picture.png)
-            material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": len(images)}
-            images.append({"bufferView": view, "mimeType": "image/png"})
-        elif mesh.vertex_color_linear is not None:
+        if picture is None and mesh.vertex_color_linear is not None:
             colors = np.clip(mesh.vertex_color_linear[vertex], 0, 1)
             attributes["COLOR_0"] = (colors.astype("f4"), "VEC3")
         file.add_mesh(

@@ -14,6 +14,7 @@ from scan2albedo.applications.template_baking import (
     TemplateTexture,
     TemplateTile,
 )
+from scan2albedo.applications.template_normals import normal_bytes
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import encode_image, write_png
@@ -34,9 +35,11 @@ TEMPLATE_FILES = (
     "template.glb",
     "template.mtl",
     "template.png",
+    "template_normal.png",
     *(f"template.{FIRST_TILE + number}.png" for number in range(MOST_TILES)),
+    *(f"template_normal.{FIRST_TILE + number}.png" for number in range(MOST_TILES)),
 )
-"""Beside `template.obj`; with several tiles each has a picture with its UDIM number."""
+"""Beside `template.obj`; with several tiles each has pictures with its UDIM number."""
 
 
 def write_unlit(folder: Path, unlit: UnlitScan) -> None:
@@ -75,16 +78,17 @@ def _with_pictures(
 
 def write_template(folder: Path, template: TemplateTexture) -> None:
     """Write `template.obj` and `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen."""
-    pictures = tuple(
-        MeshPicture(_name(tile, len(template.tiles)), _png(tile), tile.faces) for tile in template.tiles
-    )
-    mesh = TexturedMesh(template.vertices, template.faces, template.uv, pictures)
+    alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
+    pictures = list[MeshPicture]()
+    for tile in template.tiles:
+        end = ".png" if alone else f".{tile.number}.png"
+        normal = encode_image(normal_bytes(tile.normal), ".png")
+        pictures.append(
+            MeshPicture(f"template{end}", _png(tile), tile.faces, f"template_normal{end}", normal)
+        )
+    mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
     write_textured_obj(folder / "template.obj", mesh)
     write_textured_glb(folder / "template.glb", mesh)
-
-
-def _name(tile: TemplateTile, count: int) -> str:
-    return "template.png" if count == 1 and tile.number == FIRST_TILE else f"template.{tile.number}.png"
 
 
 def _png(tile: TemplateTile) -> bytes:

@@ -9,7 +9,7 @@ from scan2albedo.core import Plan, PlanStep, RawScan
 from scan2albedo.fitting import FittedFace
 from scan2albedo.pipeline.options import ProcessOptions
 
-FACE_S, BEYOND_S, PAINTED_S = 0.8e-6, 0.4e-6, 3e-6
+FACE_S, BEYOND_S, PAINTED_S = 0.8e-6, 0.4e-6, 4e-6
 """Seconds that a texel of the scan's own texture takes, on the face and beyond it, and a template's texel."""
 MOST_OF_BUDGET = 0.3
 """Part of a budget that is kept for them: the face itself comes first."""

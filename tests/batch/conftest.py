@@ -118,10 +118,8 @@ def no_workers(monkeypatch, tmp_path, tries):
 def stages_in_this_process(monkeypatch):
     """The stages, without workers."""
     import cv2
-    import numba
 
-    threads = numba.get_num_threads(), cv2.getNumThreads()
+    threads = cv2.getNumThreads()
     monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
     yield
-    numba.set_num_threads(threads[0])
-    cv2.setNumThreads(threads[1])
+    cv2.setNumThreads(threads)

@@ -8,11 +8,7 @@ from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
-# Which TBB numba finds depends on what was loaded before, by other tests.
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:The TBB threading layer"),
-    pytest.mark.usefixtures("stages_in_this_process", "no_endless_reading"),
-]
+pytestmark = pytest.mark.usefixtures("stages_in_this_process", "no_endless_reading")
 
 
 @pytest.fixture

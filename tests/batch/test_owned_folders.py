@@ -13,11 +13,7 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.report.html import write_report
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
-# Which TBB numba finds depends on what was loaded before, by other tests.
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:The TBB threading layer"),
-    pytest.mark.usefixtures("stages_in_this_process"),
-]
+pytestmark = pytest.mark.usefixtures("stages_in_this_process")
 
 
 def contents(folder):

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import math
 
 import pytest
@@ -91,7 +92,34 @@ def test_a_sub_meter_has_what_is_left_and_its_work_is_merged():
     assert meter.trace.stages == ("annealing",)
 
 
+def rows_of(stage: str, times_s: list[float], errors: list[float]) -> tuple[TraceRow, ...]:
+    return tuple(
+        TraceRow(stage, t, t, k, error, "mm")
+        for k, (t, error) in enumerate(zip(times_s, errors, strict=True), 1)
+    )
+
+
 def test_many_stages_are_drawn_in_rows():
-    figure = Trace(tuple(TraceRow(f"stage {i}", 1.0, 1.0, 1, 0.1, "mm") for i in range(8))).plot()
+    figure = Trace(sum((rows_of(f"stage {i}", [1.0, 2.0], [0.2, 0.1]) for i in range(8)), ())).plot()
     assert sum(bool(axis.lines) for axis in figure.axes) == 8
     assert figure.get_figwidth() < 30
+
+
+def test_an_error_that_does_not_change_is_told_instead_of_drawn():
+    (axis,) = Trace(rows_of("icp", [0.01, 0.02], [0.7, 0.7])).plot().axes
+    assert not axis.lines
+    assert [text.get_text() for text in axis.texts] == ["0.7 mm\n2 evaluations, 20 ms"]
+
+
+@pytest.mark.parametrize("start_s", [0.00063, 9.026, 123.0])
+def test_labels_of_times_do_not_overlap(start_s):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    times = [start_s + step for step in (0.0, 1e-6, 2e-5, 0.00007)]
+    figure = Trace(rows_of("short", times, [4.0, 3.9, 3.8, 3.7])).plot()
+    FigureCanvasAgg(figure).draw()
+    (axis,) = figure.axes
+    boxes = [label.get_window_extent() for label in axis.get_xticklabels() if label.get_text()]
+    inside = [box for box in boxes if axis.bbox.x0 <= (box.x0 + box.x1) / 2 <= axis.bbox.x1]
+    assert len(inside) > 1
+    assert all(a.x1 < b.x0 for a, b in itertools.pairwise(inside))

@@ -171,6 +171,7 @@ def test_files_and_plan_tell_of_both(result):
     names = {path.name for path in result.out.iterdir()}
     unlit = {"unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"}
     template = {"template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"}
+    template |= {"template_normal.1001.png", "template_normal.1002.png"}
     assert unlit | template <= names
     record = json.loads((result.out / "result.json").read_text())
     assert unlit | template <= set(record["files"])

@@ -196,9 +196,8 @@ def _made_in_processes(
     jobs: int,
     ended: Callable[[], bool],
 ) -> Iterator[tuple[_Key, Session]]:
-    threads = max(1, (os.cpu_count() or 1) // jobs)
     waiting = list(reversed(keys))
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker, (threads,)) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool:
         running: dict[Future[Session], _Key] = {}
         while True:
             while waiting and len(running) < jobs and not ended():
@@ -211,11 +210,8 @@ def _made_in_processes(
                 yield running.pop(future), future.result()
 
 
-def _begin_worker(threads: int) -> None:
-    """Share the cores with the other workers, leave Ctrl-C to the parent, and end when it has ended."""
-    import numba
-
-    numba.set_num_threads(threads)
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the parent, and end when it has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

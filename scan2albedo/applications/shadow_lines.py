@@ -1,0 +1,103 @@
+"""Lines in a scan's unlit texture, where the light's outlines miss those of the texture.
+
+On the face's chart rectification removes them (`scan2albedo.albedo.rectification`). Beyond it the shape is
+the scan's own, coarse and rough, so more is doubtful: near outlines of the light only detail is kept, and
+what it lies on is filled in from both sides, where these are alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from scan2albedo.applications.template_baking import filled_smoothly
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+
+_STEEP = 0.08
+"""Change of log light in a mm of the surface from which there is an outline."""
+_NEAR_MM, _FAR_MM = 3.0, 6.0
+"""Up to this distance from an outline colours are doubtful; from that on not at all."""
+_RINGS = 3
+"""Edges from one end of an outline's step to its middle."""
+_DETAIL_MM = 0.7
+"""Standard deviation of the mean that detail is what is left of."""
+_COARSEST = 4.0
+"""Detail of more times the median beside outlines is a remainder of one."""
+_AROUND_MM, _LEAST_KNOWN = 16.0, 0.05
+"""Half side of what counts as around a texel, and the part of it that has to be known."""
+_ALIKE, _UNLIKE = 0.12, 0.25
+"""Deviation of log V around a texel up to which all of it is one material, and from which it is not."""
+_DARK = 1e-4
+"""Albedo below which no logarithm is taken."""
+
+
+def outlines(vertices: FloatArray, faces: IntArray, log_light: FloatArray, points: FloatArray) -> FloatArray:
+    """Return (N, 2) how near points (N, 3) mm lie to outlines of log light (V, 3) on a mesh, and their steps.
+
+    The first is in [0, 1], the second how much log light changes around the nearest outline.
+    """
+    ends = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    first, second = vertices[ends[:, 0]], vertices[ends[:, 1]]
+    value = log_light.mean(-1)
+    steep = np.abs(value[ends[:, 0]] - value[ends[:, 1]]) > _STEEP * np.linalg.norm(second - first, axis=1)
+    found = np.zeros((len(points), 2))
+    if not steep.any():
+        return found
+    low, high = value.copy(), value.copy()
+    for _ in range(_RINGS):
+        for here, there in (ends.T, ends.T[::-1]):
+            np.minimum.at(low, here, low[there])
+            np.maximum.at(high, here, high[there])
+    middle = (first[steep] + second[steep]) / 2
+    distance, nearest = cKDTree(middle).query(points, distance_upper_bound=_FAR_MM)
+    within = np.isfinite(distance)
+    found[:, 0] = np.clip((_FAR_MM - distance) / (_FAR_MM - _NEAR_MM), 0.0, 1.0)
+    found[within, 1] = (high - low)[ends[steep, 0]][nearest[within]]
+    return found
+
+
+def without_lines(
+    albedo: FloatArray, outlines: FloatArray, there: BoolArray, texels_per_mm: float
+) -> NDArray[np.float32]:
+    """Return an unlit texture (H, W, 3) whose colours go on across `outlines` (H, W, 2), see there.
+
+    No colour changes by more than the light does there, for that is all a misplaced outline can do.
+
+    Only texels that are `there` (H, W) count.
+    """
+    import cv2
+
+    near, step = np.moveaxis(outlines, -1, 0)
+    sigma = _DETAIL_MM * texels_per_mm
+    known = there & (near <= 0)
+    log_albedo = np.log(np.maximum(albedo, _DARK)).astype(np.float32)
+    if not known.any() or not (there & (near > 0)).any():
+        return albedo.astype(np.float32)
+    filled = filled_smoothly(log_albedo, known)
+    weight = cv2.GaussianBlur(there.astype(np.float32), (0, 0), sigma)[..., None]
+    mean = cv2.GaussianBlur(log_albedo * there[..., None], (0, 0), sigma) / np.maximum(weight, 1e-6)
+    base = cv2.GaussianBlur(filled, (0, 0), sigma)
+    detail = log_albedo - mean
+    usual = _COARSEST * float(np.median(np.abs(detail[known])))
+    share = (near * there * _alike_around(mean.max(-1), known, texels_per_mm))[..., None]
+    limit = step[..., None].astype(np.float32)
+    wanted = mean + (base - mean).clip(-limit, limit) + detail.clip(-usual, usual)
+    return np.exp((1 - share) * log_albedo + share * wanted).astype(np.float32)
+
+
+def _alike_around(
+    log_value: NDArray[np.float32], known: BoolArray, texels_per_mm: float
+) -> NDArray[np.float32]:
+    """Return (H, W) in [0, 1] how alike what is `known` is around each texel: not hair, or hair and skin."""
+    import cv2
+
+    window = (2 * max(1, round(_AROUND_MM * texels_per_mm)) + 1,) * 2
+    weight = known.astype(np.float32)
+    part, first, second = (
+        cv2.boxFilter(field, -1, window) for field in (weight, weight * log_value, weight * log_value**2)
+    )
+    mean = first / np.maximum(part, 1e-6)
+    deviation = np.sqrt(np.maximum(second / np.maximum(part, 1e-6) - mean**2, 0.0))
+    alike = np.clip((_UNLIKE - deviation) / (_UNLIKE - _ALIKE), 0.0, 1.0)
+    return np.where(part > _LEAST_KNOWN, alike, 0.0).astype(np.float32)

@@ -1,0 +1,220 @@
+"""Normal maps of templates: read as glTF says, they give back the shape the template lacks."""
+
+import json
+import struct
+from dataclasses import replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.applications.template_baking import template_texture
+from scan2albedo.applications.template_normals import FineShape, tangent_normals
+from scan2albedo.core import RawScan, Trace
+from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
+from scan2albedo.pipeline.textured_files import write_template
+
+HALF_MM, WAVE_MM, HEIGHT_MM = 60.0, 9.0, 3.0
+POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
+COMPONENTS = {5125: "<u4", 5126: "<f4"}
+WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def bumps(cells):
+    """A cap with bumps, the same on both sides of x = 0, on a grid of so many cells a side."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-HALF_MM, HALF_MM, cells + 1)] * 2))
+    height = HEIGHT_MM * np.cos(x / WAVE_MM) * np.cos(y / WAVE_MM) - (x**2 + y**2) / 250
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    below, right = corner + cells + 1, (corner % (cells + 1) >= cells // 2).astype(int)
+    # Diagonals, too, are the same on both sides.
+    first = np.stack([corner, corner + 1, below + right], 1)
+    faces = np.concatenate([first, np.stack([corner + 1 - right, below + 1, below], 1)])
+    return np.stack([x, y, height], axis=1), faces
+
+
+def true_normals(points):
+    x, y = points[:, 0] / WAVE_MM, points[:, 1] / WAVE_MM
+    slope_x = -HEIGHT_MM / WAVE_MM * np.sin(x) * np.cos(y) - points[:, 0] / 125
+    slope_y = -HEIGHT_MM / WAVE_MM * np.cos(x) * np.sin(y) - points[:, 1] / 125
+    return normalized(np.stack([-slope_x, -slope_y, np.ones(len(points))], axis=1))
+
+
+def plain(x, y, right):
+    return np.stack([(x + HALF_MM) / (2 * HALF_MM), (y + HALF_MM) / (2 * HALF_MM)], axis=-1)
+
+
+def turned(x, y, right):
+    return plain(x, y, right)[..., ::-1] * [1, -1] + [0, 1]
+
+
+def mirrored(x, y, right):
+    """Both halves on the same texels, with a common line."""
+    return np.stack([np.abs(x) / HALF_MM, (y + HALF_MM) / (2 * HALF_MM)], axis=-1)
+
+
+def two_tiles(x, y, right):
+    """The left half is mirrored, in a tile of its own."""
+    return mirrored(x, y, right) * [0.9, 0.9] + 0.05 + np.where(right, 0, 1)[..., None] * [1, 0]
+
+
+def carried(chart, noise_mm=0.0, scan_cells=120):
+    """A coarse template on a smooth fitted surface, and a scan of it in another pose, with noise."""
+    vertices, faces = bumps(8)
+    fine, fine_faces = bumps(60)
+    scanned, scan_faces = bumps(scan_cells)
+    rng = np.random.default_rng(1)
+    scanned = scanned + true_normals(scanned) * rng.normal(0, noise_mm, (len(scanned), 1))
+    corners = vertices[faces]
+    right = np.broadcast_to(corners.mean(1)[:, :1] > 0, faces.shape)
+    model = replace(
+        s2a.AnnotatedFaceModel.default(),
+        template_points=SurfacePoints(
+            np.zeros(len(vertices), np.int64), np.eye(3)[np.zeros(len(vertices), int)]
+        ),
+        template_faces=faces,
+        template_uv=chart(corners[..., 0], corners[..., 1], right),
+    )
+    fitted = FittedFace(
+        vertices=fine,
+        faces=fine_faces,
+        uv=np.zeros((len(fine), 2)),
+        region=np.zeros(len(fine_faces), np.uint8),
+        control_points=model.control_vertices,
+        landmarks=None,
+        residual_mm=np.zeros(len(fine)),
+        model_from_scan=POSE,
+        template_vertices=vertices,
+        levels=1,
+        converged=True,
+        iterations=0,
+        trace=Trace(),
+        model=model,
+    )
+    color = np.full(scanned.shape, 0.5, np.float32)
+    return RawScan(
+        transform_points(invert_rigid(POSE), scanned), scan_faces, vertex_color_linear=color, name="cap"
+    ), fitted
+
+
+def parts_of(path):
+    """Yield of each mesh of a GLB its arrays by name, its material, and the textures it refers to."""
+    data = path.read_bytes()
+    size = struct.unpack("<I", data[12:16])[0]
+    tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+
+    def view(number):
+        entry = tree["bufferViews"][number]
+        return binary[entry["byteOffset"] : entry["byteOffset"] + entry["byteLength"]]
+
+    def array(number):
+        entry = tree["accessors"][number]
+        values = np.frombuffer(view(entry["bufferView"]), COMPONENTS[entry["componentType"]])
+        assert len(values) == entry["count"] * WIDTH[entry["type"]]
+        return values.reshape(entry["count"], -1).astype(float)
+
+    for mesh in tree["meshes"]:
+        (primitive,) = mesh["primitives"]
+        arrays = {name: array(number) for name, number in primitive["attributes"].items()}
+        arrays["faces"] = array(primitive["indices"]).astype(int).reshape(-1, 3)
+        material = tree["materials"][primitive["material"]]
+        image = tree["images"][tree["textures"][material["normalTexture"]["index"]]["source"]]
+        assert image["mimeType"] == "image/png"
+        encoded = np.frombuffer(view(image["bufferView"]), np.uint8)
+        picture = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)[..., ::-1]
+        assert picture.shape[2] == 3
+        yield arrays, picture
+
+
+def shaded(arrays, picture):
+    """Return points (N, 3) in mm, and normals (N, 3) there without and with the map, by glTF 2.0."""
+    weights = np.array([[0.34, 0.33, 0.33], [0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]])
+    point, normal, tangent, uv = (
+        np.einsum("kb,fbc->fkc", weights, arrays[name][arrays["faces"]]).reshape(-1, arrays[name].shape[1])
+        for name in ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_0")
+    )
+    pixels = np.mod(uv, 1) * picture.shape[1::-1] - 0.5
+    x, y, z = (bilinear(picture / 255.0, pixels) * 2 - 1).T[..., None]
+    flat, right = normalized(normal), normalized(tangent[:, :3])
+    up = np.cross(flat, right) * tangent[:, 3:]
+    return point * 1000, flat, normalized(x * right + y * up + z * flat)
+
+
+def angles_deg(found, true):
+    return np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", found, true), -1, 1)))
+
+
+@pytest.mark.parametrize("chart", [plain, turned, mirrored, two_tiles])
+def test_a_coarse_template_is_shaded_like_the_fine_surface(tmp_path, chart):
+    scan, fitted = carried(chart)
+    painted = template_texture(scan, fitted, 256)
+    write_template(tmp_path, painted)
+    parts = list(parts_of(tmp_path / "template.glb"))
+    assert len(parts) == len(painted.tiles) == (2 if chart is two_tiles else 1)
+    for arrays, picture in parts:
+        assert np.isin(arrays["TANGENT"][:, 3], [-1, 1]).all()
+        np.testing.assert_allclose(np.linalg.norm(arrays["TANGENT"][:, :3], axis=1), 1, atol=1e-6)
+        across = np.einsum("ij,ij->i", arrays["TANGENT"][:, :3], arrays["NORMAL"])
+        np.testing.assert_allclose(across, 0, atol=1e-6)
+        at = np.linalg.norm(arrays["POSITION"][:, None] * 1000 - painted.vertices, axis=2).argmin(1)
+        np.testing.assert_allclose(
+            arrays["NORMAL"], vertex_normals(painted.vertices, painted.faces)[at], atol=1e-6
+        )
+        points, without, with_map = shaded(arrays, picture)
+        inner = np.abs(points[:, :2]).max(1) < HALF_MM - 5  # the grids' rims are one-sided
+        true = true_normals(points)
+        before, after = (angles_deg(found, true)[inner] for found in (without, with_map))
+        assert before.mean() > 6
+        assert after.mean() < 0.5
+        assert np.percentile(after, 95) < 1.5
+    hands = np.concatenate([arrays["TANGENT"][:, 3] for arrays, _ in parts])
+    assert (len(np.unique(hands)) == 2) == (chart in (mirrored, two_tiles))
+
+
+def test_noise_of_the_scan_stays_out_and_without_a_scan_the_fit_serves():
+    def mean_error(noise_mm, scanned):
+        scan, fitted = carried(plain, noise_mm)
+        points = fitted.vertices[np.abs(fitted.vertices[:, :2]).max(1) < HALF_MM - 5]
+        found, known = FineShape(fitted, scan if scanned else None).normals(points)
+        assert known.all()
+        return angles_deg(found, true_normals(points)).mean()
+
+    fit = mean_error(0.0, False)
+    noisy = carried(plain, 0.1)[0]
+    raw = angles_deg(
+        vertex_normals(noisy.vertices, noisy.faces) @ POSE[:3, :3].T, true_normals(bumps(120)[0])
+    ).mean()
+    assert raw > 3
+    assert mean_error(0.1, True) < 0.4 * raw
+    assert mean_error(0.0, True) < fit
+
+
+def test_what_lies_far_is_flat_and_another_side_does_not_stand():
+    _, fitted = carried(plain)
+    away = RawScan(fitted.vertices + 1000, fitted.faces, name="away")
+    shape = FineShape(SimpleNamespace(**{**vars(fitted), "model_from_scan": np.eye(4)}), away)
+    middle = len(fitted.vertices) // 2
+    points = np.stack([fitted.vertices[middle], fitted.vertices[middle] + [0, 0, 9]])
+    fine = shape.normals(points)
+    np.testing.assert_array_equal(fine[1], [True, False])
+    frames = np.tile([0.0, 0, -1], (2, 1)), np.tile([1.0, 0, 0, 1], (2, 1))
+    found, stands = tangent_normals(fine, *frames)
+    np.testing.assert_array_equal(found[1], [0, 0, 1])
+    np.testing.assert_array_equal(stands, [False, True])
+
+
+def test_files_of_the_map_are_named_like_the_colours(tmp_path):
+    for chart, names in ((plain, [""]), (two_tiles, [".1001", ".1002"])):
+        painted = template_texture(*carried(chart), 32)
+        write_template(tmp_path, painted)
+        text = (tmp_path / "template.mtl").read_text()
+        for name, tile in zip(names, painted.tiles, strict=True):
+            assert f"map_Kd template{name}.png\nnorm template_normal{name}.png\n" in text
+            stored = cv2.imread(str(tmp_path / f"template_normal{name}.png"))[..., ::-1]
+            assert np.abs(stored / 127.5 - 1 - tile.normal).max() < 0.005
+            np.testing.assert_allclose(np.linalg.norm(tile.normal, axis=2), 1, atol=1e-5)

@@ -1,0 +1,30 @@
+"""Pictures of anyone's scan."""
+
+import sys
+
+import make_gallery
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from scan2albedo.synthetic import raw_scan
+
+
+@pytest.mark.slow
+def test_a_scan_is_shown_beside_itself_without_its_light(tmp_path, monkeypatch):
+    scan, _ = raw_scan(0)
+    color = np.full((len(scan.vertices), 3), 150, np.uint8)
+    color[:, 0] = 180
+    mesh = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False)
+    mesh.export(tmp_path / "subject.ply")
+    monkeypatch.setattr(
+        sys, "argv", ["make_gallery", "--scan", str(tmp_path / "subject.ply"), "-o", str(tmp_path / "out")]
+    )
+    make_gallery.main()
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scan.jpg", "unlit.jpg"}
+    with Image.open(tmp_path / "out" / "unlit.jpg") as picture:
+        pixels = np.asarray(picture.convert("RGB"), float)
+    # Four panels, each with a face on white.
+    for panel in np.array_split(pixels[: make_gallery.HEIGHT], 4, axis=1):
+        assert 0.2 < (panel.min(-1) < 240).mean() < 0.95
