@@ -1,5 +1,6 @@
 """Shared fixtures: the real scans (beside the repository, optional), the default model, a face-like mask."""
 
+import os
 import signal
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import pytest
 
 from scan2albedo import AnnotatedFaceModel
 
+# Tests share the cores already: no test has kernels compiled beside it but those that ask for it.
+os.environ.setdefault("SCAN2ALBEDO_COMPILE", "serial")
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 

@@ -1,14 +1,20 @@
 """CPU and wall seconds and peak memory of each stage on one scan.
 
     python tools/bench_pipeline.py [SCAN] [--size 512]
+    python tools/bench_pipeline.py [SCAN] --first
 
 Each stage runs once to warm up compiled code and caches, then once measured. Without SCAN, the real scan
-beside the repository is used, or the built-in synthetic one where that is absent.
+beside the repository is used, or the built-in synthetic one where that is absent. `--first` measures the
+first run after an installation instead: everything with all files, by a new process without compiled kernels,
+alone, with helpers beside it, and once more with the kernels that it left.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,7 +23,18 @@ from pathlib import Path
 from typing import Any
 
 import scan2albedo as s2a
+from scan2albedo.core.first_run import SWITCH
 
+FIRST = """
+import sys
+import time
+
+begin = time.perf_counter()
+import scan2albedo as s2a
+
+s2a.process(sys.argv[1], out=sys.argv[2])
+print(time.perf_counter() - begin)
+"""
 REAL_SCAN = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "james.obj"
 
 
@@ -64,11 +81,39 @@ def run(source: Path | None, size: int) -> list[Row]:
     return rows
 
 
+def first_run(source: Path, cache: str, alone: bool) -> float:
+    """Return the wall seconds of `process` in a new process that keeps its kernels in `cache`."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": cache, SWITCH: "serial" if alone else ""}
+    with tempfile.TemporaryDirectory() as out:
+        done = subprocess.run(
+            [sys.executable, "-c", FIRST, source, out],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+    return float(done.stdout)
+
+
+def report_first_runs(source: Path) -> None:
+    """Print how long a first run takes alone and with helpers, and how long one that finds its kernels."""
+    with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as other:
+        print(f"first run alone                {first_run(source, cache, alone=True):6.1f} s wall")
+        print(f"first run, helpers beside it   {first_run(source, other, alone=False):6.1f} s wall")
+        print(f"next run, by a new process     {first_run(source, other, alone=True):6.1f} s wall")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scan", nargs="?", type=Path, default=REAL_SCAN if REAL_SCAN.is_file() else None)
     parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--first", action="store_true")
     arguments = parser.parse_args()
+    if arguments.first and arguments.scan is None:
+        parser.error("name a scan: the real one is not beside the repository")
+    if arguments.first:
+        report_first_runs(arguments.scan)
+        return
     print(f"scan {arguments.scan or 'synthetic'}, geometry image {arguments.size} x {arguments.size}")
     print(f"{'stage':24}{'wall s':>9}{'CPU s':>9}{'peak MB':>10}")
     for row in run(arguments.scan, arguments.size):

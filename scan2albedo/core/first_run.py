@@ -15,6 +15,8 @@ import os
 import subprocess
 import sys
 import threading
+import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -110,7 +112,7 @@ def _is_cold(kernels: Sequence[Any]) -> bool:
         start, changed = f"{source.stem}.{kernel.py_func.__qualname__}-", source.stat().st_mtime
         fresh = False
         for entry in listed[folder]:
-            if entry.name.startswith(start) and entry.stat().st_mtime < changed:
+            if entry.name.startswith(start) and entry.stat().st_mtime < changed <= time.time():
                 Path(entry.path).unlink(missing_ok=True)
             elif entry.name.startswith(start):
                 fresh = True
@@ -124,7 +126,7 @@ def _started(count: int) -> list[subprocess.Popen[bytes]]:
     priority = getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0) | getattr(
         subprocess, "CREATE_NO_WINDOW", 0
     )
-    path = os.pathsep.join(folder for folder in sys.path if folder)
+    path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
     with contextlib.suppress(OSError):
         for number in range(count):
             command = [sys.executable, "-P", "-m", __name__, str(number), str(count)]
@@ -149,12 +151,18 @@ def _end_with_parent() -> None:
 
 
 def _help(number: int, count: int) -> None:
-    """Compile every `count`-th of the recorded kernels, the last ones first."""
+    """Compile every `count`-th of the recorded kernels, those that the run comes to last at the end."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if hasattr(os, "nice"):
         os.nice(5)
     gc.disable()
-    for kernel in recorded_kernels()[::-1][number::count]:
+    # Where two processes keep different signatures of one function in the same moment, numba may take one for
+    # the other later: those are left to the run.
+    names = Counter((kernel.module, kernel.function) for kernel in recorded_kernels())
+    kernels = [kernel for kernel in recorded_kernels() if names[kernel.module, kernel.function] == 1]
+    # From there on a helper stays ahead of the run, which does its work besides.
+    ahead = len(kernels) // (count + 2)
+    for kernel in (*kernels[ahead:][number::count], *kernels[:ahead][::-1][number::count]):
         # Whatever fails here is told by the run itself, if it ever comes to it.
         with contextlib.suppress(Exception):
             kernel.dispatcher().compile(kernel.argument_types())

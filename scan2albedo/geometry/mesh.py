@@ -259,7 +259,7 @@ def _list_corners(faces, place, every):  # type: ignore[no-untyped-def]
 def _sort_rows_once(ends, every, begins):  # type: ignore[no-untyped-def]
     """Sort each row of `every` and drop duplicates, in place; write where rows begin, return N.
 
-    By insertion, since rows are short, or sorted before; the write position never overtakes the read position.
+    By insertion, since rows are short or sorted before; the write position never overtakes the read position.
     """
     count = 0
     for v in range(len(ends) - 1):
