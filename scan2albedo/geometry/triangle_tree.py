@@ -188,7 +188,7 @@ def _nearest(points, corners, boxes, first, count, right, closest, face, weights
             for f in range(first[node], first[node] + count[node]):
                 d, a, b, c = _to_triangle(x, y, z, corners, f)
                 if d < best:
-                    best, u, v, w, found = d, a, b, c, f
+                    best, u, v, w, found = d, a, b, c, f  # type: ignore[assignment]
         face[i], distance[i] = found, np.sqrt(best)
         weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
         for k in range(3):
