@@ -14,17 +14,23 @@ if TYPE_CHECKING:
 
     from scan2albedo.recognition import CmcCurve, RocCurve
 
+_MOST_BANDS, _BARS = 3, 6
+"""Curves with a band each at most; bars of a curve where there are more."""
+_FEW = 30
+"""Probes, or genuine claims, below which a figure says so."""
+
 
 def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figure:
     """Return identification rate against rank, a curve a name; ValueError for none or mixed confidences."""
     figure, axis = _figure(curves, "CMC", "rank", "probes whose person is among the first")
-    for name, curve in curves.items():
+    for k, (name, curve) in enumerate(curves.items()):
         shown = curve.rank <= most_ranks
         first = f"{curve.rate[0]:.1%} ({curve.low[0]:.1%} to {curve.high[0]:.1%})"
         label = f"{name}, {curve.probes} probes: rank 1 {first}"
-        _draw(
-            axis, curve.rank[shown], curve.rate[shown], curve.low[shown], curve.high[shown], label, marker="o"
-        )
+        place = (k, len(curves))
+        rate, low, high = curve.rate[shown], curve.low[shown], curve.high[shown]
+        _draw(axis, curve.rank[shown], rate, low, high, label, place, marker="o")
+    _tell_few(axis, min(curve.probes for curve in curves.values()), "probes")
     last = max(min(int(curve.rank[-1]), most_ranks) for curve in curves.values())
     axis.set_xlim(0.8, last + 0.2)
     axis.set_xticks(sorted({1, *range(max(1, last // 4), last + 1, max(1, last // 4))}))
@@ -33,15 +39,19 @@ def cmc_figure(curves: Mapping[str, CmcCurve], *, most_ranks: int = 20) -> Figur
 
 
 def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
-    """Return true over logarithmic false accept rate; ValueError for no curve or mixed confidences."""
+    """Return true over logarithmic false accept rate; ValueError for no curve or mixed confidences.
+
+    False accept rates of less than one impostor's claim are left out.
+    """
     figure, axis = _figure(curves, "ROC", "false accept rate", "true accept rate")
-    for name, curve in curves.items():
-        shown = curve.false_accept_rate > 0
+    for k, (name, curve) in enumerate(curves.items()):
+        shown = curve.carried
         least, most = curve.equal_error_interval
         equal = f"{curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
         label = f"{name}, {curve.genuine} genuine claims: equal error {equal}"
         rate, low, high = curve.true_accept_rate[shown], curve.low[shown], curve.high[shown]
-        _draw(axis, curve.false_accept_rate[shown], rate, low, high, label)
+        _draw(axis, curve.false_accept_rate[shown], rate, low, high, label, (k, len(curves)))
+    _tell_few(axis, min(curve.genuine for curve in curves.values()), "genuine claims")
     axis.set_xscale("log")
     figure.legend(loc="outside lower center", fontsize=9)
     return figure
@@ -74,7 +84,24 @@ def _draw(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
     label: str,
+    place: tuple[int, int],
     marker: str = "",
 ) -> None:
+    """Draw a curve with its interval: as a band, or as bars where the bands of many would cover each other.
+
+    `place` is the curve's number among how many; no two curves have bars at the same x, where there is room.
+    """
+    number, count = place
     (line,) = axis.plot(x, y, label=label, marker=marker, markersize=3.5)
-    axis.fill_between(x, low, high, color=line.get_color(), alpha=0.18, linewidth=0)
+    if count <= _MOST_BANDS:
+        axis.fill_between(x, low, high, color=line.get_color(), alpha=0.18, linewidth=0)
+        return
+    step = max(count, len(x) // _BARS)
+    bars = np.arange(number * step // count % len(x), len(x), step)
+    axis.vlines(x[bars], low[bars], high[bars], color=line.get_color(), linewidth=1.2)
+
+
+def _tell_few(axis: Axes, count: int, what: str) -> None:
+    if count < _FEW:
+        told = f"{count} {what}: too few to tell much"
+        axis.text(0.97, 0.05, told, transform=axis.transAxes, ha="right", fontsize=10, color="0.35")

@@ -86,6 +86,16 @@ def test_intervals_hold_the_truth_and_shrink_with_persons():
     assert widths[80] == pytest.approx(widths[20] / 2, rel=0.15)
 
 
+def test_few_claims_that_never_err_have_wide_intervals():
+    found = identify_by_similarity(np.eye(3), ["ann", "bob", "cy"], ["ann", "bob", "cy"])
+    curve = roc_curve(found, resamples=20)
+    exact = binomtest(3, 3).proportion_ci(0.95, "exact")
+    np.testing.assert_allclose(curve.low, exact.low)
+    assert curve.equal_error_rate == 0
+    assert curve.equal_error_interval == (0, pytest.approx(1 - exact.low))
+    assert curve.carried.sum() == (curve.false_accept_rate >= 1 / 6).sum()
+
+
 def test_one_seed_gives_one_result():
     found = build_identification()
     first, again, other = (roc_curve(found, resamples=20, seed=seed) for seed in (3, 3, 4))
@@ -111,8 +121,23 @@ def test_figures_show_every_curve_with_its_interval():
     rocs = {name: roc_curve(one, resamples=20) for name, one in found.items()}
     axis = roc_figure(rocs).axes[0]
     assert axis.get_xscale() == "log"
-    np.testing.assert_array_equal(axis.lines[1].get_ydata(), rocs["texture"].true_accept_rate)
+    texture = rocs["texture"]
+    np.testing.assert_array_equal(axis.lines[1].get_ydata(), texture.true_accept_rate[texture.carried])
+    assert axis.lines[1].get_xdata().min() >= 1 / texture.impostors
     with pytest.raises(ValueError, match="no curve"):
         cmc_figure({})
     with pytest.raises(ValueError, match=r"confidences \[0\.9, 0\.95\]"):
         cmc_figure(curves | {"other": cmc_curve(found["albedo"], confidence=0.9)})
+
+
+def test_figures_of_many_methods_have_bars_apart_and_tell_of_few_claims():
+    found = build_identification(persons=8, each=2)
+    cmc = cmc_figure({str(k): cmc_curve(found) for k in range(5)}).axes[0]
+    roc = roc_figure({str(k): roc_curve(found, resamples=5) for k in range(5)}).axes[0]
+    for axis in (cmc, roc):
+        places = [{segment[0, 0] for segment in lines.get_segments()} for lines in axis.collections]
+        assert len(places) == 5
+        assert all(places)
+        assert len(set.union(*places)) == sum(len(one) for one in places)
+    assert cmc.texts[0].get_text() == "16 probes: too few to tell much"
+    assert roc.texts[0].get_text() == "16 genuine claims: too few to tell much"
