@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,8 +20,8 @@ _SWEPT, _FRONT, _DEFAULT, _KNEE, _PEER = "#b9cfe4", "#1f5f9e", "#111111", "#e079
 _PRESETS = {"draft": "#2a8f4d", "best": "#7a3ea1"}
 _COLUMNS = 3
 _RING = {"markersize": 12, "markerfacecolor": "none", "markeredgecolor": _KNEE, "markeredgewidth": 2}
-_APART, _LETTER, _BESIDE, _MARKER = 0.055, 0.0150, 0.025, 0.018
-"""Least distance of two labels, width of a letter, distance of a label and half a marker; the panel is 1."""
+_HEIGHT, _LETTER, _BESIDE, _MARKER = 0.024, 0.0142, 0.025, 0.018
+"""Half of a label's height, width of a letter, distance of a label and half a marker; the panel is 1."""
 
 
 def draw(reports: Sequence[StageReport]) -> Figure:
@@ -57,7 +58,7 @@ def _panel(axis: Axes, report: StageReport, kind: int) -> None:
     axis.plot(*_places(front, kind), "o-", color=_FRONT, markersize=4.5, linewidth=1.6, zorder=3)
     labels = _marked(axis, report, kind, shown)
     _limits(axis, shown, kind)
-    _write(axis, labels)
+    _write(axis, labels, front, kind)
     _plain_ticks(axis)
 
 
@@ -110,59 +111,106 @@ def _limits(axis: Axes, shown: Sequence[Point], kind: int) -> None:
 
 @dataclass(frozen=True)
 class _Box:
-    """A label's or a marker's place in the panel, whose sides are 1."""
+    """The place of a label, a marker or a piece of a line in the panel, whose sides are 1."""
 
     left: float
     right: float
-    height: float
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, x: float, y: float, across: float, up: float) -> _Box:
+        """Return the box of half width `across` and half height `up` around a point."""
+        return cls(x - across, x + across, y - up, y + up)
+
+    def distance(self, x: float, y: float) -> float:
+        """Return its distance from a point."""
+        return float(np.hypot(max(self.left - x, x - self.right, 0.0), max(self.low - y, y - self.high, 0.0)))
 
     def meets(self, other: _Box) -> bool:
-        """Return whether two labels would touch."""
+        """Return whether two of them would touch."""
         beside = self.left < other.right and other.left < self.right
-        return beside and abs(self.height - other.height) < _APART
+        return beside and self.low < other.high and other.low < self.high
 
 
-def _write(axis: Axes, labels: Sequence[tuple[float, float, str, str]]) -> None:
-    """Write the labels beside their points, moved until none lies on another or on another's point."""
+def _write(
+    axis: Axes, labels: Sequence[tuple[float, float, str, str]], front: Sequence[Point], kind: int
+) -> None:
+    """Write the labels beside their points: on no label, point, line to a label, or line of the front."""
     from matplotlib import patheffects
 
     to_axes = axis.transData + axis.transAxes.inverted()
     places = [(*to_axes.transform((x, y)), text, color) for x, y, text, color in labels]
-    taken = [_Box(x - _MARKER, x + _MARKER, y) for x, y, _, _ in places]
+    taken = [_Box.around(x, y, _MARKER, _MARKER) for x, y, _, _ in places]
+    corners = [tuple(to_axes.transform(place)) for place in zip(*_places(front, kind), strict=True)]
+    for start, end in pairwise(corners):
+        taken += _along(start, end)
+    told: list[_Box] = []
     for x, y, text, color in sorted(places, key=lambda p: -p[1]):
-        box, is_left = _free_box(x, y, _LETTER * len(text), taken)
-        taken.append(box)
-        line = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
+        box, line = _free_box(x, y, _LETTER * len(text), taken, told)
+        taken += [box, *line]
+        told += [box, *line]
+        style = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
         axis.annotate(
             text,
             (x, y),
-            (box.right if is_left else box.left, box.height),
+            ((box.left + box.right) / 2, (box.low + box.high) / 2),
             xycoords="axes fraction",
             textcoords="axes fraction",
             fontsize=8,
             color=color,
-            ha="right" if is_left else "left",
+            ha="center",
             va="center",
             zorder=8,
             path_effects=[patheffects.withStroke(linewidth=2.5, foreground="white")],
-            arrowprops=line if abs(box.height - y) > 0.02 else None,
+            arrowprops=style if line else None,
         )
 
 
-def _free_box(x: float, y: float, width: float, taken: Sequence[_Box]) -> tuple[_Box, bool]:
-    """Return the box of `width` nearest to a point that meets no other, and whether it is left of the point.
+def _along(start: tuple[float, ...], end: tuple[float, ...]) -> list[_Box]:
+    """Return small boxes along a line."""
+    count = max(2, int(np.hypot(end[0] - start[0], end[1] - start[1]) / 0.01))
+    return [_Box.around(x, y, 0.003, 0.005) for x, y in np.linspace(start, end, count)]
 
-    To the right at the point's own height where nothing can be free.
+
+def _free_box(
+    x: float, y: float, width: float, taken: Sequence[_Box], told: Sequence[_Box]
+) -> tuple[_Box, list[_Box]]:
+    """Return the box of `width` nearest to a point that meets none of `taken`, and its line if it is far.
+
+    The line meets none of the labels and lines `told`, where that can be. To the right of the point where
+    nothing is free.
     """
-    steps = [0.0, *(sign * 0.2 * n * _APART for n in range(1, 60) for sign in (-1, 1))]
-    for step in steps:
-        for is_left in (False, True):
-            left = x - _BESIDE - width if is_left else x + _BESIDE
-            box = _Box(left, left + width, y + step)
-            inside = left > 0 and left + width < 1 and 0.03 < box.height < 0.97
-            if inside and not any(box.meets(other) for other in taken):
-                return box, is_left
-    return _Box(x + _BESIDE, x + _BESIDE + width, y), False
+    beside = _Box(x + _BESIDE, x + _BESIDE + width, y - _HEIGHT, y + _HEIGHT)
+    shifts = [0.0, -2 * _BESIDE - width, *np.linspace(-0.45 - width, 0.4, 30)]
+    steps = [0.0, *(sign * 0.4 * n * _HEIGHT for n in range(1, 90) for sign in (-1, 1))]
+    places = [
+        _Box(beside.left + dx, beside.right + dx, beside.low + dy, beside.high + dy)
+        for dy in steps
+        for dx in shifts
+    ]
+    free = [
+        (box.distance(x, y) + 0.5 * abs(box.low - beside.low), box)
+        for box in places
+        if min(box.left, box.low) > 0
+        and max(box.right, box.high) < 1
+        and not any(box.meets(other) for other in taken)
+    ]
+    if not free:
+        return beside, []
+    free.sort(key=lambda place: place[0])
+    for _, box in free:
+        line = [] if box.distance(x, y) < 1.5 * _BESIDE else _to_label(x, y, box)
+        if not any(piece.meets(other) for piece in line for other in told):
+            return box, line
+    return free[0][1], _to_label(x, y, free[0][1])
+
+
+def _to_label(x: float, y: float, box: _Box) -> list[_Box]:
+    """Return the line from a point to the middle of a label, from beyond its marker to before the label."""
+    pieces = _along((x, y), ((box.left + box.right) / 2, (box.low + box.high) / 2))
+    around = _Box.around(x, y, _MARKER + 0.005, _MARKER + 0.005)
+    return [piece for piece in pieces if not (piece.meets(around) or piece.meets(box))]
 
 
 def _plain_ticks(axis: Axes) -> None:
