@@ -200,5 +200,5 @@ class Reliability:
         axes.errorbar(self.confidence[there], self.share[there], spread[there], fmt="o", color="#1f5f9e")
         for x, y, count in zip(self.confidence[there], self.share[there], self.count[there], strict=True):
             axes.annotate(f"{count:.0f}", (x, y), (5, -11), textcoords="offset points", fontsize=8)
-        axes.set(xlabel="confidence", ylabel="share that is right", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
+        axes.set(xlabel="confidence", ylabel="share that is right", xlim=(-0.03, 1.1), ylim=(-0.03, 1.03))
         figure.savefig(path, dpi=110)
