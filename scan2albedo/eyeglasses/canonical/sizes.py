@@ -1,0 +1,113 @@
+"""Sizes of frames: their unit from the width of the front, and frames unlike the others of a set."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, fullest, usual_size_factor
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import transform_points
+
+WIDTHS_MM = (110.0, 170.0)
+"""Width of the fronts of spectacles, from children's to large sunglasses: less than a decade, so that the
+width alone tells mm, cm and m apart."""
+_FRONT = np.array(["temple" not in name and "ear" not in name for name in KEY_POINT_NAMES])
+_OUTERMOST = np.array([name in ("left_hinge", "left_rim_outer") for name in KEY_POINT_NAMES])
+_MIRRORED = np.array(MIRROR)
+_FEWEST = 4
+"""Frames in the smallest set that can have an outlier."""
+_DEVIATIONS, _MAD = 4.0, 1.4826
+"""Distance of an outlier from the median in standard deviations, each 1.4826 median absolute deviations."""
+_LEAST_WIDTH, _LEAST_SHAPE = 0.04, 0.01
+"""Least standard deviation of widths and of key points, as parts of the median width."""
+
+
+def front_width(points: FloatArray) -> float:
+    """Return how wide the front of key points (20, 3) is; NaN unless outer rims or hinges are known."""
+    apart = points - points[_MIRRORED]
+    apart = apart[_OUTERMOST & np.isfinite(apart).all(1)]
+    if len(apart) == 0 or not np.linalg.norm(apart.sum(0)) > 0:
+        return math.nan
+    along = points[_FRONT] @ normalized(apart.sum(0))
+    return float(np.nanmax(along) - np.nanmin(along))
+
+
+def unit_exponent(points: FloatArray, widths_mm: tuple[float, float]) -> int:
+    """Return k so that key points (20, 3) times 10^k are in mm, decided from their width.
+
+    Where that is not known, the median length of the bones decides. Raises EyeglassesError when no power of
+    ten makes the frame as wide as spectacles.
+    """
+    width = front_width(points)
+    low, high = widths_mm
+    if math.isnan(width):
+        return round(math.log10(usual_size_factor(points)))
+    exponent = 0 if low <= width <= high else math.ceil(math.log10(low / width))
+    if not low <= width * 10.0**exponent <= high:
+        raise EyeglassesError(
+            f"its front is {width:.4g} units wide, which is no width of spectacles in mm, cm, m or another "
+            f"decimal unit (expected {low:g} to {high:g} mm): bring mesh and key points to their true size, "
+            "check the key points, or admit other widths (widths_mm; in the shell --widths)"
+        )
+    return exponent
+
+
+def unit_factors(exponents: Sequence[int], reference: int | None) -> FloatArray:
+    """Return (n,) powers of ten that bring frames to one unit; all 1 where they are in one.
+
+    `exponents` are those of `unit_exponent`. Frames go to the unit of a reference, if there is one,
+    otherwise to mm where their units differ.
+    """
+    common = reference
+    if common is None:
+        common = exponents[0] if len(set(exponents)) == 1 else 0
+    return np.array([10.0 ** (k - common) if k >= common else 1 / 10.0 ** (common - k) for k in exponents])
+
+
+def outliers(keypoints: Sequence[FloatArray]) -> dict[int, str]:
+    """Return what is unusual about frames of a set, by their place in it, of key points (20, 3) in one unit.
+
+    A frame is an outlier when its width, or the root mean square distance of its key points from the set's
+    medians, is more than four robust standard deviations from the median one.
+    """
+    if len(keypoints) < _FEWEST:
+        return {}
+    widths = np.array([front_width(points) for points in keypoints])
+    usual = float(np.nanmedian(widths)) if np.isfinite(widths).any() else math.nan
+    anchor = fullest(keypoints)
+    aligned = np.array([transform_points(align_key_points(p, anchor), p) for p in keypoints])
+    off = np.linalg.norm(aligned - _median(aligned), axis=2)
+    shapes = np.sqrt(np.nanmean(off**2, axis=1))
+    found: dict[int, str] = {}
+    for i in np.flatnonzero(np.abs(_deviations(widths, _LEAST_WIDTH * usual)) > _DEVIATIONS):
+        found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {usual:.4g}"
+    for i in np.flatnonzero(_deviations(shapes, _LEAST_SHAPE * usual) > _DEVIATIONS):
+        worst = int(np.nanargmax(off[i]))
+        reason = (
+            f"its key points are {shapes[i]:.3g} rms from the medians of the set, the median frame's "
+            f"{np.median(shapes):.3g}; the farthest is {KEY_POINT_NAMES[worst]} ({off[i, worst]:.3g}): check "
+            "its key points and its shape"
+        )
+        found[int(i)] = "; ".join(filter(None, (found.get(int(i)), reason)))
+    return found
+
+
+def _median(aligned: FloatArray) -> FloatArray:
+    """Return the medians (20, 3) over frames (n, 20, 3), NaN where no frame has the key point."""
+    result = np.full(aligned.shape[1:], np.nan)
+    known = np.isfinite(aligned).any((0, 2))
+    result[known] = np.nanmedian(aligned[:, known], axis=0)
+    return result
+
+
+def _deviations(values: FloatArray, least: float) -> FloatArray:
+    """Return how many robust standard deviations, each at least `least`, values (n,) are above the median."""
+    center = np.nanmedian(values) if np.isfinite(values).any() else math.nan
+    spread = np.nanmedian(np.abs(values - center)) if np.isfinite(center) else math.nan
+    return np.nan_to_num((values - center) / np.fmax(_MAD * spread, least))
