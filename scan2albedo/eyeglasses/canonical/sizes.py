@@ -11,31 +11,30 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, fullest, usual_size_factor
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
-from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import transform_points
 
 WIDTHS_MM = (110.0, 170.0)
 """Width of the fronts of spectacles, from children's to large sunglasses: less than a decade, so that the
 width alone tells mm, cm and m apart."""
-_FRONT = np.array(["temple" not in name and "ear" not in name for name in KEY_POINT_NAMES])
-_OUTERMOST = np.array([name in ("left_hinge", "left_rim_outer") for name in KEY_POINT_NAMES])
+_LEFT_OUTER = np.array([KEY_POINT_NAMES.index(name) for name in ("left_hinge", "left_rim_outer")])
 _MIRRORED = np.array(MIRROR)
 _FEWEST = 4
 """Frames in the smallest set that can have an outlier."""
 _DEVIATIONS, _MAD = 4.0, 1.4826
 """Distance of an outlier from the median in standard deviations, each 1.4826 median absolute deviations."""
+_ROUNDS = 5
+"""Of aligning key points to their medians, which the first frame's oddities then no longer reach."""
 _LEAST_WIDTH, _LEAST_SHAPE = 0.04, 0.01
 """Least standard deviation of widths and of key points, as parts of the median width."""
 
 
 def front_width(points: FloatArray) -> float:
-    """Return how wide the front of key points (20, 3) is; NaN unless outer rims or hinges are known."""
-    apart = points - points[_MIRRORED]
-    apart = apart[_OUTERMOST & np.isfinite(apart).all(1)]
-    if len(apart) == 0 or not np.linalg.norm(apart.sum(0)) > 0:
-        return math.nan
-    along = points[_FRONT] @ normalized(apart.sum(0))
-    return float(np.nanmax(along) - np.nanmin(along))
+    """Return the width of the front of key points (20, 3): the greater of those at hinges and outer rims.
+
+    NaN unless one of them is known on both sides.
+    """
+    apart = np.linalg.norm(points[_LEFT_OUTER] - points[_MIRRORED[_LEFT_OUTER]], axis=1)
+    return float(np.fmax.reduce(apart))
 
 
 def unit_exponent(points: FloatArray, widths_mm: tuple[float, float]) -> int:
@@ -80,9 +79,11 @@ def outliers(keypoints: Sequence[FloatArray]) -> dict[int, str]:
         return {}
     widths = np.array([front_width(points) for points in keypoints])
     usual = float(np.nanmedian(widths)) if np.isfinite(widths).any() else math.nan
-    anchor = fullest(keypoints)
-    aligned = np.array([transform_points(align_key_points(p, anchor), p) for p in keypoints])
-    off = np.linalg.norm(aligned - _median(aligned), axis=2)
+    center = fullest(keypoints)
+    for _ in range(_ROUNDS):
+        aligned = np.array([transform_points(align_key_points(p, center), p) for p in keypoints])
+        center = _median(aligned)
+    off = np.linalg.norm(aligned - center, axis=2)
     shapes = np.sqrt(np.nanmean(off**2, axis=1))
     found: dict[int, str] = {}
     for i in np.flatnonzero(np.abs(_deviations(widths, _LEAST_WIDTH * usual)) > _DEVIATIONS):
