@@ -263,7 +263,7 @@ def test_bad_input_is_named():
         canonicalize([mesh], [far])
 
 
-COARSE = CanonicalizationOptions(spacing=3.0)
+COARSE = CanonicalizationOptions(mode="mean", spacing=3.0)
 
 
 @pytest.mark.slow
