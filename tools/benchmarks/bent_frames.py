@@ -115,9 +115,11 @@ def bend_frame(frame: WholeFrame, bend: OwnBend) -> FloatArray:
     )
 
 
-def synthetic_frame(name: str, shape: GlassesShape, *, round_rims: bool = False) -> WholeFrame:
+def synthetic_frame(
+    name: str, shape: GlassesShape, *, round_rims: bool = False, double_bridge: bool = False
+) -> WholeFrame:
     """Return a frame of the package's own maker."""
-    made = eyeglasses(0, shape=shape)
+    made = eyeglasses(0, shape=shape, double_bridge=double_bridge)
     edges = [np.linalg.norm(made.vertices - p[:, None], axis=2).argmin(1) for p in made.lens_outlines]
     return WholeFrame(
         name, made.vertices, made.faces, made.keypoint_vertices, (edges[0], edges[1]), round_rims
