@@ -132,7 +132,8 @@ def real_frame(data: Path, file: str) -> WholeFrame:
     turn = _UPRIGHT[file]
     vertices = scan.vertices @ turn.T
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
-    marks, rims = {}, {}
+    marks: dict[str, int] = {}
+    rims: dict[str, IntArray] = {}
     for part, center in rims_of(scan.vertices, scan.faces, 2 if turn[2, 2] == 1 else 1).values():
         middle = turn @ center
         side, sign = ("left", 1) if middle[0] > 0 else ("right", -1)
@@ -145,7 +146,7 @@ def real_frame(data: Path, file: str) -> WholeFrame:
             return int(own[near][radius[near].argmin()])  # noqa: B023
 
         marks |= {f"{side}_{name}": edge(degrees, 6) for name, degrees in _RIM_ANGLES_DEG.items()}
-        rims[side] = np.array([edge(degrees, 5) for degrees in np.arange(0, 360, 10)])
+        rims[side] = np.array([edge(degrees, 5) for degrees in range(0, 360, 10)])
         marks |= _temple(vertices, side, sign)
     front = vertices[:, 2] > vertices[:, 2].max() - 0.2 * np.ptp(vertices[:, 0])
     bridge = np.flatnonzero(front & (np.abs(vertices[:, 0]) < 3))

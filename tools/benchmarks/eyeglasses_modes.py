@@ -49,7 +49,7 @@ def roundness(vertices: FloatArray, rim: IntArray) -> float:
 
 
 def edge_change(vertices: FloatArray, bent: FloatArray, faces: IntArray) -> float:
-    """Return by how many percent 99 of 100 edges changed their length, at most: across tubes, their thickness."""
+    """Return by how many percent 99 of 100 edges changed at most: those across tubes are their thickness."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     after, before = (np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (vertices, bent))
     long = before > 1e-3 * np.ptp(bent)
@@ -69,12 +69,10 @@ def bench_modes(data: Path, pictures: Path | None) -> None:
     found["unbend, key points 1 mm off"] = canonicalize(meshes, rough, weights=weights)
     print(
         "rms / max in mm from the unbent frame, laid on it, whole and front; lens edges: largest distance "
-        "from the bent one's, width x height, deviation from round where the rims are round; edges: change "
-        "of 99 % of them"
+        "from the bent one's, width x height, deviation from round of round rims; edges: change of 99 %"
     )
-    print(
-        f"{'frame':<13}{'':<29}{'whole':>14}{'front':>14}{'lens edge':>11}{'size':>16}{'round':>7}{'edges %':>9}"
-    )
+    heads = f"{'whole':>14}{'front':>14}{'lens edge':>11}{'size':>16}{'round':>7}{'edges %':>9}"
+    print(f"{'frame':<13}{'':<29}{heads}")
     for i, frame in enumerate(frames):
         _print_row(frame, "bent", bent[i], bent[i])
         for mode, made in found.items():
