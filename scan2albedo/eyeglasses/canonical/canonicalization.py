@@ -167,7 +167,8 @@ def canonicalize(
     weights : sequence of n (V, 20) array_like, optional
         From an earlier run; solved here otherwise, which takes nearly all the time.
     mean_keypoints : (20, 3) array_like, optional
-        To bring further frames to an earlier set's mean.
+        Of an earlier set, for this one's: where frames are placed and, in mode "mean", what they are
+        brought to.
     budget : Budget or float, optional
         Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
         when it ends, weights and mean so far are used, with `converged` False. Key points meet all the same.

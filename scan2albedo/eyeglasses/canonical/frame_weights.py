@@ -103,7 +103,7 @@ def weigh_frames(
         try:
             shared = np.where(np.isfinite(anchor), frame.points, np.nan)
             require_posable(shared)
-            exponent = unit_exponent(frame.points, widths_mm)
+            exponent = unit_exponent(frame.points, widths_mm, frame.vertices)
             used = frame if reference is None else replace(frame, points=shared)
             weighted = _weighted(used, spacing, options, meter, len(frames) - i)
             done.append(replace(weighted, unit_exponent=exponent))

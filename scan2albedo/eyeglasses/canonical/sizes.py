@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
@@ -16,8 +17,13 @@ from scan2albedo.geometry.rigid import transform_points
 WIDTHS_MM = (110.0, 170.0)
 """Width of the fronts of spectacles, from children's to large sunglasses: less than a decade, so that the
 width alone tells mm, cm and m apart."""
+_FRONT = np.array(["temple" not in name and "ear" not in name for name in KEY_POINT_NAMES])
 _LEFT_OUTER = np.array([KEY_POINT_NAMES.index(name) for name in ("left_hinge", "left_rim_outer")])
 _MIRRORED = np.array(MIRROR)
+_REACH = 0.3
+"""Distance from the nearest key point, as a part of their width, up to which a vertex counts to the front."""
+_INSIDE = 0.85
+"""Width between the outermost key points of a front as a part of its own, at least."""
 _FEWEST = 4
 """Frames in the smallest set that can have an outlier."""
 _DEVIATIONS, _MAD = 4.0, 1.4826
@@ -28,23 +34,35 @@ _LEAST_WIDTH, _LEAST_SHAPE = 0.04, 0.01
 """Least standard deviation of widths and of key points, as parts of the median width."""
 
 
-def front_width(points: FloatArray) -> float:
+def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:
     """Return the width of the front of key points (20, 3): the greater of those at hinges and outer rims.
 
-    NaN unless one of them is known on both sides.
+    With the mesh's `vertices` (V, 3) it is that of the mesh there, of vertices nearest to a key point of the
+    front. NaN unless hinges or outer rims are known on both sides.
     """
-    apart = np.linalg.norm(points[_LEFT_OUTER] - points[_MIRRORED[_LEFT_OUTER]], axis=1)
-    return float(np.fmax.reduce(apart))
+    apart = points[_LEFT_OUTER] - points[_MIRRORED[_LEFT_OUTER]]
+    lengths = np.linalg.norm(apart, axis=1)
+    width = float(np.fmax.reduce(lengths))
+    if vertices is None or not width > 0:
+        return width
+    known = np.flatnonzero(np.isfinite(points).all(1))
+    distance, nearest = cKDTree(points[known]).query(vertices)
+    front = vertices[_FRONT[known[nearest]] & (distance < _REACH * width)]
+    along = front @ (apart[np.nanargmax(lengths)] / width)
+    return float(np.ptp(along)) if len(along) else width
 
 
-def unit_exponent(points: FloatArray, widths_mm: tuple[float, float]) -> int:
-    """Return k so that key points (20, 3) times 10^k are in mm, decided from their width.
+def unit_exponent(
+    points: FloatArray, widths_mm: tuple[float, float], vertices: FloatArray | None = None
+) -> int:
+    """Return k so that key points (20, 3) times 10^k are in mm, decided from the width of the front.
 
-    Where that is not known, the median length of the bones decides. Raises EyeglassesError when no power of
-    ten makes the frame as wide as spectacles.
+    Without `vertices` (V, 3) the width is that of the key points, which may be less by 15 %. Where it is not
+    known, the median length of the bones decides. Raises EyeglassesError when no power of ten makes the front
+    as wide as that of spectacles.
     """
-    width = front_width(points)
-    low, high = widths_mm
+    width = front_width(points, vertices)
+    low, high = widths_mm if vertices is not None else (_INSIDE * widths_mm[0], widths_mm[1])
     if math.isnan(width):
         return round(math.log10(usual_size_factor(points)))
     exponent = 0 if low <= width <= high else math.ceil(math.log10(low / width))

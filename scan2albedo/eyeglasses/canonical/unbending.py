@@ -53,9 +53,9 @@ chance; the shift as a part of the rim's size."""
 class FrontHalves:
     """How the two halves of a front lie to each other.
 
-    `reflection` (4, 4) mirrors the frame in a plane, about that of its symmetry; `left_from_mirrored` (4, 4),
-    rigid, then lays the mirrored right rim on the left one, which takes in how the plane is tilted. `apart` is
-    the root mean square distance of the surfaces, NaN where only key points were laid on each other.
+    `reflection` (4, 4) mirrors the frame in a plane, about that of its symmetry; `left_from_mirrored`
+    (4, 4), rigid, then lays the mirrored right rim on the left one, which takes in how the plane is tilted.
+    `apart` is the root mean square distance of the surfaces, NaN where only key points were compared.
     """
 
     reflection: FloatArray

@@ -190,7 +190,7 @@ def test_other_units_are_brought_to_one(weighted):
 def test_a_frame_of_no_width_of_spectacles_is_refused(weighted):
     meshes, points, weights = some_set(weighted)
     meshes[1], points[1] = (meshes[1][0] / 73, meshes[1][1]), points[1] / 73
-    with pytest.raises(EyeglassesError, match=r"frame 1: its front is 1\.9\d* units wide.*110 to 170 mm"):
+    with pytest.raises(EyeglassesError, match=r"frame 1: its front is [\d.]+ units wide.*110 to 170 mm"):
         canonicalize(meshes, points, weights=weights)
     skipping = CanonicalizationOptions(skip_failed=True)
     rest = canonicalize(meshes, points, weights=weights, options=skipping)

@@ -33,6 +33,19 @@ def test_the_width_is_that_of_the_front_whatever_the_temples():
     assert np.isnan(front_width(points))
 
 
+def test_with_a_mesh_the_width_is_that_of_the_front_itself():
+    frame = eyeglasses(0, bend=GlassesBend(temple_spread_mm=4))
+    front = frame.vertices[frame.vertices[:, 2] > frame.keypoints[7, 2] - 8]
+    stray = np.vstack([frame.vertices, [[500.0, 0, 0]]])
+    width = front_width(frame.keypoints, stray)
+    assert width == pytest.approx(np.ptp(front[:, 0]), abs=1.5)
+    assert width > front_width(frame.keypoints) + 3
+    # Wide enough though its key points are not.
+    points, vertices = 0.78 * frame.keypoints, 0.78 * frame.vertices
+    assert front_width(points) < 110
+    assert unit_exponent(points, WIDTHS_MM, vertices) == 0
+
+
 @pytest.mark.parametrize(("factor", "exponent"), [(1, 0), (0.1, 1), (1e-3, 3), (1e-6, 6), (1e3, -3)])
 def test_the_width_tells_the_unit(factor, exponent):
     points = eyeglasses(0).keypoints
