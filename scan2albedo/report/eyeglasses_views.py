@@ -72,8 +72,8 @@ def glasses_panels(frames: Sequence[DrawnFrame]) -> list[Panel]:
             heat_colors(distance, 0, max(most, 1e-9), "viridis"),
         )
         states = (
-            (f"{frame.name}, as given", placed, colors[0]),
-            (f"{how}: moved by {rms:.2f} mm rms (0 to {most:.2g} mm)", frame.canonical.vertices, colors[1]),
+            (f"{frame.name}\nas given", placed, colors[0]),
+            (f"{how}\nmoved by {rms:.2f} mm rms (0 to {most:.2g} mm)", frame.canonical.vertices, colors[1]),
         )
         for view, side in zip(views, ("front", "above"), strict=True):
             for title, vertices, color in states:
