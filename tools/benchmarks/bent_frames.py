@@ -18,8 +18,10 @@ _UPRIGHT = {
     "frame_giraut.stl": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
 """Rotations that turn the files to x the wearer's left, y up, z to the front."""
-_RIM_ANGLES_DEG = {"rim_top": 90, "rim_bridge": 150, "rim_inner": 190, "rim_bottom": 270, "rim_outer": 0}
+_RIM_ANGLES_DEG = {"rim_top": 90, "rim_inner": 200, "rim_bottom": 270, "rim_outer": 0}
 """Of a left rim's key points around the centre of its lens, seen from the front."""
+_MIDDLE_MM = 3.0
+"""Distance from the middle up to which a vertex of the front counts to the middle of the bridge."""
 _BRIDGE_MM = 8.0
 """Half the way over which the bends of the bridge rise."""
 
@@ -132,7 +134,7 @@ def real_frame(data: Path, file: str) -> WholeFrame:
     turn = _UPRIGHT[file]
     vertices = scan.vertices @ turn.T
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
-    marks: dict[str, int] = {}
+    marks = _bridge(vertices)
     rims: dict[str, IntArray] = {}
     for part, center in rims_of(scan.vertices, scan.faces, 2 if turn[2, 2] == 1 else 1).values():
         middle = turn @ center
@@ -146,15 +148,20 @@ def real_frame(data: Path, file: str) -> WholeFrame:
             return int(own[near][radius[near].argmin()])  # noqa: B023
 
         marks |= {f"{side}_{name}": edge(degrees, 6) for name, degrees in _RIM_ANGLES_DEG.items()}
+        joint = np.linalg.norm(vertices[own] - vertices[marks["bridge_bottom"]], axis=1).argmin()
+        marks[f"{side}_rim_bridge"] = edge(float(angle[joint]), 4)
         rims[side] = np.array([edge(degrees, 5) for degrees in range(0, 360, 10)])
         marks |= _temple(vertices, side, sign)
-    front = vertices[:, 2] > vertices[:, 2].max() - 0.2 * np.ptp(vertices[:, 0])
-    bridge = np.flatnonzero(front & (np.abs(vertices[:, 0]) < 3))
-    marks["bridge_top"] = int(bridge[vertices[bridge, 1].argmax()])
-    marks["bridge_bottom"] = int(bridge[vertices[bridge, 1].argmin()])
     numbers = np.array([marks.get(name, -1) for name in KEY_POINT_NAMES])
     stem = Path(file).stem.split("_")[-1]
     return WholeFrame(stem, vertices, scan.faces, numbers, (rims["left"], rims["right"]), stem == "giraut")
+
+
+def _bridge(vertices: FloatArray) -> dict[str, int]:
+    front = vertices[:, 2] > vertices[:, 2].max() - 0.2 * np.ptp(vertices[:, 0])
+    bridge = np.flatnonzero(front & (np.abs(vertices[:, 0]) < _MIDDLE_MM))
+    top, bottom = vertices[bridge, 1].argmax(), vertices[bridge, 1].argmin()
+    return {"bridge_top": int(bridge[top]), "bridge_bottom": int(bridge[bottom])}
 
 
 def _temple(vertices: FloatArray, side: str, sign: int) -> dict[str, int]:
