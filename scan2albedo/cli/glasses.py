@@ -68,7 +68,8 @@ def canonicalize(
         ),
     ] = None,
     mean: Annotated[
-        Path | None, typer.Option(help="mean_keypoints.json of an earlier set, for this set's.")
+        Path | None,
+        typer.Option(help="mean_keypoints.json of an earlier set, to use in place of this set's mean."),
     ] = None,
     mode: Annotated[
         str,
@@ -79,7 +80,9 @@ def canonicalize(
     ] = "unbend",
     handles: Annotated[
         str,
-        typer.Option(help="For mode mean: turned, or translated, where key points do not turn."),
+        typer.Option(
+            help="For mode mean: turned, or translated: key points turn their surroundings or only shift it."
+        ),
     ] = "turned",
     widths: Annotated[
         str, typer.Option(help="Least and greatest width of a front in mm; other frames are refused.")
@@ -148,10 +151,8 @@ def canonicalize(
         for failure in failures:
             progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
         for name, row in figures.items():
-            bend, of = (
-                row["key_point_residual_mm"],
-                "the unbent frame's" if mode == "unbend" else "the mean's",
-            )
+            bend = row["key_point_residual_mm"]
+            of = "the unbent frame's" if mode == "unbend" else "the mean's"
             progress.say(f"{name}: key points were {bend:.2f} mm rms off {of}; files in {out / name}")
     if json_summary:
         reasons = {failure.file: one_line(failure.reason) for failure in failures}
