@@ -61,7 +61,7 @@ def test_rims_keep_their_shape_and_the_bend_goes(pair, unbent):
         assert frame.unbent
         np.testing.assert_allclose(frame.uncanonicalize(frame.vertices), vertices, atol=1e-9)
         flip = np.array([-1.0, 1, 1])
-        np.testing.assert_allclose(frame.keypoints[list(MIRROR)], frame.keypoints * flip, atol=0.05)
+        np.testing.assert_allclose(frame.keypoints[list(MIRROR)], frame.keypoints * flip, atol=0.1)
 
 
 def test_the_mean_gives_all_frames_its_proportions(pair, unbent):
