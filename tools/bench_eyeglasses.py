@@ -2,6 +2,7 @@
 
     python tools/bench_eyeglasses.py weights [--nodes 7600] [--handles 20] [--frames FILE ...]
     python tools/bench_eyeglasses.py canonical [--seeds 5]
+    python tools/bench_eyeglasses.py modes [--pictures FOLDER]
     python tools/bench_eyeglasses.py rims [--seeds 40] [--pictures FOLDER]
     python tools/bench_eyeglasses.py registration [--seeds 8] [--pictures FOLDER]
 
@@ -10,7 +11,11 @@ farthest points from the leftmost vertex on. libigl solves on the lattice's cell
 each (Kuhn), in 100 iterations at most. The energies are compared on libigl's own operator, on which our
 solver runs too, and on ours. CPU is that of all threads.
 
-canonical: synthetic frames with known bends, with key points that turn and that only shift.
+canonical: synthetic frames with known bends, brought to their key points at rest (mode "mean"), with key
+points that turn and that only shift.
+
+modes: rectangular, round and usual synthetic frames and the real ones, in one set, bent by curves that the
+package does not contain; both modes, wire frames, and a frame of no true size.
 
 rims: synthetic frames, four rims a seed, and the real ones.
 
@@ -29,6 +34,7 @@ from pathlib import Path
 import igl
 import numpy as np
 from benchmarks.eyeglasses_canonical import bench_canonical
+from benchmarks.eyeglasses_modes import bench_modes
 from benchmarks.eyeglasses_registration import bench_registration
 from benchmarks.eyeglasses_rims import bench_real, bench_synthetic
 from benchmarks.weights import fixed_nodes, igl_bbw, kuhn_tetrahedra
@@ -126,7 +132,7 @@ def bench_weights(frames: list[str], nodes: int, handles: int) -> None:
 def main() -> None:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
-    parser.add_argument("section", choices=["weights", "canonical", "rims", "registration"])
+    parser.add_argument("section", choices=["weights", "canonical", "modes", "rims", "registration"])
     parser.add_argument("--nodes", type=int, default=7600)
     parser.add_argument("--handles", type=int, default=20)
     parser.add_argument("--frames", nargs="+", default=list(FRAMES))
@@ -137,6 +143,8 @@ def main() -> None:
         bench_weights(arguments.frames, arguments.nodes, arguments.handles)
     elif arguments.section == "canonical":
         bench_canonical(arguments.seeds or 5)
+    elif arguments.section == "modes":
+        bench_modes(DATA, arguments.pictures)
     elif arguments.section == "registration":
         bench_registration(arguments.seeds or 8, arguments.pictures)
     else:

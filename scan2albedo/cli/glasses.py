@@ -33,6 +33,28 @@ def _common() -> None:
     """Eyeglasses."""
 
 
+@app.command("key-points")
+def key_points(
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="PNG file for a labelled picture, front and side.")
+    ] = None,
+) -> None:
+    """Say where the 20 key points of a frame go; with -o, show it in a labelled picture."""
+    from scan2albedo.report.key_point_chart import key_point_chart, key_point_table
+
+    typer.echo(key_point_table())
+    if out is not None:
+        from scan2albedo.errors import OutputError
+        from scan2albedo.io.atomic import atomic_path
+
+        try:
+            with atomic_path(out) as staging:
+                key_point_chart().savefig(staging, format="png")
+        except OutputError as error:
+            typer.echo(f"scan2albedo: error: {one_line(error)}", err=True)
+            raise typer.Exit(USAGE_ERROR) from None
+
+
 @app.command()
 def canonicalize(
     meshes: Annotated[
@@ -46,16 +68,33 @@ def canonicalize(
         ),
     ] = None,
     mean: Annotated[
-        Path | None, typer.Option(help="mean_keypoints.json of an earlier set, to bring frames to it.")
+        Path | None,
+        typer.Option(help="mean_keypoints.json of an earlier set, to use in place of this set's mean."),
     ] = None,
+    mode: Annotated[
+        str,
+        typer.Option(
+            help="unbend: take pose and bend away, keep each frame's own shape and sizes. mean: bring all "
+            "key points to the mean's, with the proportions of the mean for all."
+        ),
+    ] = "unbend",
     handles: Annotated[
-        str, typer.Option(help="turned, or translated: whether key points turn as the skeleton does.")
+        str,
+        typer.Option(
+            help="For mode mean: turned, or translated: key points turn their surroundings or only shift it."
+        ),
     ] = "turned",
+    widths: Annotated[
+        str, typer.Option(help="Least and greatest width of a front in mm; other frames are refused.")
+    ] = "110,170",
     unit: UnitOption = "auto",
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
-    """Bring frames to the mean of their key points: poses and bends go, shapes stay."""
+    """Take pose and bend away from frames; shapes and sizes stay, or become the mean's with --mode mean.
+
+    Where the key points go: `scan2albedo glasses key-points`.
+    """
     refuse_shared_folders(meshes)
     if keypoints and len(keypoints) != len(meshes):
         raise typer.BadParameter(
@@ -73,7 +112,13 @@ def canonicalize(
 
     if handles not in ("turned", "translated"):
         raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
+    if mode not in ("unbend", "mean"):
+        raise typer.BadParameter(f"mode is {mode!r}, expected unbend or mean")
+    if mode == "unbend" and handles != "turned":
+        raise typer.BadParameter("--handles translated is for --mode mean")
     carrier: Literal["turned", "translated"] = "turned" if handles == "turned" else "translated"
+    wish: Literal["unbend", "mean"] = "unbend" if mode == "unbend" else "mean"
+    limits = _widths(widths)
     spend = checked_budget(budget, unit)
     stop_cleanly_on_interrupt(out)
     check_writable(out)
@@ -83,11 +128,22 @@ def canonicalize(
         for frame in frames:
             for note in frame.scan.notes:
                 progress.say(f"{frame.name}: {note}")
+            if lost := frame.missing_key_points:
+                progress.say(f"{frame.name}: without key points {', '.join(lost)}")
         try:
             done = canonicalize_frames(
-                frames, failures, mean=mean, handles=carrier, budget=spend, on_progress=progress.update
+                frames,
+                failures,
+                mean=mean,
+                mode=wish,
+                handles=carrier,
+                widths_mm=limits,
+                budget=spend,
+                on_progress=progress.update,
             )
             failures, figures = list(done.failures), write_canonical_files(done, out)
+            for note in done.notes:
+                progress.say(f"glasses: {note}")
             if not done.result.converged:
                 progress.say("glasses: not converged; set.json says which frames, in its plan")
         except EyeglassesError as error:
@@ -96,13 +152,24 @@ def canonicalize(
             progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
         for name, row in figures.items():
             bend = row["key_point_residual_mm"]
-            progress.say(f"{name}: key points were {bend:.2f} mm rms off the mean; files in {out / name}")
+            of = "the unbent frame's" if mode == "unbend" else "the mean's"
+            progress.say(f"{name}: key points were {bend:.2f} mm rms off {of}; files in {out / name}")
     if json_summary:
         reasons = {failure.file: one_line(failure.reason) for failure in failures}
         rows = [_row(mesh, reasons.get(str(mesh)), figures, out) for mesh in meshes]
         echo_json(rows if len(rows) > 1 else rows[0])
     if failures:
         raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
+
+
+def _widths(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(","))
+    except ValueError:
+        low, high = 0.0, 0.0
+    if not 0 < low < high:
+        raise typer.BadParameter(f"--widths is {text!r}, expected two lengths in mm such as 110,170")
+    return low, high
 
 
 def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out: Path) -> dict[str, Any]:

@@ -48,10 +48,11 @@ class DrawnFrame:
     canonical: CanonicalEyeglasses
 
 
-def glasses_panels(frames: Sequence[DrawnFrame], mean_keypoints: FloatArray) -> list[Panel]:
+def glasses_panels(frames: Sequence[DrawnFrame]) -> list[Panel]:
     """Return four panels a frame: before, coloured by weights, and after, coloured by how far it moved.
 
-    Before is the frame brought rigidly to the mean. Dots are the mean's key points, the same in all panels.
+    Before is the frame brought rigidly to its canonical place. Dots are the canonical key points: its own,
+    unbent, or the mean's, the same in all panels then.
     """
     drawn = frames[:MOST_FRAMES]
     before = [_aligned(frame, frame.vertices) for frame in drawn]
@@ -61,17 +62,18 @@ def glasses_panels(frames: Sequence[DrawnFrame], mean_keypoints: FloatArray) -> 
     ]
     most = max(float(m.max()) for m in moved)
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
-    dots = mean_keypoints[np.isfinite(mean_keypoints).all(1)]
     panels = []
     for frame, placed, distance in zip(drawn, before, moved, strict=True):
         rms = float(np.sqrt(np.mean(distance**2)))
+        dots = frame.canonical.keypoints[np.isfinite(frame.canonical.keypoints).all(1)]
+        how = "unbent, own shape" if frame.canonical.unbent else "to the mean"
         colors = (
             weight_colors(frame.canonical.weights),
             heat_colors(distance, 0, max(most, 1e-9), "viridis"),
         )
         states = (
-            (f"{frame.name}, brought to the mean", placed, colors[0]),
-            (f"moved by {rms:.2f} mm rms (0 to {most:.2g} mm)", frame.canonical.vertices, colors[1]),
+            (f"{frame.name}\nas given", placed, colors[0]),
+            (f"{how}\nmoved by {rms:.2f} mm rms (0 to {most:.2g} mm)", frame.canonical.vertices, colors[1]),
         )
         for view, side in zip(views, ("front", "above"), strict=True):
             for title, vertices, color in states:

@@ -61,6 +61,7 @@ def eyeglasses(
     bend: GlassesBend = GlassesBend(),
     welded: bool = True,
     nose_pads: bool = True,
+    double_bridge: bool = False,
 ) -> SyntheticEyeglasses:
     """Return a synthetic frame with ground truth.
 
@@ -77,9 +78,11 @@ def eyeglasses(
         the hinges' gap of a millimetre, the bridge stuck into the rims.
     nose_pads : bool
         Pads on thin arms, stuck into the rims as parts of their own.
+    double_bridge : bool
+        A second bridge between the tops of the rims, stuck into them, which has the key point `bridge_top`.
     """
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
-    half = build_half(measures, welded=welded, nose_pads=nose_pads)
+    half = build_half(measures, welded=welded, nose_pads=nose_pads, double_bridge=double_bridge)
     points = np.concatenate(half.points)
     other = _counterparts(half)
     new = np.flatnonzero(other >= len(points))

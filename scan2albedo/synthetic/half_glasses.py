@@ -43,9 +43,11 @@ _SECTION = 12
 """Points around a rim."""
 _HINGE, _BRIDGE = 5, 31
 """Rim points in the middle of the patch that the temple, the bridge grow from."""
+_BROW = 24
+"""Rim point that a second bridge is stuck into."""
 _HALF_PATCH = 2
 """Segments of the patch on each side of its middle, along and around the rim."""
-_BRIDGE_RINGS = 9
+_BRIDGE_RINGS, _BROW_RINGS = 9, 17
 _BLEND_MM = 8.0
 """Way on which a tube's section turns from the patch's outline into an ellipse."""
 _HINGE_GAP_MM = 1.0
@@ -82,7 +84,9 @@ class HalfGlasses:
         return middle
 
 
-def build_half(shape: GlassesShape, *, welded: bool, nose_pads: bool) -> HalfGlasses:
+def build_half(
+    shape: GlassesShape, *, welded: bool, nose_pads: bool, double_bridge: bool = False
+) -> HalfGlasses:
     """Return the half at x >= 0; `welded` grows bridge and temple out of the rim's surface."""
     half = HalfGlasses()
     line, normal = rim_curve(shape)
@@ -109,6 +113,8 @@ def build_half(shape: GlassesShape, *, welded: bool, nose_pads: bool) -> HalfGla
     _add_temple(half, shape, *loops[_HINGE], welded=welded)
     if nose_pads:
         _add_nose_pad(half, line[44])
+    if double_bridge:
+        _add_brow_bar(half, shape, line[_BROW])
     return half
 
 
@@ -151,6 +157,19 @@ def _add_bridge(
     half.faces.append(ring_faces(numbers))
     half.seam = numbers[-1]
     half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
+
+
+def _add_brow_bar(half: HalfGlasses, shape: GlassesShape, start: FloatArray) -> None:
+    """Add half a second bridge from a rim point (3,); the key point at the top of the bridge goes to it."""
+    path = start * np.linspace(1, 0, _BROW_RINGS)[:, None] ** [1, 0, 2]
+    ellipse = ellipse_offsets(12, 0.45 * shape.rim_depth, shape.bridge_height / 2, np.pi / 2)
+    rings = path[:, None] + ellipse @ np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    rings[-1, :, 0] = 0.0
+    numbers = half.add(rings)
+    half.add_cap(numbers[0], rings[0], end=False)
+    half.faces.append(ring_faces(numbers))
+    half.seam = np.concatenate([half.seam, numbers[-1]])
+    half.marks["bridge_top"] = int(numbers[-1, 0])
 
 
 def _add_temple(

@@ -11,7 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, read_keypoints, write_keypoints
-from scan2albedo.eyeglasses.keypoints import MIRROR, SKELETON
+from scan2albedo.eyeglasses.keypoints import MIRROR, SKELETON, key_point_rows, typical_key_points
+from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
+from scan2albedo.report.key_point_chart import key_point_chart, key_point_table
+from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 
 SCHEMA = Path(__file__).resolve().parents[2] / "data_schemas" / "eyeglasses_keypoints.schema.json"
 
@@ -54,6 +57,10 @@ def test_a_name_left_out_is_a_missing_key_point(tmp_path):
     [
         ("{", "Invalid JSON"),
         ('{"key_points": {"nose": [1, 2, 3]}}', "'nose' is no key point"),
+        (
+            '{"key_points": {"left_rim_tpo": null, "hinge_left": null}}',
+            r"'hinge_left', 'left_rim_tpo' \(probably 'left_rim_top'\) are no key points; names are",
+        ),
         ('{"key_points": {"left_hinge": [1, 2]}}', "left_hinge"),
         ('{"format_version": 2, "key_points": {}}', "format_version"),
     ],
@@ -72,3 +79,73 @@ def test_no_file_and_no_text_name_the_file(tmp_path):
         read_keypoints(tmp_path / "binary.json")
     with pytest.raises(ValueError, match=r"\(20, 3\), got \(19, 3\)"):
         write_keypoints(tmp_path / "a.json", np.zeros((19, 3)))
+
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "eyeglasses.md"
+WIRE = GlassesShape(rim_width=0.6, rim_depth=0.6, bridge_height=0.6, temple_height=0.6, temple_width=0.6)
+BENDS = (
+    GlassesBend(),
+    GlassesBend(temple_spread_mm=40, bridge_deg=10),
+    GlassesBend(temple_spread_mm=-25, bridge_deg=-10),
+    GlassesBend(twist_deg=15),
+)
+EXCHANGED = [
+    ("bridge_top", "bridge_bottom"),
+    ("left_rim_top", "left_rim_bottom"),
+    ("right_rim_inner", "right_rim_outer"),
+    ("left_hinge", "right_hinge"),
+    ("right_ear_bend", "right_temple_tip"),
+]
+
+
+def test_the_table_names_every_key_point_once_and_docs_show_it():
+    names = [name for row in key_point_rows() for name in row[0].split(", ")]
+    assert sorted(names) == sorted(KEY_POINT_NAMES)
+    page = DOCS.read_text(encoding="utf-8")
+    for names_of_row, *rest in key_point_rows():
+        spans = ", ".join(f"`{name}`" for name in names_of_row.split(", "))
+        assert f"| {spans} | {' | '.join(rest)} |" in page
+        assert all(text in key_point_table() for text in rest)
+
+
+def test_the_chart_labels_every_key_point_of_the_front_and_one_temple():
+    shown = {text.get_text() for axes in key_point_chart().axes for text in axes.texts}
+    assert {
+        name for name in KEY_POINT_NAMES if "right_temple" not in name and "right_ear" not in name
+    } == shown
+
+
+def test_the_typical_frame_is_like_the_synthetic_one():
+    away = np.linalg.norm(typical_key_points() - eyeglasses(shape=GlassesShape()).rest_keypoints, axis=1)
+    assert away.max() < 1
+
+
+def posed(points, seed):
+    rng = np.random.default_rng(seed)
+    return transform_points(compose(random_rotation(rng), rng.normal(0, 200, 3)), points)
+
+
+@pytest.mark.parametrize(("first", "second"), EXCHANGED)
+def test_exchanged_names_are_told(tmp_path, first, second):
+    points = posed(eyeglasses(3, bend=BENDS[3]).keypoints, 0)
+    pair = [KEY_POINT_NAMES.index(name) for name in (first, second)]
+    points[pair] = points[pair[::-1]]
+    write_keypoints(tmp_path / "a.json", points)
+    told = rf"a\.json: names seem exchanged: ({first} and {second}|{second} and {first})\."
+    with pytest.raises(EyeglassesError, match=told):
+        read_keypoints(tmp_path / "a.json")
+
+
+def test_exchanged_sides_are_told(tmp_path):
+    write_keypoints(tmp_path / "a.json", posed(eyeglasses(0).keypoints, 0)[list(MIRROR)])
+    with pytest.raises(EyeglassesError, match="exchanged: all left ones and all right ones"):
+        read_keypoints(tmp_path / "a.json")
+
+
+def test_bent_frames_wires_and_rough_key_points_are_not_called_exchanged(tmp_path):
+    frames = [eyeglasses(seed, bend=bend) for seed in range(4) for bend in BENDS]
+    frames += [eyeglasses(0, shape=WIRE, double_bridge=double) for double in (False, True)]
+    for seed, frame in enumerate(frames):
+        rough = frame.keypoints + np.random.default_rng(seed).normal(0, 1, (20, 3))
+        write_keypoints(tmp_path / "a.json", posed(rough, seed))
+        read_keypoints(tmp_path / "a.json")

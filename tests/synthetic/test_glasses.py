@@ -32,6 +32,21 @@ def test_every_part_is_closed_and_faces_outward(welded, nose_pads):
         assert 2000 < volume(glasses.vertices, glasses.faces) < 12000
 
 
+def test_a_second_bridge_is_a_closed_part_above_the_first():
+    plain, double = (eyeglasses(1, double_bridge=second) for second in (False, True))
+    assert double.part.max() == plain.part.max() + 1
+    assert len(boundary_edges(double.faces)) == 0
+    for part in range(double.part.max() + 1):
+        assert volume(double.vertices, double.faces[double.part[double.faces[:, 0]] == part]) > 20
+    np.testing.assert_allclose(double.vertices[double.mirror], double.vertices * [-1, 1, 1], atol=1e-12)
+    apart = double.keypoints - plain.keypoints
+    assert np.flatnonzero(np.abs(apart).max(1)).tolist() == [0]
+    assert apart[0, 1] > 5
+    # Both ends are stuck into the rims.
+    bar = double.vertices[double.part == double.part[double.keypoint_vertices[0]]]
+    assert np.ptp(bar[:, 0]) > double.shape.bridge_width + double.shape.rim_width
+
+
 def test_the_welded_frame_has_two_holes():
     glasses = eyeglasses(1, nose_pads=False)
     edges, _ = edges_with_faces(glasses.faces)

@@ -47,7 +47,7 @@ def figures(glasses: SyntheticEyeglasses, weights: FloatArray, handles: str, see
     pose = compose(random_rotation(rng), rng.normal(0, 200, 3))
     mesh = (transform_points(pose, glasses.vertices), glasses.faces)
     points = transform_points(pose, glasses.keypoints)
-    options = CanonicalizationOptions(handles=handles)  # type: ignore[arg-type]
+    options = CanonicalizationOptions(mode="mean", handles=handles)  # type: ignore[arg-type]
     begun = time.perf_counter()
     found = canonicalize(
         [mesh], [points], weights=[weights], mean_keypoints=glasses.rest_keypoints, options=options
@@ -96,7 +96,11 @@ def bench_lattice_effects(seeds: int) -> None:
             other = bounded_biharmonic_weights(vertices, glasses.faces, points)
             results = [
                 canonicalize(
-                    [glasses], [glasses.keypoints], weights=[w], mean_keypoints=glasses.rest_keypoints
+                    [glasses],
+                    [glasses.keypoints],
+                    weights=[w],
+                    mean_keypoints=glasses.rest_keypoints,
+                    options=CanonicalizationOptions(mode="mean"),
                 ).frames[0]
                 for w in (reference, other)
             ]

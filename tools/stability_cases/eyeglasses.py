@@ -28,7 +28,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.synthetic import GlassesBend, WearerOptions, eyeglasses, wearer
+from scan2albedo.synthetic import GlassesBend, GlassesShape, WearerOptions, eyeglasses, wearer
 from stability_cases.case import Cases, Measured, assert_finite, naming
 
 CASES = Cases()
@@ -118,6 +118,15 @@ def _triangle() -> str:
     return f"each corner its own, {np.diag(weights).min():.2f} at least"
 
 
+@CASES.extreme(STAGE, "weights: a wire frame of 0.5 mm")
+def _wire() -> str:
+    thin = GlassesShape(rim_width=0.5, rim_depth=0.5, bridge_height=0.5, temple_height=0.5, temple_width=0.5)
+    frame = eyeglasses(shape=thin)
+    own = _weights(frame.vertices, frame.faces, frame.keypoints)[frame.keypoint_vertices]
+    assert np.diag(own).min() > 0.9
+    return f"key points {np.ptp(frame.keypoints[:2, 1]):.1f} mm apart: {np.diag(own).min():.2f} each at least"
+
+
 @CASES.extreme(STAGE, "weights: slivers and flat triangles")
 def _slivers() -> str:
     frame = _frame()
@@ -202,7 +211,7 @@ def _nothing_to_skin() -> str:
 
 # Canonical frames.
 
-QUICK_WEIGHTS = CanonicalizationOptions(spacing=SPACING)
+QUICK_WEIGHTS = CanonicalizationOptions(mode="mean", spacing=SPACING)
 
 
 def _back(bent: Any, scale: float = 1.0, shift: float = 0.0) -> tuple[Any, float]:
@@ -294,6 +303,13 @@ for _name, _points in (
     def _odd_points(points: FloatArray = _points) -> str:
         frame = _frame()
         return str(canonicalize([frame], [points], weights=[_plain()], options=QUICK_WEIGHTS).iterations)
+
+
+@CASES.extreme(STAGE, "canonical: glasses of half the size", "named error")
+@naming("its front is .* units wide")
+def _no_true_size() -> str:
+    half = _frame().vertices / 2, _frame().faces
+    return str(canonicalize([half], [_frame().keypoints / 2], weights=[_plain()]).iterations)
 
 
 @CASES.extreme(STAGE, "canonical: weights NaN", "named error")

@@ -15,7 +15,6 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
 from scan2albedo.eyeglasses import (
-    KEY_POINT_NAMES,
     CanonicalEyeglasses,
     CanonicalizationOptions,
     CanonicalSet,
@@ -26,6 +25,8 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app.input import GlassesFrame, read_frame
 from scan2albedo.eyeglasses.app.records import CanonicalFrameRecord, CanonicalSetRecord, FailedFrameRecord
+from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalMode
+from scan2albedo.eyeglasses.canonical.sizes import WIDTHS_MM
 from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
 from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
 from scan2albedo.geometry.rigid import transform_points
@@ -48,6 +49,8 @@ class CanonicalFiles:
     frames: tuple[GlassesFrame, ...]
     result: CanonicalSet
     failures: tuple[FailedFrameRecord, ...]
+    notes: tuple[str, ...] = ()
+    """Frames that are unlike the others."""
     options: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -70,11 +73,13 @@ def canonicalize_frames(
     failures: Sequence[FailedFrameRecord] = (),
     *,
     mean: Path | None = None,
+    mode: CanonicalMode = "unbend",
     handles: Literal["turned", "translated"] = "turned",
+    widths_mm: tuple[float, float] = WIDTHS_MM,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> CanonicalFiles:
-    """Bring frames to the mean of their key points, or to that of an earlier set's `mean_keypoints.json`.
+    """Take poses and bends away; frames go where their mean lies, or an earlier `mean_keypoints.json`.
 
     New failures are added to `failures` of reading. Raises EyeglassesError when no frame can be done, or
     `mean` cannot be read.
@@ -86,7 +91,7 @@ def canonicalize_frames(
         [frame.keypoints for frame in frames],
         mean_keypoints=None if mean is None else _mean_mm(mean),
         budget=spend,
-        options=CanonicalizationOptions(handles=handles, skip_failed=True),
+        options=CanonicalizationOptions(mode=mode, handles=handles, widths_mm=widths_mm, skip_failed=True),
         on_progress=on_progress,
     )
     lost = (
@@ -96,9 +101,12 @@ def canonicalize_frames(
     return CanonicalFiles(
         frames=tuple(frames[i] for i in result.numbers),
         result=result,
+        notes=tuple(f"{frames[i].name} is unlike the others: {why}" for i, why in result.outliers.items()),
         failures=(*failures, *lost),
         options={
+            "mode": mode,
             "handles": handles,
+            "widths_mm": widths_mm,
             "mean": mean,
             "budget_s": spend.seconds,
             "budget_evaluations": spend.evaluations,
@@ -133,7 +141,6 @@ def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Pa
     write_canonical(folder / "canonical.npz", canonical)
     write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
     figures = frame_figures(frame, canonical, written)
-    missing = np.flatnonzero(~np.isfinite(frame.keypoints).all(1))
     files = sorted(path.name for path in folder.iterdir())
     record = CanonicalFrameRecord(
         scan2albedo_version=VERSION,
@@ -151,8 +158,9 @@ def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Pa
         mm_per_unit=frame.mm_per_unit,
         scale=canonical.scale,
         canonical_from_frame=plain_json(canonical.canonical_from_frame),
+        mode="unbend" if canonical.unbent else "mean",
         converged=canonical.converged,
-        missing_key_points=tuple(KEY_POINT_NAMES[k] for k in missing),
+        missing_key_points=frame.missing_key_points,
         plan=tuple(PlanRecord.of(step) for step in canonical.plan),
         metrics=figures,
         notes=frame.scan.notes,
@@ -187,7 +195,7 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         DrawnFrame(f.name, f.scan.vertices, f.keypoints, c)
         for f, c in zip(done.frames, result.frames, strict=True)
     ]
-    panels = glasses_panels(drawn, result.mean_keypoints)
+    panels = glasses_panels(drawn)
     title = f"{len(drawn)} frames" if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {len(drawn)} frames"
     overview_figure(title, panels, CANONICAL_COLUMNS).savefig(folder / "overview.png")
     files = sorted(path.name for path in folder.iterdir() if path.is_file())
@@ -197,6 +205,7 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         options=dict(done.options),
         frames=tuple(frame.name for frame in done.frames),
         failures=done.failures,
+        notes=done.notes,
         converged=result.converged,
         iterations=result.iterations,
         seconds=done.seconds,

@@ -11,6 +11,7 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan_with
@@ -45,6 +46,12 @@ class GlassesFrame:
     def name(self) -> str:
         """The mesh file's stem."""
         return self.scan.name
+
+    @property
+    def missing_key_points(self) -> tuple[str, ...]:
+        """Names of the key points that the file leaves out."""
+        rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
+        return tuple(name for name, point in rows if not np.isfinite(point).all())
 
 
 def keypoints_beside(mesh: Path) -> Path:

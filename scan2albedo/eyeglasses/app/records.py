@@ -25,6 +25,9 @@ class CanonicalFrameRecord(RunRecord):
         description="Row-major 4x4 acting on column vectors: the frame in mm, scaled, into canonical space; "
         "rigid. The bend is taken out after it, by the key points."
     )
+    mode: Literal["unbend", "mean"] = Field(
+        description="Whether the frame keeps its own shape and sizes, or its key points are the mean's."
+    )
     converged: bool = Field(description="Whether the weights did.")
     missing_key_points: tuple[str, ...] = ()
     plan: tuple[PlanRecord, ...]
@@ -46,6 +49,7 @@ class CanonicalSetRecord(RunRecord):
     options: Figures = Field(description="What the run was called with.")
     frames: tuple[str, ...] = Field(description="Folders of the frames that were done.")
     failures: tuple[FailedFrameRecord, ...] = ()
+    notes: tuple[str, ...] = Field((), description="Frames that are unlike the others, and how.")
     converged: bool
     iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
     seconds: Number = Field(ge=0)

@@ -13,6 +13,7 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import fullest, require_posable
+from scan2albedo.eyeglasses.canonical.sizes import unit_exponent
 from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
@@ -43,6 +44,8 @@ class WeightedFrame:
     weights: FloatArray
     converged: bool
     plan: Plan
+    unit_exponent: int = 0
+    """Its coordinates times ten to this are in mm."""
 
 
 def frames_of(
@@ -83,6 +86,7 @@ def weigh_frames(
     reference: FloatArray | None,
     *,
     spacing: str | float,
+    widths_mm: tuple[float, float],
     options: WeightOptions,
     skip_failed: bool,
     meter: Meter,
@@ -99,8 +103,10 @@ def weigh_frames(
         try:
             shared = np.where(np.isfinite(anchor), frame.points, np.nan)
             require_posable(shared)
+            exponent = unit_exponent(frame.points, widths_mm, frame.vertices)
             used = frame if reference is None else replace(frame, points=shared)
-            done.append(_weighted(used, spacing, options, meter, len(frames) - i))
+            weighted = _weighted(used, spacing, options, meter, len(frames) - i)
+            done.append(replace(weighted, unit_exponent=exponent))
         except EyeglassesError as error:
             if not skip_failed:
                 raise EyeglassesError(frame.fault(str(error))) from error

@@ -1,4 +1,4 @@
-"""Key points of many frames on common ground: one unit, and their mean by generalised Procrustes."""
+"""The mean of many frames' key points by generalised Procrustes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,8 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
-_OTHER_UNIT = 5.0
-"""Ratio of sizes from which two frames cannot be in the same unit: spectacles differ by a third at most."""
-_SAME_SIZE = 1.4
-"""Ratio of sizes, after a power of ten, up to which two frames differ in shape rather than in unit."""
 _TYPICAL_BONE_MM = 30.0
-"""Median length of the skeleton's bones of spectacles: decides which frame is in mm."""
+"""Median length of the skeleton's bones of spectacles."""
 _FLAT = 1e-3
 """Spread across a line, as a part of that along it, below which points fix no pose."""
 _TOLERANCE = 1e-13
@@ -42,8 +38,7 @@ def require_posable(points: FloatArray, owner: str = "") -> None:
     """Raise EyeglassesError, naming their owner, unless key points (20, 3) fix a pose and a size."""
     of = f"{owner}: " if owner else ""
     seen = points[np.isfinite(points).all(1)]
-    spread = np.linalg.svd(seen - seen.mean(0), compute_uv=False) if len(seen) >= 3 else np.zeros(3)
-    if not spread[1] > _FLAT * spread[0]:
+    if not is_posable(seen):
         cause = f"{len(seen)} key points are known"
         if len(seen) >= 3:
             cause = f"all {len(seen)} known key points lie on one line, or in one place"
@@ -52,22 +47,10 @@ def require_posable(points: FloatArray, owner: str = "") -> None:
         raise EyeglassesError(f"{of}no two neighbouring key points are known and apart; label more of them")
 
 
-def unit_factors(keypoints: Sequence[FloatArray], reference: FloatArray | None = None) -> FloatArray:
-    """Return (n,) factors that bring frames to one unit; all 1 where their sizes are alike.
-
-    A frame's size is the median length of its bones. Where sizes differ more than five times, frames are
-    scaled to the size of `reference`, or of the frame nearest to spectacles in mm: by a power of ten where
-    that leaves less than 1.4 times, so that true sizes are kept, otherwise exactly.
-    """
-    sizes = np.array([key_point_size(points) for points in keypoints])
-    if reference is not None:
-        target = key_point_size(reference)
-    else:
-        target = float(sizes[np.argmin(np.abs(np.log(sizes / _TYPICAL_BONE_MM)))])
-    ratio = target / sizes
-    decade = 10.0 ** np.round(np.log10(ratio))
-    factor = np.where(np.abs(np.log(ratio / decade)) <= np.log(_SAME_SIZE), decade, ratio)
-    return np.where(np.abs(np.log(ratio)) > np.log(_OTHER_UNIT), factor, 1.0)
+def is_posable(seen: FloatArray) -> bool:
+    """Return whether finite points (K, 3) span a plane."""
+    spread = np.linalg.svd(seen - seen.mean(0), compute_uv=False) if len(seen) >= 3 else np.zeros(3)
+    return bool(spread[1] > _FLAT * spread[0])
 
 
 def usual_size_factor(points: FloatArray) -> float:

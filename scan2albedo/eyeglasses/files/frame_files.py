@@ -36,6 +36,7 @@ _CANONICAL_LAYOUT: Layout = {
     "scale": (float,),
     "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
     "residual": (float,),
+    "unbent": (bool,),
     "converged": (bool,),
 }
 _REGISTERED_LAYOUT: Layout = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.files.camera_files import CameraName, require_distinct_names
+from scan2albedo.eyeglasses.files.exchanged_key_points import exchanged_key_points
 from scan2albedo.eyeglasses.files.json_files import LengthUnitIfKnown, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.records import Record, write_record
@@ -42,10 +44,14 @@ class KeyPointsFile(Record):
 
 
 def require_known_names(names: Iterable[str]) -> None:
-    """Raise ValueError unless all are names of key points."""
+    """Raise ValueError, with the names that were probably meant, unless all are names of key points."""
     strange = sorted(set(names) - set(KEY_POINT_NAMES))
-    if strange:
-        raise ValueError(f"{strange[0]!r} is no key point; names are {', '.join(KEY_POINT_NAMES)}")
+    if not strange:
+        return
+    guesses = {name: difflib.get_close_matches(name, KEY_POINT_NAMES, n=1) for name in strange}
+    said = [f"{name!r} (probably {found[0]!r})" if found else repr(name) for name, found in guesses.items()]
+    verb = "is no key point" if len(said) == 1 else "are no key points"
+    raise ValueError(f"{', '.join(said)} {verb}; names are {', '.join(KEY_POINT_NAMES)}")
 
 
 def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
@@ -80,8 +86,8 @@ class KeyPoints:
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
 
-    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no key-point
-    file.
+    Raises EyeglassesError, naming the file, when it cannot be read or is no key-point file, when it has
+    names of no key points, or when key points lie where others belong (names exchanged).
 
     Parameters
     ----------
@@ -97,6 +103,11 @@ def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
     )
     nothing = (np.nan, np.nan, np.nan)
     points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
+    if exchanged := "; ".join(exchanged_key_points(points)):
+        raise EyeglassesError(
+            f"key points {path}: names seem exchanged: {exchanged}. `scan2albedo glasses key-points` "
+            "shows where each belongs; temples must be open, not folded"
+        )
     return KeyPoints(points, entry.unit)
 
 

@@ -49,7 +49,8 @@ class WeightOptions:
     A given spacing may use ten times as many."""
     finest: float = 1 / 150
     """Least automatic spacing as a part of the size (the diagonal of the key points' box, or the mesh's for a
-    single one): a finer lattice changes deformations less than a scan's noise."""
+    single one): a finer lattice changes deformations less than a scan's noise. Key points closer together
+    than twice that share a handle."""
     coarsest: float = 1 / 40
     """Greatest automatic spacing as a part of the size."""
     tolerance: float = 1e-7
@@ -60,13 +61,16 @@ class WeightOptions:
 class Embedding:
     """The lattice of a mesh; `spacing` is in the mesh's unit.
 
-    `handle_cells` (K, 3) are cells of the `lattice`; `interpolation` (V, N) takes node values to the
-    vertices. Vertices `follower` (n,) take the weights of `leader` (n,): their parts are out of the lattice's
-    reach.
+    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. Key points too close together for the
+    spacing share a handle: `handle` (K,) is that of each key point, `shares` (V, K) how its weight is
+    divided among them. `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,)
+    take the weights of `leader` (n,): their parts are out of the lattice's reach.
     """
 
     lattice: Lattice
     handle_cells: IntArray
+    handle: IntArray
+    shares: FloatArray
     interpolation: sparse.csr_matrix
     spacing: float
     follower: IntArray
@@ -125,13 +129,21 @@ def embed(
         cells, used, step = _automatic(mesh, closest, options)
     else:
         cells, used, step = _given(mesh, float(spacing), options)
-    owners = _cells_of_handles(mesh, used)
+    owners, handle, merged = _shared_handles(mesh, used)
     cells = join_parts(unique_cells(np.concatenate([cells, owners])), _REACH * mesh.size / used + 2)
     lattice = Lattice.of_cells(_with_handles(cells, owners))
     local = (vertices - mesh.origin(used)) / used
     follower, leader, left_out = _parts_out_of_reach(lattice, local, faces)
     return Embedding(
-        lattice, owners, lattice.interpolation(local), used, follower, leader, Plan((step, left_out))
+        lattice=lattice,
+        handle_cells=owners,
+        handle=handle,
+        shares=_shares(vertices, handles, handle),
+        interpolation=lattice.interpolation(local),
+        spacing=used,
+        follower=follower,
+        leader=leader,
+        plan=Plan((step, left_out, merged)),
     )
 
 
@@ -149,24 +161,53 @@ def _closest_spacing(mesh: _MarkedMesh) -> float:
     if not apart > _COINCIDENT * mesh.size:
         raise EyeglassesError(
             f"key points {mesh.pair(a, b)} coincide at {np.round(mesh.handles[a], 6).tolist()}; each "
-            "needs a place of its own: leave one of them out"
+            "needs a place of its own: leave one of them out (null)"
         )
     # Places two spacings apart along one axis lie in cells with another cell between them.
     return apart / 2
 
 
-def _cells_of_handles(mesh: _MarkedMesh, spacing: float) -> IntArray:
-    """Return (K, 3) the cells of the key points; raises when two share a node."""
-    local = (mesh.handles - mesh.origin(spacing)) / spacing
-    cells = np.floor(local).astype(np.int64)
-    a, b, steps = _nearest_pair(cells.astype(float))
-    if steps < 2:
-        apart = spacing * float(np.abs(local[a] - local[b]).max())
-        raise EyeglassesError(
-            f"key points {mesh.pair(a, b)} are {apart:.4g} apart along the axes, too close for a lattice "
-            f"of spacing {spacing:.4g}; give a spacing of {apart / 2:.4g} or less, or raise max_nodes"
-        )
-    return cells
+def _shared_handles(mesh: _MarkedMesh, spacing: float) -> tuple[IntArray, IntArray, PlanStep]:
+    """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan.
+
+    A handle lies in the middle of its key points. Those whose cells touch become one, the nearest first.
+    """
+    groups = [[k] for k in range(len(mesh.handles))]
+    while True:
+        middles = np.array([mesh.handles[group].mean(0) for group in groups])
+        cells = np.floor((middles - mesh.origin(spacing)) / spacing).astype(np.int64)
+        steps = squareform(pdist(cells.astype(float), "chebyshev")) if len(groups) > 1 else np.zeros((1, 1))
+        apart = squareform(pdist(middles)) if len(groups) > 1 else np.zeros((1, 1))
+        apart[(steps >= 2) | np.eye(len(groups), dtype=bool)] = np.inf
+        a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+        if np.isinf(apart[a, b]):
+            break
+        groups[a] += groups.pop(b)
+    handle = np.zeros(len(mesh.handles), np.int64)
+    for number, group in enumerate(groups):
+        handle[group] = number
+    stage = "eyeglasses.weights.shared_handles"
+    shared = [" and ".join(mesh.names[k] for k in sorted(group)) for group in groups if len(group) > 1]
+    if not shared:
+        return cells, handle, PlanStep(stage, False, "every key point has cells of its own")
+    reason = f"closer together than two spacings, one handle divided by distance: {'; '.join(shared)}"
+    return cells, handle, PlanStep(stage, True, reason, f"{len(groups)} handles for {len(handle)} key points")
+
+
+def _shares(vertices: FloatArray, points: FloatArray, handle: IntArray) -> FloatArray:
+    """Return (V, K) shares of the key points (K, 3) of a handle in its weight at vertices (V, 3).
+
+    They fall with the square of the distance and sum to 1 over the key points of a handle: each is 1 at its
+    own key point, and far away they are equal (Shepard's interpolation).
+    """
+    shares = np.ones((len(vertices), len(points)))
+    for number in np.flatnonzero(np.bincount(handle) > 1):
+        group = np.flatnonzero(handle == number)
+        square = ((vertices[:, None] - points[group]) ** 2).sum(2)
+        nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
+        nearness[square == 0] = 1.0
+        shares[:, group] = nearness / nearness.sum(1, keepdims=True)
+    return shares
 
 
 def _require_near(mesh: _MarkedMesh) -> None:
@@ -235,7 +276,7 @@ def _automatic(mesh: _MarkedMesh, closest: float, options: WeightOptions) -> tup
     spacing = float(np.clip(thin, options.finest * mesh.size, options.coarsest * mesh.size))
     reason = f"the mesh's thin parts measure {thin:.4g}"
     if closest < spacing:
-        spacing, reason = closest, "two key points are close together"
+        spacing, reason = max(closest, options.finest * mesh.size), "two key points are close together"
     parts = math.ceil(mesh.size / spacing * (1 - 1e-9))
     while (cells := _cells(mesh, mesh.size / parts, options.max_nodes)) is None:
         if parts <= 2:

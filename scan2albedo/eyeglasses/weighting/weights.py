@@ -122,7 +122,7 @@ class BoundedBiharmonicWeights:
     converged: bool
     """Whether every handle's residual is at most the tolerance."""
     iterations: IntArray
-    """(K,) Newton steps of each handle on the finest lattice."""
+    """(K,) Newton steps of each key point's handle on the finest lattice."""
     residual: FloatArray
     """(K,) scaled residuals of the optimality conditions, in weight (no unit)."""
     energy: FloatArray
@@ -132,7 +132,7 @@ class BoundedBiharmonicWeights:
     node_count: int
     """Nodes of the lattice."""
     plan: Plan
-    """The spacing and the parts left out, with the reasons."""
+    """The spacing, key points that share a handle, and the parts left out, with the reasons."""
     trace: Trace
     """Largest scaled residual of all handles after each Newton step, lattices in order."""
 
@@ -205,8 +205,8 @@ def solve_weights(
     Raises
     ------
     EyeglassesError
-        When the mesh is empty or not finite, a key point lies far off the mesh, two of them coincide or share
-        a lattice node, or a given spacing makes too large a lattice.
+        When the mesh is empty or not finite, a key point lies far off the mesh, two of them coincide, or a
+        given spacing makes too large a lattice.
     ValueError
         When an array has the wrong shape, or `spacing` is not positive.
 
@@ -215,6 +215,9 @@ def solve_weights(
     The key points do not lie on nodes. Trilinear interpolation is a convex combination of a cell's
     corners, so with weights of at most 1 it is 1 at the key point only if all (of positive share) are 1: the
     handle is the cell, its eight nodes hold 1 for its own key point and 0 for the others'.
+
+    Key points closer together than two spacings, such as the top and the bottom of a wire, share one handle
+    in their middle; its weight is divided among them by the inverse squares of their distances.
 
     A part farther than 5 % of the size from all parts with a key point moves as one piece, with the
     weights of the lattice's point nearest to it.
@@ -246,12 +249,13 @@ def metered_weights(
             f"no key point holds {int((total <= _VANISHED).sum())} of {len(total)} lattice nodes"
         )
     weights = np.clip(embedding.interpolation @ (solution.weights / total[:, None]), 0.0, 1.0)
+    weights = embedding.shares * weights[:, embedding.handle]
     return BoundedBiharmonicWeights(
         weights=_with_followers(weights, embedding),
         converged=bool((solution.residual <= options.tolerance).all()),
-        iterations=solution.steps,
-        residual=solution.residual,
-        energy=solution.energy,
+        iterations=solution.steps[embedding.handle],
+        residual=solution.residual[embedding.handle],
+        energy=solution.energy[embedding.handle],
         spacing=embedding.spacing,
         node_count=len(embedding.lattice.nodes),
         plan=embedding.plan,

@@ -67,7 +67,8 @@ def done(tmp_path_factory):
     (folder / "broken.ply").write_bytes(b"ply\nnothing")
     (folder / "broken.keypoints.json").write_bytes((folder / "first.keypoints.json").read_bytes())
     with pytest.MonkeyPatch.context() as patch:
-        answer = run(patch, first, folder / "broken.ply", second, "-o", folder / "out", "--json")
+        mode = ("--mode", "mean")
+        answer = run(patch, first, folder / "broken.ply", second, "-o", folder / "out", "--json", *mode)
     return folder, answer, (a, b)
 
 
@@ -108,6 +109,7 @@ def test_the_files_hold_what_was_done(done):
         assert 5 < record["metrics"]["moved_max_mm"] < 12
         assert record["metrics"]["glb_moved_max_mm"] < 0.05
         assert record["converged"]
+        assert record["mode"] == "mean"
         # One shape twice: without their bends the two are the same.
         assert (
             np.abs(canonical.vertices - read_canonical(folder / "out/first/canonical.npz").vertices).max()
@@ -127,7 +129,7 @@ def test_the_files_hold_what_was_done(done):
 def test_a_later_frame_goes_to_an_earlier_mean(done, tmp_path, monkeypatch):
     folder, _, _ = done
     mean = folder / "out" / "mean_keypoints.json"
-    options = ("--mean", mean, "--budget", 0.2, "--handles", "translated")
+    options = ("--mean", mean, "--budget", 0.2, "--mode", "mean", "--handles", "translated")
     answer = run(monkeypatch, folder / "first.ply", "-o", tmp_path / "out", *options)
     assert answer.exit_code == 0, answer.output
     np.testing.assert_array_equal(
@@ -139,6 +141,26 @@ def test_a_later_frame_goes_to_an_earlier_mean(done, tmp_path, monkeypatch):
     assert "not converged" in answer.stderr
     assert record["options"]["handles"] == "translated"
     assert record["options"]["budget_s"] == 0.2
+
+
+def test_frames_are_unbent_by_default_and_small_ones_refused(tmp_path, monkeypatch):
+    path, glasses = save(tmp_path, bend=GlassesBend(twist_deg=4), keep=range(19))
+    small, _ = save(tmp_path, "small", bend=GlassesBend(twist_deg=4))
+    mesh = trimesh.load(small, process=False)
+    trimesh.Trimesh(0.6 * mesh.vertices, mesh.faces, process=False).export(small)
+    write_keypoints(keypoints_beside(small), 0.6 * read_keypoints(keypoints_beside(small)))
+    answer = run(monkeypatch, path, small, "-o", tmp_path / "out", "--budget", 2)
+    assert answer.exit_code == 1, answer.output
+    assert "frame: without key points right_temple_tip" in answer.stderr
+    assert "rms off the unbent frame's" in answer.stderr
+    assert "small.ply: its front is 8" in answer.stderr
+    record = json.loads((tmp_path / "out" / "frame" / "result.json").read_text())
+    assert record["mode"] == "unbend"
+    assert any(step["stage"] == "eyeglasses.unbend" and step["ran"] for step in record["plan"])
+    found = read_canonical(tmp_path / "out" / "frame" / "canonical.npz")
+    assert found.unbent
+    width = np.ptp(found.keypoints[[7, 16], 0])
+    assert width == pytest.approx(np.ptp(glasses.rest_keypoints[[7, 16], 0]), abs=0.2)
 
 
 def test_nothing_is_left_half_written(done, tmp_path, monkeypatch):
@@ -224,6 +246,9 @@ def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
         (first,),
         (first, "-o", out, "--unit", "yard"),
         (first, "-o", out, "--handles", "bent"),
+        (first, "-o", out, "--handles", "translated"),
+        (first, "-o", out, "--mode", "bend"),
+        (first, "-o", out, "--widths", "170,110"),
         (first, "-o", out, "--budget", "0"),
         (first, tmp_path / "first.obj", "-o", out),
         (first, folder / "second.ply", "-o", out, "--keypoints", folder / "first.keypoints.json"),

@@ -1,4 +1,4 @@
-"""Frames brought to the mean of their key points: against the truth about their bends."""
+"""Frames brought to the mean of their key points against the truth; sets, units, budgets."""
 
 import time
 
@@ -24,7 +24,8 @@ SMALL = {
     "opened": GlassesBend(temple_spread_mm=8, bridge_deg=-2),
     "twisted": GlassesBend(twist_deg=3),
 }
-TRANSLATED = CanonicalizationOptions(handles="translated")
+MEAN = CanonicalizationOptions(mode="mean")
+TRANSLATED = CanonicalizationOptions(mode="mean", handles="translated")
 
 
 def volume(vertices, faces):
@@ -61,7 +62,7 @@ def weighted():
     return make
 
 
-def straightened(glasses, weights, options=CanonicalizationOptions()):
+def straightened(glasses, weights, options=MEAN):
     return canonicalize(
         [(posed(glasses.vertices, 1), glasses.faces)],
         [posed(glasses.keypoints, 1)],
@@ -90,7 +91,7 @@ def test_a_small_bend_is_undone(weighted, name, welded):
 def test_turning_key_points_beat_shifted_ones(weighted, name):
     glasses, weights = weighted(SMALL[name])
     errors = []
-    for options in (CanonicalizationOptions(), TRANSLATED):
+    for options in (MEAN, TRANSLATED):
         result = straightened(glasses, weights, options)
         errors.append(rigid_free_error(result.frames[0], glasses, result.mean_keypoints))
     assert np.sqrt(np.mean(errors[0] ** 2)) < 0.7 * np.sqrt(np.mean(errors[1] ** 2))
@@ -130,7 +131,7 @@ def some_set(weighted):
 @pytest.mark.slow
 def test_a_set_meets_at_its_mean_whatever_its_poses_and_order(weighted):
     meshes, points, weights = some_set(weighted)
-    result = canonicalize(meshes, points, weights=weights)
+    result = canonicalize(meshes, points, weights=weights, options=MEAN)
     assert result.converged
     assert not result.units_differed
     for frame, p in zip(result.frames, points, strict=True):
@@ -143,6 +144,7 @@ def test_a_set_meets_at_its_mean_whatever_its_poses_and_order(weighted):
         [(posed(v, 9), f) for v, f in meshes[::-1]],
         [posed(p, 9) for p in points[::-1]],
         weights=weights[::-1],
+        options=MEAN,
     )
     np.testing.assert_allclose(back.mean_keypoints, result.mean_keypoints, atol=1e-8)
     np.testing.assert_allclose(back.frames[2].vertices, result.frames[0].vertices, atol=1e-8)
@@ -185,10 +187,37 @@ def test_other_units_are_brought_to_one(weighted):
     np.testing.assert_allclose(1e3 * in_metres.mean_keypoints, plain.mean_keypoints, atol=1e-8)
 
 
-def test_a_normalised_mesh_gets_the_size_of_the_others(weighted):
+def test_a_frame_of_no_width_of_spectacles_is_refused(weighted):
     meshes, points, weights = some_set(weighted)
-    meshes[1], points[1] = (meshes[1][0] / 71, meshes[1][1]), points[1] / 71
-    assert canonicalize(meshes, points, weights=weights).frames[1].scale == pytest.approx(71, rel=0.2)
+    meshes[1], points[1] = (meshes[1][0] / 73, meshes[1][1]), points[1] / 73
+    with pytest.raises(EyeglassesError, match=r"frame 1: its front is [\d.]+ units wide.*110 to 170 mm"):
+        canonicalize(meshes, points, weights=weights)
+    skipping = CanonicalizationOptions(skip_failed=True)
+    rest = canonicalize(meshes, points, weights=weights, options=skipping)
+    assert rest.numbers == (0, 2)
+    assert "units wide" in rest.failures[1]
+    alone = canonicalize(meshes[::2], points[::2], weights=weights[::2])
+    np.testing.assert_array_equal(rest.mean_keypoints, alone.mean_keypoints)
+    # A child's frame, which the caller vouches for.
+    small = [(0.72 * meshes[0][0], meshes[0][1])], [0.72 * points[0]]
+    admitted = CanonicalizationOptions(widths_mm=(90.0, 170.0))
+    child = canonicalize(*small, weights=weights[:1], options=admitted)
+    assert child.frames[0].scale == 1.0
+    with pytest.raises(EyeglassesError, match="mean_keypoints: its front"):
+        canonicalize(meshes[:1], points[:1], weights=weights[:1], mean_keypoints=points[1])
+
+
+def test_outliers_of_a_set_are_named(weighted):
+    meshes, points, weights = (2 * part for part in some_set(weighted))
+    assert canonicalize(meshes, points, weights=weights).outliers == {}
+    meshes[4] = (0.8 * meshes[4][0], meshes[4][1])
+    points[4] = 0.8 * points[4]
+    found = canonicalize(meshes, points, weights=weights)
+    assert sorted(found.outliers) == [4]
+    assert "wide, the median of the set is" in found.outliers[4]
+    step = next(s for s in found.plan if s.stage == "eyeglasses.outliers")
+    assert step.ran
+    assert step.evidence == "1 of 6 frames"
 
 
 def test_missing_key_points_are_done_without():
@@ -198,7 +227,7 @@ def test_missing_key_points_are_done_without():
     result = canonicalize(
         [(glasses.vertices, glasses.faces)] * 2,
         [points, glasses.keypoints],
-        options=CanonicalizationOptions(spacing=3.0),
+        options=CanonicalizationOptions(mode="mean", spacing=3.0),
     )
     lacking, whole = result.frames
     assert np.isfinite(lacking.vertices).all()
@@ -234,7 +263,7 @@ def test_bad_input_is_named():
         canonicalize([mesh], [far])
 
 
-COARSE = CanonicalizationOptions(spacing=3.0)
+COARSE = CanonicalizationOptions(mode="mean", spacing=3.0)
 
 
 @pytest.mark.slow
@@ -255,7 +284,7 @@ def test_the_plan_says_what_ran_and_the_trace_how_it_went(weighted):
     assert sum(s.stage == "eyeglasses.weights" and "solved" in s.reason for s in solved.plan) == 2
     assert sum(s.stage == "eyeglasses.weights.spacing" for s in solved.plan) == 2
     given = canonicalize(meshes[::2], points[::2], weights=weights[::2], mean_keypoints=solved.mean_keypoints)
-    assert not given.plan.ran("eyeglasses")
+    assert [s.stage for s in given.plan if s.ran] == ["eyeglasses.unbend"] * 2
     assert len(given.trace) == 0
     assert given.converged
 

@@ -26,10 +26,21 @@ def with_part(glasses, vertices, faces):
     return np.vstack([glasses.vertices, vertices]), np.vstack([glasses.faces, faces + len(glasses.vertices)])
 
 
-def test_key_points_too_close_for_the_spacing_are_named(glasses):
+def test_key_points_too_close_for_the_spacing_share_a_handle(glasses, plain):
     handles = np.vstack([glasses.handles, glasses.handles[3] + [2, 0, 0]])
-    with pytest.raises(EyeglassesError, match=r"key points 3 and 7 are 2 apart .* spacing of 1 or less"):
-        weights_of(glasses.vertices, glasses.faces, handles)
+    vertices = np.vstack([glasses.vertices, handles[[3, 7]]])
+    found = solve_weights(vertices, glasses.faces, handles, SPACING)
+    step = next(s for s in found.plan if s.stage == "eyeglasses.weights.shared_handles")
+    assert step.ran
+    assert "3 and 7" in step.reason
+    assert np.abs(found.weights.sum(1) - 1).max() <= 1e-12
+    assert found.weights[-2, 3] > 0.95
+    assert found.weights[-1, 7] > 0.95
+    assert found.weights[-2, 7] == found.weights[-1, 3] == 0
+    together = found.weights[:-2, [3]] + found.weights[:-2, [7]]
+    others = np.hstack([found.weights[:-2, :3], together, found.weights[:-2, 4:7]])
+    assert np.abs(others - plain).max() < 0.1
+    assert found.residual.shape == (8,)
 
 
 def test_key_points_near_the_mesh_hold_it(glasses, plain):

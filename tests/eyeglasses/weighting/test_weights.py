@@ -37,6 +37,7 @@ def test_the_solver_says_how_it_ended(solved, glasses):
     assert [step.stage for step in solved.plan] == [
         "eyeglasses.weights.spacing",
         "eyeglasses.weights.rigid_parts",
+        "eyeglasses.weights.shared_handles",
     ]
 
 

@@ -1,0 +1,111 @@
+"""Frames without their bends: shapes and sizes stay, halves come to mirror each other."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.eyeglasses import CanonicalizationOptions, bounded_biharmonic_weights, canonicalize
+from scan2albedo.eyeglasses.canonical.unbending import front_halves
+from scan2albedo.eyeglasses.keypoints import MIRROR
+from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
+from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
+
+ROUND = GlassesShape(lens_width=44, lens_height=44, squareness=2)
+FLAT = GlassesShape(lens_width=54, lens_height=28, squareness=6)
+
+
+def dropped(points, turn_deg=4.0, drop_mm=3.0):
+    """Points whose left half is turned about x and hangs lower, over the width of the bridge."""
+    x, y, z = points.T
+    rise = (1 + np.tanh(x / 5)) / 2
+    angle = np.deg2rad(turn_deg) * rise
+    return np.stack(
+        [x, np.cos(angle) * y - np.sin(angle) * z - drop_mm * rise, np.sin(angle) * y + np.cos(angle) * z], 1
+    )
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """A round frame and a flat one, posed and bent, with weights on a coarse lattice."""
+    made = []
+    for seed, shape in enumerate((ROUND, FLAT)):
+        glasses, rng = eyeglasses(seed, shape=shape), np.random.default_rng(seed)
+        pose = compose(random_rotation(rng), rng.normal(0, 200, 3))
+        vertices = transform_points(pose, dropped(glasses.vertices))
+        points = vertices[glasses.keypoint_vertices]
+        weights = bounded_biharmonic_weights(vertices, glasses.faces, points, 3.0)
+        made.append((glasses, vertices, points, weights))
+    return made
+
+
+@pytest.fixture(scope="module")
+def unbent(pair):
+    meshes = [(vertices, glasses.faces) for glasses, vertices, _, _ in pair]
+    return canonicalize(meshes, [p for _, _, p, _ in pair], weights=[w for *_, w in pair])
+
+
+def laid_on(source, target):
+    return np.linalg.norm(transform_points(procrustes(source, target), source) - target, axis=1)
+
+
+def lens_edges(glasses):
+    return [np.linalg.norm(glasses.vertices - p[:, None], axis=2).argmin(1) for p in glasses.lens_outlines]
+
+
+def test_rims_keep_their_shape_and_the_bend_goes(pair, unbent):
+    for (glasses, vertices, _, _), frame in zip(pair, unbent.frames, strict=True):
+        for edge in lens_edges(glasses):
+            assert laid_on(frame.vertices[edge], vertices[edge]).max() < 0.05
+        before, after = (laid_on(v, glasses.rest_vertices) for v in (vertices, frame.vertices))
+        assert np.sqrt((before**2).mean()) > 1.5
+        assert np.sqrt((after**2).mean()) < 0.2
+        assert frame.unbent
+        np.testing.assert_allclose(frame.uncanonicalize(frame.vertices), vertices, atol=1e-9)
+        flip = np.array([-1.0, 1, 1])
+        np.testing.assert_allclose(frame.keypoints[list(MIRROR)], frame.keypoints * flip, atol=0.1)
+
+
+def test_the_mean_gives_all_frames_its_proportions(pair, unbent):
+    meshes = [(vertices, glasses.faces) for glasses, vertices, _, _ in pair]
+    options = CanonicalizationOptions(mode="mean")
+    found = canonicalize(meshes, [p for _, _, p, _ in pair], weights=[w for *_, w in pair], options=options)
+    np.testing.assert_array_equal(found.mean_keypoints, unbent.mean_keypoints)
+    heights = [np.ptp(f.vertices[lens_edges(g)[0], 1]) for (g, *_), f in zip(pair, found.frames, strict=True)]
+    assert abs(heights[0] - heights[1]) < 4 < 12 < ROUND.lens_height - FLAT.lens_height
+    assert not found.frames[0].unbent
+
+
+def test_key_points_off_by_a_millimetre_hardly_matter(pair):
+    glasses, vertices, points, weights = pair[1]
+    for seed in range(3):
+        rough = points + np.random.default_rng(seed).normal(0, 1, points.shape)
+        halves = front_halves(vertices, glasses.faces, weights, rough)
+        assert halves.bend_deg == pytest.approx(4, abs=0.1)
+        by_points = front_halves(vertices, glasses.faces, 0 * weights, rough)
+        assert np.isnan(by_points.apart)
+        assert abs(by_points.bend_deg - 4) > abs(halves.bend_deg - 4)
+
+
+def test_what_both_sides_are_bent_to_alike_stays():
+    glasses = eyeglasses(0, bend=GlassesBend(temple_spread_mm=8))
+    weights = bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.keypoints, 4.0)
+    mesh = (glasses.vertices, glasses.faces)
+    frame = canonicalize([mesh], [glasses.keypoints], weights=[weights]).frames[0]
+    assert frame.residual < 1e-6
+    assert laid_on(frame.vertices, glasses.vertices).max() < 1e-6
+
+
+def test_one_half_alone_is_only_posed():
+    glasses = eyeglasses(0)
+    points = glasses.keypoints
+    points[11:] = np.nan
+    weights = np.where(np.isfinite(points).all(1), 1 / 11, 0.0) * np.ones((len(glasses.vertices), 1))
+    found = canonicalize([(glasses.vertices, glasses.faces)], [points], weights=[weights])
+    step = next(s for s in found.plan if s.stage == "eyeglasses.unbend")
+    assert not step.ran
+    assert laid_on(found.frames[0].vertices, glasses.vertices).max() < 1e-9
+
+
+def test_shifts_alone_do_not_unbend():
+    glasses = eyeglasses(0)
+    with pytest.raises(ValueError, match='mode="mean"'):
+        canonicalize([glasses], [glasses.keypoints], options=CanonicalizationOptions(handles="translated"))
