@@ -309,7 +309,7 @@ def lenses(
         bool, typer.Option("--fresnel", help="Let the reflection grow towards glancing angles.")
     ] = False,
     supersampling: Annotated[int, typer.Option(help="n x n rays for pixels on edges.", min=1)] = 3,
-    lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 64,
+    lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 256,
     unit: Annotated[str, typer.Option(help="Of frame and head: auto, mm, cm or m.")] = "auto",
     json_summary: JsonOption = False,
 ) -> None:

@@ -12,6 +12,10 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
 
+_EVEN_SHARE = 0.1
+"""Part of `important_directions` that does not follow the light."""
+_LLOYD_STEPS = 2
+_GOLDEN = (np.sqrt(5) - 1) / 2
 _FINEST_ROWS = 256
 """Texels of coarser maps are cut up to this many rows, so that cells of many lights keep their share."""
 
@@ -41,7 +45,10 @@ class DistantLights:
 
     @classmethod
     def from_environment(cls, environment_linear: ArrayLike, count: int = 64) -> DistantLights:
-        """Return `count` lights spread evenly that together shine like an environment map (H, W, 3)."""
+        """Return `count` lights spread evenly that together shine like an environment map (H, W, 3).
+
+        `important_directions` give fewer errors for the count, in that map alone.
+        """
         directions = distant_directions(count)
         return cls(directions, environment_weights(environment_linear, directions))
 
@@ -71,6 +78,106 @@ def distant_directions(count: int) -> FloatArray:
     y, azimuth = 1 - (2 * step + 1) / count, step * np.pi * (3 - np.sqrt(5))
     across = np.sqrt(1 - y * y)
     return np.stack([across * np.sin(azimuth), y, across * np.cos(azimuth)], 1)
+
+
+def important_directions(environment_linear: ArrayLike, count: int) -> FloatArray:
+    """Return (K, 3) unit vectors spread as the light of an environment map is.
+
+    A Fibonacci lattice is carried through the distribution of brightness, of which a tenth is spread evenly,
+    so that dark parts keep directions too; then twice each direction moves to the brightness's centroid of
+    its cell. Their `environment_weights` are alike: no light is much stronger than the others, and the edge
+    of its shadow hardly shows.
+
+    Parameters
+    ----------
+    environment_linear : (H, W, 3) array_like of float
+        As in `environment_weights`.
+    count : int
+        K, 1 or more.
+
+    Raises
+    ------
+    ValueError
+        As `environment_weights`, and when `count` is below 1.
+
+    References
+    ----------
+    .. [1] P. Debevec, "A median cut algorithm for light probe sampling", SIGGRAPH 2005 poster.
+
+    Examples
+    --------
+    >>> sun = np.ones((8, 16, 3))
+    >>> sun[2, 4] = 1000.0
+    >>> toward = important_directions(sun, 50)
+    >>> int((toward @ texel_directions(sun.shape[:2])[2, 4] > 0.9).sum()) > 35
+    True
+    """
+    image = _checked_map(environment_linear)
+    even = distant_directions(count)
+    brightness = _resized(np.abs(image).mean(2))
+    rows, columns = brightness.shape
+    size = texel_solid_angles(rows, columns)[:, None]
+    total = (brightness * size).sum()
+    if not total > 0:
+        return even
+    share = (1 - _EVEN_SHARE) * brightness * size / total
+    share += _EVEN_SHARE * size / (4 * np.pi)
+    toward = _warped(share, count)
+    texels, share = texel_directions((rows, columns)).reshape(-1, 3), share.ravel()
+    for _ in range(_LLOYD_STEPS):
+        nearest = cKDTree(toward).query(texels)[1]
+        moments = [np.bincount(nearest, share * texels[:, k], count) for k in range(3)]
+        pulled = np.stack(moments, 1).astype(np.float64)
+        length = np.linalg.norm(pulled, axis=1)
+        toward = np.where(length[:, None] > 0, normalized(pulled), toward)
+    return toward
+
+
+def _resized(brightness: FloatArray) -> FloatArray:
+    """Return a map (H, W) with means of texels if it is fine, with each of them cut up if it is coarse."""
+    rows, columns = brightness.shape
+    if rows <= _FINEST_ROWS:
+        repeat = -(-_FINEST_ROWS // rows)
+        return brightness.repeat(repeat, 0).repeat(repeat, 1)
+    step = -(-rows // _FINEST_ROWS)
+    down, across = np.arange(0, rows, step), np.arange(0, columns, step)
+    sums = np.add.reduceat(np.add.reduceat(brightness, down, 0), across, 1)
+    count = np.outer(np.diff(down, append=rows), np.diff(across, append=columns))
+    return np.asarray(sums / count)
+
+
+def _warped(share: FloatArray, count: int) -> FloatArray:
+    """Return (K, 3) directions that a lattice gets by the inverse distribution of shares (H, W) of a map."""
+    step = np.arange(count)
+    down, across = (step + 0.5) / count, (step * _GOLDEN + 0.5) % 1.0
+    of_rows = np.concatenate([[0.0], np.cumsum(share.sum(1))])
+    of_rows /= of_rows[-1]
+    row = np.interp(down, of_rows, np.arange(len(of_rows), dtype=np.float64))
+    of_columns = np.concatenate([np.zeros((len(share), 1)), np.cumsum(share, 1)], 1)
+    of_columns /= of_columns[:, -1:]
+    places = np.arange(of_columns.shape[1], dtype=np.float64)
+    own = np.minimum(row.astype(np.int64), len(share) - 1)
+    column = np.array([np.interp(u, of_columns[r], places) for u, r in zip(across, own, strict=True)])
+    return _map_directions(row / len(share), column / share.shape[1])
+
+
+def texel_directions(shape: tuple[int, int]) -> FloatArray:
+    """Return (H, W, 3) unit vectors to the middles of a map's texels."""
+    height, width = shape
+    down, across = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
+    return _map_directions(*np.meshgrid(down, across, indexing="ij"))
+
+
+def _map_directions(down: FloatArray, across: FloatArray) -> FloatArray:
+    """Return (..., 3) unit vectors to places of a map, in parts of its height and width."""
+    polar, azimuth = down * np.pi, (across - 0.5) * 2 * np.pi
+    return np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
+
+
+def texel_solid_angles(rows: int, columns: int) -> FloatArray:
+    """Return (H,) solid angles of a map's texels in each row."""
+    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
+    return np.asarray((edges[:-1] - edges[1:]) * 2 * np.pi / columns)
 
 
 def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) -> FloatArray:
@@ -128,14 +235,11 @@ def map_cells(directions: FloatArray, shape: tuple[int, int]) -> MapCells:
     tree, (height, width) = cKDTree(directions), shape
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
-    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
-    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    solid_angle = (edges[:-1] - edges[1:]) * 2 * np.pi / columns
-    nearest = np.empty((rows, columns), np.int32)
-    for row, polar in enumerate((np.arange(rows) + 0.5) * np.pi / rows):
-        y = np.full(columns, np.cos(polar))
-        toward = np.stack([np.sin(polar) * np.sin(azimuth), y, np.sin(polar) * np.cos(azimuth)], 1)
-        nearest[row] = tree.query(toward)[1]
+    solid_angle = texel_solid_angles(rows, columns)
+    nearest, across = np.empty((rows, columns), np.int32), (np.arange(columns) + 0.5) / columns
+    # Row by row: maps may have many millions of texels.
+    for row in range(rows):
+        nearest[row] = tree.query(_map_directions(np.full(columns, (row + 0.5) / rows), across))[1]
     texel = np.add.outer(
         np.arange(rows, dtype=np.int32) // repeat * width, np.arange(columns, dtype=np.int32) // repeat
     )

@@ -8,6 +8,9 @@ from scan2albedo.lighting.environment import (
     DistantLights,
     distant_directions,
     environment_weights,
+    important_directions,
+    texel_directions,
+    texel_solid_angles,
 )
 
 
@@ -97,3 +100,59 @@ def test_what_is_no_light_is_refused():
     grey = DistantLights([[0, 0, 2.0]], [3.0])
     assert grey.irradiance_linear.tolist() == [[3, 3, 3]]
     assert grey.directions.tolist() == [[0, 0, 1]]
+
+
+def lamps():
+    """A dim room with two lamps, one of them small."""
+    toward = texel_directions((64, 128))
+    image = np.full((64, 128, 3), 0.1)
+    image[toward @ [0.6, 0.0, 0.8] > 0.9] = 4.0
+    image[toward @ [0.0, 0.8, -0.6] > 0.995] = 60.0
+    return image
+
+
+def test_important_directions_share_the_light_evenly():
+    image = lamps()
+    toward = important_directions(image, 128)
+    np.testing.assert_allclose(np.linalg.norm(toward, axis=1), 1, atol=1e-12)
+    weights = environment_weights(image, toward).mean(1)
+    total = (image.mean(2) * texel_solid_angles(64, 128)[:, None]).sum()
+    assert weights.sum() == pytest.approx(total)
+    assert weights.max() < 3 * weights.mean()
+    even = environment_weights(image, distant_directions(128)).mean(1)
+    assert even.max() > 15 * even.mean()
+    np.testing.assert_array_equal(toward, important_directions(image, 128))
+
+
+def test_half_shadows_need_fewer_important_lights():
+    # What is left of the light where a wall hides all beyond a plane, at many turns of the wall.
+    image, walls = lamps(), distant_directions(200)
+    texels = texel_directions(image.shape[:2]).reshape(-1, 3)
+    light = (image.mean(2) * texel_solid_angles(*image.shape[:2])[:, None]).ravel()
+    truth = np.array([light[texels @ wall > 0].sum() for wall in walls])
+    errors = {}
+    for name, toward in (
+        ("even", distant_directions(64)),
+        ("important", important_directions(image, 64)),
+    ):
+        weights = environment_weights(image, toward).mean(1)
+        left = np.array([weights[toward @ wall > 0].sum() for wall in walls])
+        errors[name] = np.sqrt(((left - truth) ** 2).mean()) / light.sum()
+    assert errors["important"] < 0.03
+    assert errors["important"] < errors["even"] / 2
+
+
+def test_important_directions_of_a_fine_map_are_those_of_a_coarse_one():
+    image = lamps()
+    fine = image.repeat(9, 0).repeat(9, 1)
+    toward, anew = important_directions(image, 64), important_directions(fine, 64)
+    found = [weights.mean(1) for weights in (environment_weights(image, d) for d in (toward, anew))]
+    assert found[1].max() < 3 * found[1].mean()
+    np.testing.assert_allclose(np.sort(found[0])[-5:], np.sort(found[1])[-5:], rtol=0.5)
+
+
+def test_important_directions_of_no_light_are_even():
+    np.testing.assert_array_equal(important_directions(np.zeros((4, 8, 3)), 9), distant_directions(9))
+    assert important_directions(np.ones((1, 1, 3)), 1).shape == (1, 3)
+    with pytest.raises(ValueError, match="1 or more"):
+        important_directions(np.ones((4, 8, 3)), 0)

@@ -21,40 +21,37 @@ from scan2albedo.eyeglasses import (
     Surface,
     insert_lenses,
 )
-from scan2albedo.eyeglasses.lenses.inserted_lenses import without_glass
+from scan2albedo.eyeglasses.checks import checked_keypoints
+from scan2albedo.eyeglasses.lenses.inserted_lenses import without_glass, worn_axes
+from scan2albedo.eyeglasses.lenses.lens_rendering import checked_image
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.pinhole import normalized_cameras, pixel_directions
+from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 
 _LAMPS = (
     ((-0.6, 0.6, 0.7), 0.82, 7.0),
     ((0.9, 0.15, 0.6), 0.86, 1.6),
     ((0.15, 0.95, -0.45), 0.86, 3.0),
 )
-"""Direction (right, up, toward the camera), cosine of half the angle and radiance of each soft lamp: key,
-fill, and one above the sitter."""
+"""Direction (to the wearer's left, up, to the front), cosine of half the angle and radiance of each soft
+lamp: key, fill, and one above the sitter."""
 _SOFTNESS = 0.08
 """Cosines over which a lamp's edge fades."""
 
 EnvironmentKind = Literal["given", "built-in", "none"]
 _WORN_MM = 150.0
 """Largest distance between a worn frame's rims and the head: more is another world, or another unit."""
-_BRIGHT, _SHOWN_AS = 98.0, 0.65
-"""Percentile of a drawn picture's brightness, and what previews show it as."""
+WHITE_SHOWN = 0.9
+"""Part of a preview's white as which a white plate that faces as the frame does is shown."""
 
 
-def soft_environment(camera: ArrayLike, shape: tuple[int, int], *, rows: int = 128) -> FloatArray:
+def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
-    The top of the camera's picture (H, W) is up, and the main lamp stands on its left.
+    `axes` (3, 3) are those of `worn_axes`: lamps stand around whoever wears the frame, wherever a camera is,
+    the main one on the wearer's right, which pictures show on the left.
     """
-    azimuth = ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5) * 2 * np.pi
-    polar = ((np.arange(rows) + 0.5) * np.pi / rows)[:, None]
-    toward = np.stack(
-        np.broadcast_arrays(np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)),
-        -1,
-    )
-    seen = toward @ _axes(np.asarray(camera, np.float64), shape).T
+    seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
     radiance = 0.4 + 0.2 * seen[..., 1]
     for direction, edge, strength in _LAMPS:
         rise = np.clip((seen @ normalized(np.array(direction)) - edge) / _SOFTNESS + 0.5, 0, 1)
@@ -62,15 +59,18 @@ def soft_environment(camera: ArrayLike, shape: tuple[int, int], *, rows: int = 1
     return np.repeat(radiance[..., None], 3, 2)
 
 
-def _axes(camera: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Return rows right, up and toward the camera, unit vectors."""
-    height, width = shape
-    middle = np.array([(width - 1) / 2, (height - 1) / 2])
-    # A step of one pixel, for the picture may be small and the focal length long.
-    matrix = normalized_cameras(camera[None])[0]
-    center, above = pixel_directions(matrix, np.array([middle, middle - [0, 1.0]]))
-    up = normalized(above - (above @ center) * center)
-    return np.array([np.cross(center, up), up, -center])
+def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
+    """Return the factor that shows a matte white plate facing `front` (3,) as `WHITE_SHOWN` of white.
+
+    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras and heads.
+    Where it gets less light than a plate does on average over all directions, that average counts; 1 in the
+    dark.
+    """
+    rows, columns = environment_linear.shape[:2]
+    light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]
+    facing = np.maximum(texel_directions((rows, columns)) @ front, 0.0)
+    radiance = max(float((light * facing).sum()), float(light.sum()) / 4) / np.pi
+    return WHITE_SHOWN / radiance if radiance > 0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,8 @@ class RenderedLenses:
     environment: EnvironmentKind
     from_photographs: bool
     options: LensPictureOptions
+    exposure: float
+    """Factor on linear colours for previews, the same for all views: `white_exposure`, 1 for photographs."""
 
     @property
     def lenses(self) -> tuple[InsertedLens, ...]:
@@ -99,22 +101,20 @@ class RenderedLenses:
         return self.views[0].picture.lenses
 
     @property
-    def exposure(self) -> float:
-        """Factor on linear colours for previews; 1 for photographs."""
-        if self.from_photographs:
-            return 1.0
-        bright = [np.percentile(v.picture.without_lenses_linear.max(2), _BRIGHT) for v in self.views]
-        return _SHOWN_AS / max(bright) if max(bright) > 0 else 1.0
-
-    @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of all views; those that only some have name them."""
+        """Notes of all views; those that only some have name them. The last is on the exposure."""
         count = len(self.views)
         said: dict[str, list[str]] = {}
         for view in self.views:
             for note in view.picture.notes:
                 said.setdefault(note, []).append(view.camera.name)
-        return tuple(n if len(names) == count else f"{', '.join(names)}: {n}" for n, names in said.items())
+        notes = [n if len(names) == count else f"{', '.join(names)}: {n}" for n, names in said.items()]
+        if not self.from_photographs:
+            notes.append(
+                f"pictures show linear colours times {self.exposure:.3g}: under this light a white plate "
+                f"that faces as the frame does is {WHITE_SHOWN:g} of white, whichever views are chosen"
+            )
+        return tuple(notes)
 
 
 def render_lenses(
@@ -133,9 +133,9 @@ def render_lenses(
 
     Frame, key points (20, 3) and head are in one world, in mm, such as ``Surface(registered.vertices,
     faces)`` of a `RegisteredEyeglasses`. Lenses, photographs (one a camera) and environment are those of
-    `insert_lenses`; drawn views without an environment get `soft_environment` of the first camera. `on_view`
-    is called with each view when it is done. Raises EyeglassesError as from `insert_lenses`, and when frame
-    and head lie apart; ValueError when there is no camera, or not a picture of its shape for each.
+    `insert_lenses`; drawn views without an environment get `soft_environment`. `on_view` is called with each
+    view when it is done. Raises EyeglassesError as from `insert_lenses`, and when frame and head lie apart;
+    ValueError when there is no camera, or not a picture of its shape for each.
     """
     if not cameras:
         raise ValueError("give a camera")
@@ -144,8 +144,12 @@ def render_lenses(
     kind: EnvironmentKind = "given"
     if environment_linear is None:
         kind = "none" if pictures_linear is not None else "built-in"
-    if kind == "built-in":
-        environment_linear = soft_environment(cameras[0].matrix, cameras[0].shape)
+    marks, exposure = np.asarray(keypoints, np.float64), 1.0
+    if pictures_linear is None:
+        axes = worn_axes(np.asarray(frame.vertices), checked_keypoints("keypoints", keypoints))
+        if environment_linear is None:
+            environment_linear = soft_environment(axes)
+        exposure = white_exposure(checked_image("environment_linear", environment_linear), axes[2])
     views = []
     for camera, photograph in zip(cameras, photographs, strict=True):
         begun = time.perf_counter()
@@ -163,9 +167,8 @@ def render_lenses(
         views.append(LensView(camera, picture, time.perf_counter() - begun))
         if on_view is not None:
             on_view(views[-1])
-    marks = np.asarray(keypoints, np.float64)
     bare = without_glass(frame, views[0].picture.lenses, marks).surface
-    return RenderedLenses(tuple(views), bare, kind, pictures_linear is not None, options)
+    return RenderedLenses(tuple(views), bare, kind, pictures_linear is not None, options, exposure)
 
 
 def _photographs(

@@ -146,6 +146,9 @@ def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[st
             notes.append(
                 f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?"
             )
+    for step in result.plan:
+        if step.stage == "glasses.lenses" and (step.ran or step.evidence):
+            notes.append(f"{step.reason} ({step.evidence})")
     if not result.converged:
         notes.append("not converged: the plan says which step, and a longer budget may end it")
     return notes

@@ -16,7 +16,7 @@ from scan2albedo.eyeglasses.lenses.lens_scene import Surface
 from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
 from scan2albedo.eyeglasses.lenses.refraction import ThinLens
 from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
-from scan2albedo.geometry.mesh import face_cross_products
+from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
 SIDES = ("left", "right")
@@ -90,7 +90,7 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
 
     Raises EyeglassesError, naming key point and lens, when one is missing.
     """
-    wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
+    wanted = _rim(side)
     marks = keypoints[wanted]
     missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
     if missing:
@@ -99,6 +99,26 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
             f"{'is' if len(missing) == 1 else 'are'} missing; give them, or None in place of this lens"
         )
     return marks
+
+
+def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
+    """Return unit vectors (3, 3) of a frame: to the wearer's left, up, to the front.
+
+    Of its rims, one at least; raises EyeglassesError, naming key points, when none is known.
+    """
+    known = [side for side in (0, 1) if np.isfinite(keypoints[_rim(side)]).all()]
+    front, up = np.zeros(3), np.zeros(3)
+    for side in known or [0]:
+        marks = rim_key_points(keypoints, side)
+        front += _viewers_side(fit_normal(marks, vertices), marks.mean(0), keypoints)
+        up += marks[0] - marks[3]
+    front = normalized(front)
+    up = normalized(up - (up @ front) * front)
+    return np.array([np.cross(up, front), up, front])
+
+
+def _rim(side: int) -> list[int]:
+    return [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
 
 
 def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:

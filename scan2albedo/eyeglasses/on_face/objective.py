@@ -21,6 +21,14 @@ _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
 _CAUCHY = 2.0
 """Standard deviations from which a label's error counts less and less."""
+_OFFSET_MM = 0.5
+"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
+_BIAS_PX = 1.0
+"""How far a mask usually reaches beyond the frame, or falls short of it, all around."""
+_REWEIGHTINGS = 3
+"""Times that offsets and biases are found with the weights of robust errors."""
+_TINY = 1e-9
+"""Root of an information, of labels in standard deviations a mm, that is none."""
 _HUBER = 2.0
 """Standard deviations from which an outline's error counts by its size alone."""
 _DAMPING = Damping(largest=1e6)
@@ -86,10 +94,14 @@ def mean_outline_px(at: Linearization) -> float:
 class RegistrationObjective:
     """The sum of squares that is minimised over a frame's state.
 
-    labels:   sum of s^2 log(1 + |r|^2 / s^2), r in standard deviations, s = 2 (Cauchy's)
-    outlines: sum of Huber's function of the mask's distance at the sample's place
+    labels:   sum of s^2 log(1 + |r|^2 / s^2), r in standard deviations, s = 2 (Cauchy's), r that of the key
+              point moved by an offset of its own, the same in all views, + squares of the offsets
+    outlines: sum of Huber's function of the mask's distance at the sample's place, less a bias of each mask,
+              + squares of the biases
     bend:     sum of squares of `bend_prior`
     contact:  square of the frame's distance from the nose, where there is a `contact`
+
+    Offsets and biases are those that make the sum least; gradient and matrix are those of what is left.
     """
 
     def __init__(
@@ -151,16 +163,25 @@ class RegistrationObjective:
         errors = np.full(self._labelled.shape, np.nan)
         difference = pixels - self._labels[view, mark]
         errors[view, mark] = np.where(front, np.linalg.norm(difference, axis=1), np.inf)
-        square = np.where(front, (difference**2).sum(1) / noise**2, _BEHIND)
-        both = np.repeat(mark, 2)
+        slopes = np.where(front[:, None, None], slopes, 0.0) / noise
+        residual = np.where(front[:, None], difference, 0.0) / noise
+        found = _label_offsets(slopes, residual, front, mark, len(place))
+        offset, matrix = found.offset, found.matrix
+        inverse = np.linalg.inv(matrix + np.eye(3) / _OFFSET_MM**2)
+        # What is left of each key point's sums without its offset, as three values along the matrix's axes.
+        values, axes = np.linalg.eigh(matrix - matrix @ inverse @ matrix)
+        size = np.sqrt(np.maximum(values, 0.0))
+        along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)
+        three = np.repeat(np.arange(len(place)), 3)
         sums.add(
-            SkinnedPoints(self._marks.rest[both], self._marks.weights[both]),
-            place[both],
-            np.where(front[:, None, None], slopes, 0.0).reshape(-1, 3) / noise,
-            np.where(front[:, None], difference, 0.0).ravel() / noise,
-            np.repeat(1 / (1 + square / _CAUCHY**2), 2),
+            SkinnedPoints(self._marks.rest[three], self._marks.weights[three]),
+            place[three],
+            (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3),
+            (along / np.maximum(size, _TINY)).ravel(),
+            (size > _TINY).astype(np.float64).ravel(),
         )
-        sums.cost += float(_CAUCHY**2 * np.log1p(square / _CAUCHY**2).sum())
+        sums.cost += float(_CAUCHY**2 * np.log1p(found.square / _CAUCHY**2).sum())
+        sums.cost += float((offset**2).sum() / _OFFSET_MM**2)
         return errors
 
     def _add_contact(self, contact: HeadContact, sums: _Sums) -> None:
@@ -184,16 +205,73 @@ class RegistrationObjective:
         slope[sought] = np.einsum("ni,nij->nj", outward, slopes[sought])
         lost = ~np.isfinite(error)
         residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
-        size = np.abs(residual)
         vote = min(1.0, self.options.outline_stride / max(1.0, self.options.outline_correlation_px))
-        far = size > _HUBER
-        cost = np.where(far, _HUBER * (2 * size - _HUBER), size**2)
+        tight = (noise / _BIAS_PX) ** 2
+        for number in range(len(self.views)):
+            mine = np.flatnonzero((samples.view == number) & ~lost)
+            if not len(mine):
+                continue
+            bias = _mask_bias(residual[mine], vote, tight)
+            residual[mine] -= bias
+            weight = vote * _huber_weights(residual[mine])
+            error[mine] -= noise * bias
+            sums.cost += tight * bias**2
+            part = SkinnedPoints(samples.points.rest[mine], samples.points.weights[mine])
+            sums.take_common(part, place[mine], slope[mine] / noise, weight, tight)
+        size = np.abs(residual)
+        cost = np.where(size > _HUBER, _HUBER * (2 * size - _HUBER), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
         cost[lost] = _HUBER * 2 * self.options.outline_reach_px / noise
-        weight = vote * np.where(far, _HUBER / np.maximum(size, _HUBER), 1.0)
-        sums.add(samples.points, place, slope / noise, residual, weight)
+        sums.add(samples.points, place, slope / noise, residual, vote * _huber_weights(residual))
         sums.cost += float(vote * cost.sum())
         return error
+
+
+@dataclass(frozen=True)
+class _LabelOffsets:
+    """Where labels are off alike in all views."""
+
+    offset: FloatArray
+    """(K, 3) mm in the world."""
+    matrix: FloatArray
+    """(K, 3, 3) what a key point's labels say about its place, with the weights of robust errors."""
+    square: FloatArray
+    """(N,) squared errors of the labels that are left, in standard deviations."""
+
+
+def _label_offsets(
+    slopes: FloatArray, residual: FloatArray, front: BoolArray, mark: IntArray, count: int
+) -> _LabelOffsets:
+    """Return the offsets of K key points that leave the least errors of N labels and of their own.
+
+    Of labels with derivatives (N, 2, 3) by the place of their key point `mark` (N,), errors (N, 2) without
+    offsets, and `front` (N,), False behind a camera.
+    """
+    offset = np.zeros((count, 3))
+    for _ in range(_REWEIGHTINGS):
+        moved = residual + np.einsum("nij,nj->ni", slopes, offset[mark])
+        square = np.where(front, (moved**2).sum(1), _BEHIND)
+        weight = 1 / (1 + square / _CAUCHY**2)
+        matrix, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))
+        np.add.at(pull, mark, np.einsum("n,nki,nk->ni", weight, slopes, residual))
+        moved_by = np.linalg.solve(matrix + np.eye(3) / _OFFSET_MM**2, pull[:, :, None])
+        offset = -np.asarray(moved_by[:, :, 0], np.float64)
+    return _LabelOffsets(offset, matrix, square)
+
+
+def _mask_bias(residual: FloatArray, vote: float, tight: float) -> float:
+    """Return by how much all of an outline is off, in standard deviations; `tight` is its prior precision."""
+    bias = 0.0
+    for _ in range(_REWEIGHTINGS):
+        weight = vote * _huber_weights(residual - bias)
+        bias = float(weight @ residual / (weight.sum() + tight))
+    return bias
+
+
+def _huber_weights(residual: FloatArray) -> FloatArray:
+    size = np.abs(residual)
+    return np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0)
 
 
 class _Sums:
@@ -209,6 +287,15 @@ class _Sums:
         gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self._with_matrix)
         self.gradient += gradient
         self.matrix += matrix
+
+    def take_common(
+        self, points: SkinnedPoints, place: FloatArray, slopes: FloatArray, votes: FloatArray, tight: float
+    ) -> None:
+        """Take from the matrix what N values say that may all be off by one amount of precision `tight`."""
+        if self._with_matrix:
+            ones = np.ones(len(votes))
+            common, _ = self.motion.raw_sums(points, place, slopes, ones, votes, with_matrix=False)
+            self.matrix -= np.outer(common, common) / (votes.sum() + tight)
 
 
 def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

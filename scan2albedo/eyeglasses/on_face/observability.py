@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.objective import Linearization, ObservedView
+from scan2albedo.eyeglasses.on_face.objective import Linearization
 from scan2albedo.eyeglasses.on_face.outline_samples import OutlineSampler
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import project
@@ -66,6 +66,11 @@ def worst_deviation(covariances: FloatArray) -> FloatArray:
     return np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0))
 
 
+def expected_distance(covariances: FloatArray) -> FloatArray:
+    """Return (N,) root mean squares of the distances that points are off."""
+    return np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
+
+
 def deviation_along(covariances: FloatArray, directions: FloatArray) -> FloatArray:
     """Return (N,) standard deviations along directions (N, 3)."""
     heading = normalized(directions)
@@ -82,7 +87,7 @@ class MaskAgreement:
 
 
 def compare_masks(
-    sampler: OutlineSampler, motion: FrameMotion, view: ObservedView, mask: BoolArray, noise_px: float
+    sampler: OutlineSampler, motion: FrameMotion, number: int, mask: BoolArray, noise_px: float
 ) -> MaskAgreement:
     """Return how a view's mask (H, W) agrees with the pixels that the frame covers, the head in front.
 
@@ -92,7 +97,8 @@ def compare_masks(
     from scipy.spatial import cKDTree
 
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
-    own, face = sampler.mask(motion, view)
+    view, faces = sampler.views[number], sampler.shown[number]
+    own, face = sampler.mask(motion, number)
     union = own | mask
     if not union.any():
         return MaskAgreement(0.0, np.zeros(weights.shape[1]))
@@ -106,7 +112,7 @@ def compare_masks(
         if not len(rows):
             continue
         if here is own:
-            owner = sampler.mesh.faces[face[rows, columns], 0]
+            owner = faces[face[rows, columns], 0]
         else:
             # Vertices that the head should hide too: the mask may be what shows that it does not.
             pixels, depth = project(view.camera, vertices)

@@ -64,8 +64,11 @@ class OutlineSampler:
         views: tuple[ObservedView, ...],
         head: RayCaster | None,
         options: FaceRegistrationOptions,
+        shown: tuple[IntArray, ...] | None = None,
     ) -> None:
+        """`shown` are the faces that each view's mask shows, all of them when omitted."""
         self.mesh, self.views, self.head, self.options = mesh, views, head, options
+        self.shown = (mesh.faces,) * len(views) if shown is None else shown
 
     def sample(self, motion: FrameMotion, deviation_mm: FloatArray) -> OutlineSamples:
         """Return outline points that the head does not hide and whose observed outline is within reach.
@@ -84,34 +87,35 @@ class OutlineSampler:
             np.concatenate([p.outward for p in parts]),
         )
 
-    def mask(self, motion: FrameMotion, view: ObservedView) -> tuple[BoolArray, IntArray]:
-        """Return (H, W) True where the view should show the frame, the head in front of it, and the faces."""
+    def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
+        """Return (H, W) True where a view should show the frame, the head in front, and its `shown` faces."""
+        view, faces = self.views[number], self.shown[number]
         assert view.shape is not None
         vertices = motion.positions(self.mesh.points)
         pixels, depth = project(view.camera, vertices)
-        covered = cover(pixels, depth, self.mesh.faces, view.shape)
-        at, face, share = covered_points(covered, pixels, depth, self.mesh.faces)
-        place = np.einsum("nk,nki->ni", share, vertices[self.mesh.faces[face]])
+        covered = cover(pixels, depth, faces, view.shape)
+        at, face, share = covered_points(covered, pixels, depth, faces)
+        place = np.einsum("nk,nki->ni", share, vertices[faces[face]])
         seen = ~hidden_by(self.head, view.camera, place)
         owner = np.full(view.shape, -1, np.int64)
         owner[at[seen, 1], at[seen, 0]] = face[seen]
         return owner >= 0, owner
 
     def _of_view(self, number: int, vertices: FloatArray, deviation_mm: FloatArray) -> OutlineSamples:
-        view, mesh = self.views[number], self.mesh
+        view, mesh, faces = self.views[number], self.mesh, self.shown[number]
         if view.distance is None or view.shape is None:
             return _no_samples(mesh)
         pixels, depth = project(view.camera, vertices)
-        covered = cover(pixels, depth, mesh.faces, view.shape)
-        outline = trace_outline(covered, pixels, depth, mesh.faces, view.shape)
+        covered = cover(pixels, depth, faces, view.shape)
+        outline = trace_outline(covered, pixels, depth, faces, view.shape)
         outline = outline.thinned(self.options.outline_stride)
-        foremost = mesh.faces[outline.face, 0]
+        foremost = faces[outline.face, 0]
         reach = (
             _REACH * mesh.points.weights[foremost] @ deviation_mm * _px_per_mm(view.camera, depth[foremost])
         )
         reach = np.minimum(_NEAR_PX + reach, self.options.outline_reach_px)
         edges, kept = self._matched(view, outline, reach)
-        corners, share = mesh.faces[outline.face[kept]], outline.barycentric[kept]
+        corners, share = faces[outline.face[kept]], outline.barycentric[kept]
         place = np.einsum("nk,nki->ni", share, vertices[corners])
         free = ~self._near_head(view, place, outline.pixels[kept].astype(np.float64))
         corners, share, chosen = corners[free], share[free], np.flatnonzero(kept)[free]

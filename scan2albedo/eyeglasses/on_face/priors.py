@@ -13,6 +13,8 @@ from scan2albedo.geometry.mesh import face_normals, normalized
 
 _STRETCH = 0.001
 """Part of its length by which a bone is usually stretched."""
+_SCALE = 0.01
+"""By how much the whole frame is usually too large or too small, as a mesh that somebody measured."""
 _RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
 """How much neighbouring key points are usually turned against each other: of a rim, across the bridge, of
 hinges and temples."""
@@ -29,8 +31,8 @@ _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES
 def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     """Return residuals (N,) in standard deviations and their derivatives (N, 6 + 3 K).
 
-    Of each bone: its stretch, and the turn of its two ends against each other; then the six rigid motions
-    within the shifts, which must be 0.
+    Of each bone: its stretch, beside one that all have in common, and the turn of its two ends against each
+    other; then the six rigid motions within the shifts, which must be 0.
     """
     bones = known_bones(motion.keypoints)
     bones = bones[bones[:, 0] < bones[:, 1]]
@@ -49,7 +51,10 @@ def _stretch(motion: FrameMotion, bones: IntArray) -> tuple[FloatArray, FloatArr
     heading = normalized(along) / sigma[:, None]
     number = np.arange(len(bones))
     rows[number, j], rows[number, k] = heading, -heading
-    return (np.linalg.norm(along, axis=1) - length) / sigma, rows.reshape(len(bones), -1)
+    value, slopes = (np.linalg.norm(along, axis=1) - length) / sigma, rows.reshape(len(bones), -1)
+    # Whitened for stretches that share a part: of their mean only so much is left.
+    left = _STRETCH / np.hypot(_STRETCH, np.sqrt(len(bones)) * _SCALE)
+    return value - (1 - left) * value.mean(), slopes - (1 - left) * slopes.mean(0)
 
 
 def _turn(motion: FrameMotion, bones: IntArray) -> tuple[FloatArray, FloatArray]:

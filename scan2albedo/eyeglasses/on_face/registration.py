@@ -16,10 +16,10 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.interface import (
-    OBSERVED_MM,
     FaceRegistrationOptions,
     RegisteredEyeglasses,
 )
+from scan2albedo.eyeglasses.on_face.lens_panes import as_masks_show
 from scan2albedo.eyeglasses.on_face.objective import (
     FrameEstimate,
     RegistrationObjective,
@@ -46,6 +46,8 @@ _DISAGREE = 2.0
 """Times by which outlines may raise the labels' error before they are taken for another picture's."""
 _NEAR_MM = 40.0
 """Distance up to which a frame whose depth is not known may be drawn onto the nose."""
+_SEEN_DEPTH_MM = 2.0
+"""Deviation of depth up to which a frame need not rest on the nose: one view leaves far more open."""
 _OCCLUDER_MM = 2.0
 """Cells in which the head's vertices are joined: finer ones hide the same and cost more."""
 _STILL, _MOST_INCREASES = 0.5, 2
@@ -85,8 +87,9 @@ def register_on_face(
     keypoints_2d : (C, 20, 2) array_like of float
         Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
     masks : sequence of C (H, W) array_like, or None
-        Nonzero where a view shows the frame: what its mesh covers, so that lenses count if the mesh has them.
-        None, also for a single view, where there is no segmentation. An empty one does not count.
+        Nonzero where a view shows the frame, with lenses or without, whether the mesh has them or not: the
+        plan says what was left out or put in. None, also for a single view, where there is no segmentation.
+        An empty one does not count.
     cameras : (C, 3, 4) array_like of float
         Projection matrices of any scale and sign.
     budget : Budget or float, optional
@@ -114,9 +117,11 @@ def register_on_face(
     Notes
     -----
     What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`. Deviations hold for
-    the frame as given: register its own mesh, or one with its own measures; a canonical frame has those of
-    the mean. Where more than a third of the labels do not fit, nothing counts as observed; where exchanging
-    left and right explains them, that is an error. Masks that contradict good labels are left aside.
+    a mesh of the frame itself, true to about a percent: a canonical frame has the measures of the mean. They
+    count labels that miss the key point alike in all views (0.5 mm) and masks that are too wide or too narrow
+    throughout (1 px). Where more than a third of the labels do not fit, nothing counts as observed; where
+    exchanging left and right explains them, that is an error. Masks that contradict good labels are left
+    aside.
 
     Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam, some thousand renderings;
     this takes about a hundred evaluations.
@@ -236,7 +241,7 @@ class _Registration:
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
-        if depth <= OBSERVED_MM:
+        if depth <= _SEEN_DEPTH_MM:
             self._note("contact", False, "the views see depth", evidence)
             return before
         if self.given.head is None or not self.options.contact:
@@ -276,6 +281,7 @@ class _Registration:
         if self.meter.exhausted:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
+        self._fit_lenses_to_masks(before)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
         # What labels leave open: outlines that have found a wrong place would call it certain.
@@ -311,13 +317,31 @@ class _Registration:
             return before
         return found
 
+    def _fit_lenses_to_masks(self, found: FrameEstimate) -> None:
+        """Take lenses out of the outline, or put them in, as each view's mask shows them."""
+        views = self.given.views
+        masks = [
+            mask if view.distance is not None else None
+            for view, mask in zip(views, self.given.masks, strict=True)
+        ]
+        frame = as_masks_show(
+            self.sampler.mesh,
+            self.objective.motion(found.state),
+            [view.camera for view in views],
+            masks,
+            self.sampler.head,
+        )
+        self.steps += frame.steps
+        self.sampler = OutlineSampler(frame.mesh, views, self.sampler.head, self.options, frame.shown)
+
     def _leave_masks(self, evidence: str) -> None:
         self._note("masks", False, "they disagree with the labels and are left aside", evidence)
         views = tuple(replace(view, distance=None) for view in self.given.views)
         self.given = replace(self.given, views=views)
         contact = self.objective.contact
         self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
-        self.sampler = OutlineSampler(self.sampler.mesh, views, self.sampler.head, self.options)
+        sampler = self.sampler
+        self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, self.options, sampler.shown)
 
     def _movement(self, before: FrameState, found: FrameEstimate) -> float:
         """Return the longest way of a key point between two states, in its standard deviations."""

@@ -16,6 +16,7 @@ from scan2albedo.cli.commands import app
 from scan2albedo.core import RawScan
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
+    KEY_POINT_NAMES,
     Camera,
     LensMaterial,
     LensPictureOptions,
@@ -25,12 +26,19 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.app import lens_files as glasses_lens_files
 from scan2albedo.eyeglasses.app.lens_input import material_pair, read_lens_input, surface_of
-from scan2albedo.eyeglasses.app.lenses_run import render_lenses, soft_environment
+from scan2albedo.eyeglasses.app.lenses_run import (
+    WHITE_SHOWN,
+    render_lenses,
+    soft_environment,
+    white_exposure,
+)
+from scan2albedo.eyeglasses.lenses.inserted_lenses import worn_axes
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 from scan2albedo.synthetic import eyeglasses
 
 pytestmark = pytest.mark.slow
@@ -263,25 +271,45 @@ def test_a_heads_colours_are_used():
     np.testing.assert_array_equal(bare.albedo_linear, [0.4, 0.5, 0.6])
 
 
-def test_the_built_in_room_turns_with_the_camera():
+def test_the_built_in_room_turns_with_the_frame():
     pose = random_rotation(np.random.default_rng(3))
-    upright = look_at([0, 0, 600], [0, 0, 0], focal_px=300, shape=SHAPE)
-    turned = upright @ np.block([[pose.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
     rows = 64
-    straight, moved = (soft_environment(camera, SHAPE, rows=rows) for camera in (upright, turned))
+    axes = worn_axes(BENT.vertices, BENT.keypoints)
+    np.testing.assert_allclose(axes, np.eye(3), atol=0.15)
+    np.testing.assert_allclose(worn_axes(BENT.vertices @ pose.T, BENT.keypoints @ pose.T), axes @ pose.T)
+    one = BENT.keypoints.copy()
+    one[KEY_POINT_NAMES.index("right_rim_top")] = np.nan
+    np.testing.assert_allclose(worn_axes(BENT.vertices, one), axes, atol=0.15)
+    straight, moved = soft_environment(np.eye(3), rows=rows), soft_environment(pose.T, rows=rows)
     assert (straight > 0).all()
     brightest = []
     for room in (straight, moved):
-        row, column = np.argwhere(room[..., 0] > 0.9 * room.max()).T
-        polar, azimuth = (row + 0.5) * np.pi / rows, ((column + 0.5) / (2 * rows) - 0.5) * 2 * np.pi
-        toward = np.stack(
-            [np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], 1
-        )
-        mean = (np.sin(polar)[:, None] * toward).sum(0)
+        bright = room[..., 0] > 0.9 * room.max()
+        toward = texel_directions(room.shape[:2])[bright]
+        mean = (texel_solid_angles(rows, 2 * rows)[np.nonzero(bright)[0], None] * toward).sum(0)
         brightest.append(mean / np.linalg.norm(mean))
-    # Above, on the left, and on the camera's side.
+    # Above, at the wearer's right, and in front.
     assert (brightest[0] * [-1, 1, 1] > 0.3).all()
     np.testing.assert_allclose(pose @ brightest[0], brightest[1], atol=0.02)
+
+
+def test_exposure_is_the_scenes_own():
+    even = np.full((16, 32, 3), 2.0)
+    assert white_exposure(even, np.array([0, 0, 1.0])) == pytest.approx(WHITE_SHOWN / 2, rel=1e-3)
+    front = np.where(texel_directions((16, 32))[..., 2:] > 0, [4.0] * 3, 0.0)
+    assert white_exposure(front, np.array([0, 0, 1.0])) == pytest.approx(WHITE_SHOWN / 4, rel=1e-2)
+    # From behind it is dark there, and shown so.
+    assert white_exposure(front, np.array([0, 0, -1.0])) == pytest.approx(WHITE_SHOWN / 2, rel=1e-2)
+    assert white_exposure(0 * even, np.array([0, 0, 1.0])) == 1.0
+    ball = head()
+    frame, skin = Surface(BENT.vertices, BENT.faces), Surface(ball.vertices, ball.faces)
+    options = LensPictureOptions(light_count=4, supersampling=1)
+    given = {"head": skin, "options": options}
+    both = render_lenses(frame, BENT.keypoints, LensMaterial(), cameras=VIEWS, **given)
+    side = render_lenses(frame, BENT.keypoints, LensMaterial(), cameras=VIEWS[1:], **given)
+    assert both.exposure == side.exposure
+    np.testing.assert_array_equal(both.views[1].picture.image_linear, side.views[0].picture.image_linear)
+    assert f"{both.exposure:.3g}" in both.notes[-1]
 
 
 def test_what_does_not_fit_together_is_refused():

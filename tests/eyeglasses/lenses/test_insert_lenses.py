@@ -144,7 +144,7 @@ def test_pictures_under_two_environments_add_up():
     camera = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
 
     def render(environment):
-        options = LensPictureOptions(light_count=16)
+        options = LensPictureOptions(light_count=16, light_spread="even")
         return insert(
             BENT,
             materials,
@@ -180,7 +180,7 @@ def test_another_light_is_as_good_as_a_new_picture():
     materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, tinting="filter"))
     options = {"surfaces": [wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)], "shape": (120, 160)}
     options["camera"] = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
-    settings = {"light_count": 16}
+    settings = {"light_count": 16, "light_spread": "even"}
 
     def render(relightable=False, **light):
         made = LensPictureOptions(relightable=relightable, **settings)

@@ -1,0 +1,184 @@
+"""Lenses in the masks and lenses in the mesh: what covers the rims' openings in each view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens
+from scan2albedo.eyeglasses.lenses.lens_rims import is_covered, pane_faces
+from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
+from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, hidden_by
+from scan2albedo.geometry.pinhole import project
+from scan2albedo.geometry.rays import RayCaster
+
+_INNER = np.linspace(0.1, 0.6, 11)
+"""Parts of the way from an opening's middle to its rim at which masks are looked up."""
+_SIDES_A_RIM = 24
+_SHOWN = 0.5
+"""Covered share of an opening from which a mask counts as showing the lens."""
+_FEWEST = 40
+"""Places of an opening that a view must show to say something about it."""
+_SEAT_MM = 0.5
+"""How far lenses that are put in reach into their rims."""
+
+
+@dataclass(frozen=True)
+class RimOpening:
+    """The opening of one rim."""
+
+    side: int
+    """0 is the wearer's left, 1 the right."""
+    rim: IntArray
+    """(5,) numbers of the rim's key points: top, bridge, inner, bottom, outer."""
+    panes: IntArray
+    """(P,) faces of the mesh's own lens; none where it has none."""
+    sealed: bool
+    """Whether the mesh covers the opening by a surface of one piece with the rim."""
+
+
+def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -> list[RimOpening]:
+    """Return the openings of the rims whose key points (20, 3) are known."""
+    found, left = [], np.arange(len(faces))
+    for side, name in enumerate(SIDES):
+        rim = np.array([i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{name}_rim_")])
+        marks = keypoints[rim]
+        if not np.isfinite(marks).all():
+            continue
+        try:
+            plane = LensPlane.at(marks.mean(0), fit_normal(marks, vertices))
+        except EyeglassesError:
+            continue
+        panes = pane_faces(vertices, faces[left], plane, marks)
+        own, left = left[panes], left[~panes]
+        found.append(RimOpening(side, rim, own, is_covered(vertices, faces[left], plane, marks)))
+    return found
+
+
+def covered_shares(
+    opening: RimOpening,
+    motion: FrameMotion,
+    cameras: Sequence[FloatArray],
+    masks: Sequence[BoolArray | None],
+    head: RayCaster | None,
+) -> FloatArray:
+    """Return (C,) shares of an opening's middle that the masks (H, W) cover, NaN where they cannot say."""
+    marks = SkinnedPoints(np.nan_to_num(motion.keypoints), np.eye(len(motion.keypoints)))
+    places = _places(motion.positions(marks)[opening.rim])
+    shares = np.full(len(cameras), np.nan)
+    for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
+        if mask is None:
+            continue
+        seen = places[~hidden_by(head, camera, places)]
+        pixels, depth = project(camera, seen)
+        column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64).T
+        inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
+        if inside.sum() >= _FEWEST:
+            shares[number] = mask[row[inside], column[inside]].mean()
+    return shares
+
+
+def _places(rim: FloatArray) -> FloatArray:
+    """Return (P, 3) points spread over the middle of a polygon (5, 3)."""
+    corners = np.vstack([rim, rim[:1]])
+    way = np.linspace(0, len(rim), _SIDES_A_RIM, endpoint=False)
+    edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
+    middle = rim.mean(0)
+    return np.asarray((middle + _INNER[:, None, None] * (edge - middle)).reshape(-1, 3))
+
+
+@dataclass(frozen=True)
+class ShownFrame:
+    """A frame as each view's mask shows it."""
+
+    mesh: FrameMesh
+    """The given one, and behind its vertices and faces those of lenses that were put in."""
+    shown: tuple[IntArray, ...]
+    """Of each view, the faces that its mask shows."""
+    steps: tuple[PlanStep, ...]
+
+
+def as_masks_show(
+    mesh: FrameMesh,
+    motion: FrameMotion,
+    cameras: Sequence[FloatArray],
+    masks: Sequence[BoolArray | None],
+    head: RayCaster | None,
+) -> ShownFrame:
+    """Return the frame with lenses in the views whose masks (H, W) show them, and without in the others.
+
+    The mesh's own lenses are parts of their own across a rim's opening; where masks show lenses that the mesh
+    does not have, flat ones that fill the rim are put in.
+    """
+    steps, added, count = [], mesh, len(cameras)
+    kept = [np.ones(len(mesh.faces), bool) for _ in cameras]
+    extra: list[list[IntArray]] = [[] for _ in cameras]
+    for opening in rim_openings(mesh.points.rest, mesh.faces, motion.keypoints):
+        shares = covered_shares(opening, motion, cameras, masks, head)
+        if np.isnan(shares).all():
+            continue
+        # A view that cannot say is taken to be like the others.
+        shown = np.where(np.isnan(shares), np.nanmean(shares), shares) >= _SHOWN
+        name = f"{SIDES[opening.side]} lens"
+        evidence = ", ".join("-" if np.isnan(s) else f"{s:.0%}" for s in shares) + " of the opening covered"
+        if len(opening.panes) and not shown.all():
+            for number in np.flatnonzero(~shown):
+                kept[number][opening.panes] = False
+            reason = f"{_views(~shown)} no {name}: the mesh's own is left out of the outline"
+            steps.append(PlanStep("glasses.lenses", True, reason, evidence))
+        elif opening.sealed and not shown.all():
+            reason = (
+                f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim, which stays; "
+                "cut it out of the mesh"
+            )
+            steps.append(PlanStep("glasses.lenses", False, reason, evidence))
+        elif shown.any() and not opening.sealed and not len(opening.panes):
+            lens = _fitted(mesh, motion.keypoints, opening.side)
+            reason = f"{_views(shown)} a {name} that the mesh does not have"
+            if lens is None:
+                reason += ", and none fits into the rim: label the mesh's key points anew, or leave out masks"
+                steps.append(PlanStep("glasses.lenses", False, reason, evidence))
+                continue
+            added, faces = _with_lens(mesh, added, lens)
+            for number in np.flatnonzero(shown):
+                extra[number].append(faces)
+            steps.append(PlanStep("glasses.lenses", True, f"{reason}: a flat one is put in", evidence))
+    faces_of = tuple(np.concatenate([mesh.faces[kept[n]], *extra[n]]) for n in range(count))
+    if not steps:
+        steps = [PlanStep("glasses.lenses", False, "masks and mesh agree on lenses, or have none")]
+    return ShownFrame(added, faces_of, tuple(steps))
+
+
+def _views(which: BoolArray) -> str:
+    if which.all():
+        return "the masks show"
+    numbers = ", ".join(str(number) for number in np.flatnonzero(which))
+    return f"the masks of views {numbers} show" if which.sum() > 1 else f"the mask of view {numbers} shows"
+
+
+def _fitted(mesh: FrameMesh, keypoints: FloatArray, side: int) -> InsertedLens | None:
+    """Return the lens that fills a rim; None where none does."""
+    try:
+        return insert_lens(mesh.points.rest, mesh.faces, keypoints, side, LensMaterial(), seat_mm=_SEAT_MM)
+    except EyeglassesError:
+        return None
+
+
+def _with_lens(mesh: FrameMesh, added: FrameMesh, lens: InsertedLens) -> tuple[FrameMesh, IntArray]:
+    """Return the mesh so far with a lens behind it that follows the rim, and the lens's faces (R, 3)."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(mesh.points.rest).query(lens.vertices[1:])[1]
+    rim = mesh.points.weights[nearest]
+    weights = np.vstack([added.points.weights, rim.mean(0, keepdims=True), rim])
+    faces = lens.faces + len(added.points.rest)
+    points = SkinnedPoints(np.vstack([added.points.rest, lens.vertices]), weights)
+    return FrameMesh(points, np.concatenate([added.faces, faces])), faces

@@ -1,0 +1,112 @@
+"""Errors that views share, frames of a slightly wrong size, bends of their own kind: found or told."""
+
+import numpy as np
+import pytest
+from benchmarks.eyeglasses_deviations import misses
+from benchmarks.eyeglasses_scenes import Errors, khronos, photographed, synthetic, without_lenses
+
+from scan2albedo.eyeglasses import FaceRegistrationOptions, register_on_face
+from scan2albedo.eyeglasses.on_face.frame_motion import SkinnedPoints
+from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective
+from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
+from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
+from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
+
+SLAB = without_lenses(synthetic("slab"))
+SMALL = FaceRegistrationOptions(outline_stride=4)
+
+
+def mesh_of(frame, scale=1.0):
+    return scale * frame.vertices, frame.faces, scale * frame.keypoints, frame.weights()
+
+
+def rms(found, seen):
+    return float(np.sqrt((np.linalg.norm(found.vertices - seen.vertices, axis=1) ** 2).mean()))
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return photographed(SLAB, 3, errors=Errors(0, 0.3, 0, 0), glass=False, size=512, bend=False)
+
+
+def register(seen, masks=None, scale=1.0):
+    masks = list(seen.masks) if masks is None else masks
+    return register_on_face(mesh_of(SLAB, scale), seen.labels, masks, seen.cameras, options=SMALL)
+
+
+def test_masks_that_are_too_wide_throughout_move_nothing(seen):
+    import cv2
+
+    exact = register(seen)
+    wide = [cv2.dilate(m.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0 for m in seen.masks]
+    found = register(seen, wide)
+    assert rms(exact, seen) < 0.2
+    assert rms(found, seen) < 0.25
+    # What is left of the two pixels are the differences between views and places.
+    assert np.nanmax(found.outline_rms_px) < 1.0
+
+
+def test_a_mesh_that_is_a_percent_too_small_is_stretched(seen):
+    found = register(seen, scale=0.99)
+    sizes = [np.linalg.norm(k - k.mean(0), axis=1).mean() for k in (found.keypoints, seen.keypoints)]
+    assert abs(sizes[0] / sizes[1] - 1) < 0.003
+    assert rms(found, seen) < 0.3
+
+
+def test_labels_off_alike_in_all_views_count_once(seen):
+    # With three times as many views labels say more on their own errors, not on the ones they share.
+    one = register(seen, [None] * 3)
+    many = register_on_face(
+        mesh_of(SLAB),
+        np.tile(seen.labels, (9, 1, 1)),
+        None,
+        np.tile(seen.cameras, (9, 1, 1)),
+        options=SMALL,
+    )
+    ratio = np.median(many.keypoint_deviation / one.keypoint_deviation)
+    assert 0.4 < ratio < 1
+
+
+def test_slopes_are_those_of_the_sum(seen):
+    given = checked_inputs(mesh_of(SLAB), seen.labels, list(seen.masks), seen.cameras, None, None)
+    objective = RegistrationObjective(given.keypoints, given.views, SMALL)
+    rng = np.random.default_rng(0)
+    state = starting_poses(given.keypoints, given.views, 2.0, None)[0]
+    mesh = FrameMesh(SkinnedPoints(given.vertices, SLAB.weights()), given.faces)
+    sampler = OutlineSampler(mesh, given.views, None, SMALL)
+    samples = sampler.sample(objective.motion(state), np.full(20, 2.0))
+    state = state.moved(np.r_[rng.normal(0, 1e-3, 6), rng.normal(0, 0.1, 60)])
+    for some in (None, samples):
+        at = objective.linearize(state, some)
+        assert np.linalg.eigvalsh(at.matrix).min() > 0
+        for _ in range(6):
+            step = 1e-5 * rng.normal(size=66)
+            ahead, back = (objective.linearize(state.moved(s), some).cost for s in (step, -step))
+            assert (ahead - back) / 2 == pytest.approx(2 * at.gradient @ step, rel=0.02, abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("masked", [True, False])
+def test_stated_deviations_hold_on_bends_of_another_kind(masked):
+    check_coverage(without_lenses(synthetic("shield")), range(2000, 2004), Errors(), masked)
+
+
+@pytest.mark.slow
+def test_stated_deviations_hold_on_real_sunglasses(shared_data):
+    # Masks two pixels too narrow would not show its wires at all. Deviations are somewhat small here.
+    errors = Errors(bias_px=0.4)
+    check_coverage(without_lenses(khronos(shared_data)), range(2000, 2003), errors, True, most=1.7)
+
+
+def check_coverage(frame, seeds, errors, masked, most=1.4):
+    off, stated = [], []
+    for seed in seeds:
+        pictures = photographed(frame, seed, errors=errors, glass=False)
+        masks = list(pictures.masks) if masked else None
+        found = register_on_face(mesh_of(frame), pictures.labels, masks, pictures.cameras)
+        assert found.observed.mean() > 0.6
+        for miss in misses(found, pictures.vertices, pictures.keypoints):
+            off.append(np.sqrt((miss.error**2).mean()))
+            stated.append(np.sqrt((miss.stated**2).mean()))
+            assert (miss.error <= 2 * miss.stated).mean() > 0.6
+    assert 0.6 < np.sqrt(np.mean(np.square(off)) / np.mean(np.square(stated))) < most

@@ -1,0 +1,101 @@
+"""Lenses in the mesh, in the masks, in both, in neither: all four are registered alike."""
+
+import numpy as np
+import pytest
+from benchmarks.eyeglasses_glass import EVEN
+from benchmarks.eyeglasses_scenes import khronos, photographed, synthetic, without_lenses
+
+from scan2albedo.eyeglasses import register_on_face
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.lens_panes import as_masks_show, rim_openings
+from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh
+from scan2albedo.geometry.pinhole import look_at
+
+SLAB = synthetic("slab")
+BARE = without_lenses(SLAB)
+
+
+def registered(frame, mesh, shown, size):
+    seen = photographed(frame, 0, errors=EVEN, glass=shown, size=size)
+    given = (mesh.vertices, mesh.faces, mesh.keypoints, mesh.weights())
+    found = register_on_face(given, seen.labels, list(seen.masks), seen.cameras)
+    truth = seen.vertices if mesh is frame else seen.vertices[np.unique(frame.rims)]
+    rims = np.unique(mesh.rims)
+    errors = np.linalg.norm(found.vertices - truth, axis=1)[rims]
+    return found, float(np.sqrt((errors**2).mean())), float(found.observed[rims].mean())
+
+
+def check_all_four(frame, size, bar):
+    bare = without_lenses(frame)
+    for mesh in (frame, bare):
+        for shown in (True, False):
+            found, rms, observed = registered(frame, mesh, shown, size)
+            assert rms < bar
+            assert observed > 0.98
+            assert found.vertices.shape == mesh.vertices.shape
+            steps = [step for step in found.plan if step.stage == "glasses.lenses"]
+            same = shown == bool(mesh.glass.any())
+            assert [step.ran for step in steps] == ([False] if same else [True, True])
+            assert same or ("left out" if mesh is frame else "put in") in steps[0].reason
+            assert not any(step.stage == "glasses.contradicted" for step in found.plan)
+
+
+@pytest.mark.slow
+def test_a_synthetic_frame():
+    check_all_four(SLAB, 512, 0.5)
+
+
+@pytest.mark.slow
+def test_real_sunglasses(shared_data):
+    check_all_four(khronos(shared_data), 1024, 0.6)
+
+
+def shown_frame(mesh, masks, eyes=((0.0, 0.0, 600.0),)):
+    cameras = [look_at(eye, [0, 0, 0], focal_px=450, shape=masks[0].shape) for eye in eyes]
+    motion = FrameMotion(mesh.keypoints, FrameState(np.eye(3), mesh.keypoints.mean(0), np.zeros((20, 3))))
+    nearest = np.linalg.norm(mesh.vertices[:, None] - mesh.keypoints, axis=2).argmin(1)
+    frame = FrameMesh(SkinnedPoints(mesh.vertices, np.eye(20)[nearest]), mesh.faces)
+    return as_masks_show(frame, motion, cameras, list(masks), None)
+
+
+def test_openings_know_their_lenses():
+    for opening, side in zip(rim_openings(SLAB.vertices, SLAB.faces, SLAB.keypoints), (1, -1), strict=True):
+        assert SLAB.glass[opening.panes].all()
+        assert len(opening.panes) == SLAB.glass.sum() / 2
+        assert (side * SLAB.vertices[SLAB.faces[opening.panes], 0] > 0).all()
+        assert not opening.sealed
+    assert [len(o.panes) for o in rim_openings(BARE.vertices, BARE.faces, BARE.keypoints)] == [0, 0]
+    marks = SLAB.keypoints.copy()
+    marks[3] = np.nan
+    assert [o.side for o in rim_openings(SLAB.vertices, SLAB.faces, marks)] == [1]
+
+
+def test_each_view_and_each_lens_is_judged_by_itself():
+    empty, full = np.zeros((256, 256), bool), np.ones((256, 256), bool)
+    half = empty.copy()
+    half[:, 128:] = True  # the wearer's left
+    eyes = ((0, 0, 600.0),) * 3
+    found = shown_frame(SLAB, [full, empty, half], eyes)
+    glass = int(SLAB.glass.sum())
+    assert [len(SLAB.faces) - len(faces) for faces in found.shown] == [0, glass, glass // 2]
+    assert found.steps[0].reason.startswith("the mask of view 1 shows no left lens")
+    assert found.steps[1].reason.startswith("the masks of views 1, 2 show no right lens")
+    put_in = shown_frame(BARE, [full, empty, half], eyes)
+    added = [len(faces) - len(BARE.faces) for faces in put_in.shown]
+    assert added[1] == 0
+    assert added[0] == 2 * added[2] > 0
+    assert len(put_in.mesh.points.rest) > len(BARE.vertices)
+    np.testing.assert_allclose(put_in.mesh.points.weights.sum(1), 1)
+
+
+def test_glass_of_one_piece_with_the_rim_is_told():
+    # The lens's outline joined to the rim's vertices.
+    rim = np.unique(SLAB.rims)
+    outline = np.unique(SLAB.faces[SLAB.glass])
+    distance = np.linalg.norm(SLAB.vertices[outline][:, None] - SLAB.vertices[rim], axis=2)
+    joined = np.arange(len(SLAB.vertices))
+    joined[outline] = np.where(distance.min(1) < 1e-6, rim[distance.argmin(1)], outline)
+    welded = type(SLAB)("welded", SLAB.vertices, joined[SLAB.faces], SLAB.glass, SLAB.keypoints)
+    steps = shown_frame(welded, [np.zeros((256, 256), bool)]).steps
+    assert [step.ran for step in steps] == [False, False]
+    assert "cut it out" in steps[0].reason

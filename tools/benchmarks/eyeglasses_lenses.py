@@ -1,0 +1,191 @@
+"""Light through lenses: pictures under some lights beside a reference of thousands of directions."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.eyeglasses import (
+    DistantLights,
+    LensMaterial,
+    LensPictureOptions,
+    Surface,
+    distant_directions,
+    environment_weights,
+    insert_lenses,
+)
+from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture
+from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.images import write_png
+from scan2albedo.lighting.environment import important_directions
+from scan2albedo.synthetic import GlassesShape, eyeglasses
+from scan2albedo.synthetic.renderer import RayScene
+from scan2albedo.synthetic.wearer import fit_temples, seat
+
+HEAD = "shape_person2"
+_REFERENCE, _AT_ONCE = 8192, 1024
+SHAPE = GlassesShape(52, 40, 2.4, 18, 5, 3.2, 3.4, 260, 142, 3, 5, 3, 42)
+
+
+@dataclass(frozen=True)
+class LitGlasses:
+    """A frame on a head before a camera."""
+
+    frame: Surface
+    keypoints: FloatArray
+    head: Surface
+    eyes: FloatArray
+    """(3,) mm, middle between the eyes."""
+
+
+def on_real_shaped_head(data: Path) -> LitGlasses:
+    """Return a frame on a head of a light stage's face model, in one matte colour."""
+    with np.load(data / "ict_faces.npz") as faces:
+        vertices, triangles = np.asarray(faces[HEAD], np.float64), np.asarray(faces["faces"], np.int64)
+        eyes = vertices[faces["landmarks68"][36:48]].mean(0)
+    scene = RayScene(vertices, triangles)
+    glasses = eyeglasses(shape=SHAPE, bend=fit_temples(SHAPE, 0, scene, eyes))
+    world = seat(glasses, scene, eyes)
+    return LitGlasses(
+        Surface(transform_points(world, glasses.vertices), glasses.faces, (0.05, 0.05, 0.06)),
+        transform_points(world, glasses.keypoints),
+        Surface(vertices, triangles, (0.5, 0.38, 0.32), roughness_rad=0.3),
+        eyes,
+    )
+
+
+def studio(rows: int = 128) -> FloatArray:
+    """Return a dim room (rows, 2 rows, 3) with three softboxes with sharp edges."""
+    toward = _toward(rows)
+    image = np.full((rows, 2 * rows, 3), 0.08)
+    for way, half, color in (
+        ((-0.7, 0.5, 0.6), (0.30, 0.22), (9.0, 8.6, 8.0)),
+        ((0.9, 0.1, 0.4), (0.15, 0.45), (2.5, 2.7, 3.2)),
+        ((0.2, 0.9, 0.1), (0.4, 0.1), (4.0, 4.0, 4.0)),
+    ):
+        axis = np.array(way) / np.linalg.norm(way)
+        side = np.cross([0.0, 1.0, 0.0], axis)
+        side /= np.linalg.norm(side)
+        up, depth = np.cross(axis, side), toward @ axis
+        inside = (np.abs(toward @ side) < half[0] * depth) & (np.abs(toward @ up) < half[1] * depth)
+        image[inside] = color
+    return image
+
+
+def sky(rows: int = 128) -> FloatArray:
+    """Return a hazy sky (rows, 2 rows, 3) over dark ground, the sun's disc six degrees wide."""
+    toward = _toward(rows)
+    height = toward[..., 1]
+    image = np.where(height[..., None] > 0, [0.35, 0.5, 0.9], [0.12, 0.1, 0.08]).astype(np.float64)
+    image += np.clip(1 - np.abs(height), 0, 1)[..., None] ** 4 * 0.3
+    sun = np.array([0.5, 0.7, 0.6]) / np.linalg.norm([0.5, 0.7, 0.6])
+    image += np.where(toward @ sun > np.cos(np.deg2rad(3.0)), 120.0, 0.0)[..., None] * [1.0, 0.95, 0.85]
+    return image
+
+
+def _toward(rows: int) -> FloatArray:
+    polar = ((np.arange(rows) + 0.5) * np.pi / rows)[:, None]
+    azimuth = ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5) * 2 * np.pi
+    parts = np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth, np.sin(polar) * np.cos(azimuth)
+    return np.stack(parts, -1)
+
+
+ENVIRONMENTS = {"studio": studio, "sky": sky}
+
+
+def reference_lights(environment: FloatArray, count: int = _REFERENCE) -> DistantLights:
+    """Return lights drawn by brightness, stratified and jittered, each of radiance over density.
+
+    It shares nothing with the lights that are measured: no lattice, no cells.
+    """
+    rows, columns = environment.shape[:2]
+    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
+    size = np.repeat((edges[:-1] - edges[1:]) * 2 * np.pi / columns, columns)
+    flat = environment.reshape(-1, 3)
+    share = flat.mean(1) * size
+    share = 0.7 * share / share.sum() + 0.3 * size / size.sum()
+    rng = np.random.default_rng(0)
+    drawn = np.searchsorted(np.cumsum(share), (np.arange(count) + rng.random(count)) / count)
+    drawn = np.minimum(drawn, len(share) - 1)
+    row, column = np.divmod(drawn, columns)
+    y = edges[row] + rng.random(count) * (edges[row + 1] - edges[row])
+    azimuth = ((column + rng.random(count)) / columns - 0.5) * 2 * np.pi
+    across = np.sqrt(np.maximum(1 - y * y, 0))
+    toward = np.stack([across * np.sin(azimuth), y, across * np.cos(azimuth)], 1)
+    return DistantLights(toward, flat[drawn] * (size / share / count)[drawn, None])
+
+
+def _picture(
+    scene: LitGlasses, environment: FloatArray, lights: DistantLights, pixels: int, shadows: str
+) -> LensPicture:
+    target = scene.eyes + [0.0, -18.0, -10.0]
+    camera = look_at(target + [60.0, 20.0, 560.0], target, focal_px=4.0 * pixels, shape=(pixels, pixels))
+    return insert_lenses(
+        scene.frame,
+        scene.keypoints,
+        LensMaterial(dioptres=-3.0, beta=0.04, fresnel=True),
+        surfaces=[scene.head],
+        camera=camera,
+        shape=(pixels, pixels),
+        environment_linear=environment,
+        lights=lights,
+        options=LensPictureOptions(shadows=shadows, supersampling=1),  # type: ignore[arg-type]
+    )
+
+
+def reference(scene: LitGlasses, environment: FloatArray, pixels: int) -> FloatArray:
+    """Return the picture (H, W, 3) under the reference's lights, some at a time."""
+    lights = reference_lights(environment)
+    toward, strength = np.asarray(lights.directions), np.asarray(lights.irradiance_linear)
+    total, nothing = np.zeros((pixels, pixels, 3)), np.zeros((1, 1, 3))
+    for start in range(0, len(toward), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        # The environment is seen once.
+        around = environment if start == 0 else nothing
+        some = DistantLights(toward[part], strength[part])
+        total += _picture(scene, around, some, pixels, "every pixel").image_linear
+    return total
+
+
+def bench_lenses(data: Path, pixels: int, pictures: Path | None) -> None:
+    """Print errors and CPU seconds of evenly spread and of importance-placed lights."""
+    if not data.is_dir():
+        print(f"nothing is drawn: the head is in {data}, which is not there")
+        return
+    scene = on_real_shaped_head(data)
+    _picture(scene, np.ones((2, 4, 3)), DistantLights([[0, 0, 1.0]], [1.0]), 32, "shared")
+    print(f"{'light':8}{'lights':>20}{'rms error %':>13}{'worst of 100 %':>15}{'CPU s':>8}")
+    for name, make in ENVIRONMENTS.items():
+        environment = make()
+        truth = reference(scene, environment, pixels)
+        shown = {"reference": truth}
+        for kind, count in [("even", n) for n in (64, 256)] + [("important", n) for n in (64, 128, 256, 512)]:
+            cpu = time.process_time()
+            toward = distant_directions(count) if kind == "even" else important_directions(environment, count)
+            lights = DistantLights(toward, environment_weights(environment, toward))
+            made = _picture(scene, environment, lights, pixels, "shared").image_linear
+            cpu = time.process_time() - cpu
+            rms, worst = errors(made, truth)
+            shown[f"{kind}_{count}"] = made
+            print(f"{name:8}{f'{count} {kind}':>20}{100 * rms:13.2f}{100 * worst:15.2f}{cpu:8.2f}")
+        if pictures is not None:
+            _write(shown, pictures / f"lenses_{name}.png")
+
+
+def errors(made: FloatArray, truth: FloatArray) -> tuple[float, float]:
+    """Return the rms of errors over the mean brightness, and the one that a hundredth exceeds."""
+    off = np.abs(made - truth).mean(2) / truth.mean()
+    return float(np.sqrt((off**2).mean())), float(np.percentile(off, 99))
+
+
+def _write(shown: dict[str, FloatArray], path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    exposure = 0.6 / np.percentile(shown["reference"], 95)
+    row = [shown["even_64"], shown["important_256"], shown["reference"]]
+    write_png(path, encode_srgb_bytes(exposure * np.hstack(row)))
