@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.reflectance.tilt_kernels import fill_slopes
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
 PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
@@ -61,6 +62,32 @@ def point_light_lobes(
     reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
     _fill_lobes(*arrays, reference, lobes)
     return lobes
+
+
+def lobe_slopes(
+    vertices: ArrayLike, normals: ArrayLike, camera_positions: ArrayLike, light_positions: ArrayLike
+) -> FloatArray:
+    """Return (J, V, 4): e_1.l / n.l, e_2.l / n.l, e_1.h / n.h, e_2.h / n.h for unit tangents e of each normal.
+
+    A normal tilted by t is (n + t_1 e_1 + t_2 e_2) / |.|, which multiplies n.l by
+    (1 + t_1 e_1.l / n.l + t_2 e_2.l / n.l) / sqrt(1 + t.t), and n.h likewise. 0 where the light is behind.
+
+    Parameters
+    ----------
+    vertices, normals, camera_positions, light_positions
+        As of `point_light_lobes`.
+
+    Examples
+    --------
+    >>> lobe_slopes([[0.0, 0, 0]], [[0.0, 0, 1]], [[0.0, 0, 1]], [[1.0, 0, 1]]).round(3) + 0.0
+    array([[[1.   , 0.   , 0.414, 0.   ]]])
+    """
+    arrays = [
+        np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
+    ]
+    slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
+    fill_slopes(*arrays, slopes)
+    return slopes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

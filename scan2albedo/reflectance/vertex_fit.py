@@ -9,6 +9,7 @@ import numpy as np
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.normal_errors import normal_sigma
 from scan2albedo.reflectance.point_light_lobes import PEAKS
 from scan2albedo.reflectance.robust_fit import (
     Observations,
@@ -59,6 +60,11 @@ class ReflectanceFit:
     misfit: FloatArray
     """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
     there are not more observations than unknowns."""
+    tilt: FloatArray
+    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles; 0 where normals are
+    taken as right."""
+    normal_sigma_degrees: FloatArray
+    """(V,): deviation of the normals along each tangent that the fit assumed."""
     light_gain: FloatArray
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float
@@ -146,6 +152,9 @@ def fit_reflectance(
     if options.light_gains:
         gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
         data = divided_by_gain(data, samples.light, gain)
+    if samples.slopes is not None and options.normal_sigma_degrees != 0:
+        data = replace(data, slopes=samples.slopes)
+        data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
     fitted = fit_rows(data, rows, options, meter)
     return _result(samples, data, rows, fitted, options, gain, level, gains_settled, meter)
 
@@ -228,6 +237,8 @@ def _result(
         identifiability=_spread(identifiability, rows, count),
         identified=identified,
         misfit=_spread(misfit, rows, count),
+        tilt=_spread(fitted.tilt, rows, count),
+        normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
         light_gain=gain,
         level=level,
         bounded_albedos=fitted.bounded_albedos,
@@ -284,9 +295,7 @@ def find_light_gains(
     sum u p m^2 over a flash's observations y of radiance m, with robust weights u. The mean fixes the scale.
     """
     few = rows[:: max(1, len(rows) // options.gain_vertices)]
-    subset = replace(
-        data, observed=data.observed[:, few], precision=data.precision[:, few], lobes=data.lobes[:, few]
-    )
+    subset = data.of_vertices(few)
     every = np.arange(len(few))
     gain = np.ones((int(light.max()) + 1, 3))
     for _ in range(options.gain_iterations):
