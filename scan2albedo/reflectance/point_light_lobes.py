@@ -64,10 +64,26 @@ def point_light_lobes(
     return lobes
 
 
+def cosines_of_lobes(lobes: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return n.l and n.h (J, V) of lobes (J, V, 4) times any factor a picture; 0 where either is not above 0.
+
+    Examples
+    --------
+    >>> lobes = point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], [[0.0, 0, 1]], [[1.0, 0, 1]])
+    >>> [cosine.round(4).tolist() for cosine in cosines_of_lobes(7 * lobes)]
+    [[[0.7071]], [[0.9239]]]
+    """
+    diffuse, broad, middle = np.moveaxis(np.asarray(lobes, np.float64)[..., :3], -1, 0)
+    there = (broad > 0) & (middle > 0)
+    lobe = np.where(there, broad, 1.0)
+    n_h = np.where(there, (middle / lobe * PEAKS[0] / PEAKS[1]) ** (1 / 7), 0.0)
+    return np.where(there, diffuse / lobe * n_h * PEAKS[0] * np.pi, 0.0), n_h
+
+
 def lobe_slopes(
     vertices: ArrayLike, normals: ArrayLike, camera_positions: ArrayLike, light_positions: ArrayLike
 ) -> FloatArray:
-    """Return (J, V, 4): e_1.l / n.l, e_2.l / n.l, e_1.h / n.h, e_2.h / n.h for unit tangents e of each normal.
+    """Return (J, V, 4): e_1.l / n.l, e_2.l / n.l, e_1.h / n.h, e_2.h / n.h for tangents e of each normal.
 
     A normal tilted by t is (n + t_1 e_1 + t_2 e_2) / |.|, which multiplies n.l by
     (1 + t_1 e_1.l / n.l + t_2 e_2.l / n.l) / sqrt(1 + t.t), and n.h likewise. 0 where the light is behind.

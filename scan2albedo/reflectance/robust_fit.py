@@ -33,7 +33,7 @@ class ReflectancePrior:
     """
 
     diffuse_mean: float = 1.0
-    diffuse_std: float = 5.0
+    diffuse_std: float = 1.0
     """`diffuse_mean`, `diffuse_std`: of each channel's albedo; broad."""
     weights_mean: tuple[float, float, float] = (0.1, 0.1, 0.1)
     weights_std: tuple[float, float, float] = (0.3, 0.3, 0.3)
@@ -73,6 +73,8 @@ class ReflectanceFitOptions:
     gains are found from, and change that ends them."""
     least_pairs: int = 1
     """A vertex with fewer pictures of a channel is not known."""
+    most_albedo: float | None = None
+    """Albedos above are impossible, and never identified; 1 where the strength of the flashes is known."""
     normal_sigma_degrees: float | str = "auto"
     """Standard deviation of the normals along each tangent, in degrees; "auto" finds it from the residuals
     and the mesh, 0 takes normals as right. Samples without slopes have no normals to tilt."""
@@ -83,6 +85,8 @@ class ReflectanceFitOptions:
         sigma = self.normal_sigma_degrees
         if sigma != "auto" and not (isinstance(sigma, int | float) and 0 <= sigma <= 45):
             raise ValueError(f'normal_sigma_degrees is {sigma!r}, expected "auto" or a number in [0, 45]')
+        if self.most_albedo is not None and not self.most_albedo > 0:
+            raise ValueError(f"most_albedo is {self.most_albedo}, expected above 0")
         if not 0 < self.gain_tolerance < math.inf:
             raise ValueError(f"gain_tolerance is {self.gain_tolerance}, expected > 0 and finite")
         for name in ("gain_iterations", "gain_vertices", "least_pairs"):
@@ -146,7 +150,7 @@ class RobustFit:
 
 
 def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions, meter: Meter) -> RobustFit:
-    """Fit the vertices `rows` (N,): least squares first, then weights by residuals and tilts until none moves.
+    """Fit the vertices `rows` (N,): least squares, then weights by residuals and tilts until none moves.
 
     Converged vertices are left out of further steps. The step in which the budget ends is the last.
     """
@@ -236,7 +240,7 @@ class _State:
         each_block(work, blocks(len(rows), _BLOCK))
 
     def improve(self, data: Observations, rows: IntArray) -> BoolArray:
-        """Update all of `rows` (N,) and return which moved; what a step of the tilts worsens is taken back."""
+        """Update all of `rows` (N,) and return which moved; a step that worsens is taken back."""
         before, loss, tilt = self.estimate[rows], self.loss[rows], self.tilt[rows]
         deviation = np.empty((len(rows), 6))
 

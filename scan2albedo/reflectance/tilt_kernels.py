@@ -4,8 +4,8 @@ With unit tangents e_1, e_2 the true normal is (n + t_1 e_1 + t_2 e_2) / |.|, so
 
     n.l -> n.l (1 + t.p) / z,   n.h -> n.h (1 + t.q) / z,   z = sqrt(1 + t.t),
 
-with the slopes p_i = e_i.l / n.l and q_i = e_i.h / n.h of `fill_slopes`. Lobes turn by these factors and their
-powers, so the turned ones need no geometry, whatever the lobes are in units of.
+with the slopes p_i = e_i.l / n.l and q_i = e_i.h / n.h of `fill_slopes`. Lobes turn by these factors and
+their powers, so the turned ones need no geometry, whatever the lobes are in units of.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def _cholesky(m, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_matrix(normal, equations, prior, tilt_prior, matrix):  # type: ignore[no-untyped-def]
-    """Fill the lower triangle of matrix (8, 8): three albedos, three weights, two tilts, with their priors."""
+    """Fill the lower triangle of matrix (8, 8) for albedos, weights and tilts, with their priors."""
     matrix[:] = 0.0
     for k in range(3):
         row = normal[k]

@@ -101,7 +101,7 @@ def accuracy_on_head(
     capture: MitsubaCapture,
     vertices: FloatArray,
     normals: FloatArray | None = None,
-    options: ReflectanceFitOptions = ReflectanceFitOptions(least_pairs=LEAST_PAIRS),
+    options: ReflectanceFitOptions = ReflectanceFitOptions(least_pairs=LEAST_PAIRS, most_albedo=1.0),
 ) -> tuple[HeadAccuracy, ReflectanceFit]:
     """Fit the capture on a mesh of `vertices` and compare."""
     sampling = SamplingOptions(reference_distance_mm=DISTANCE_MM)
