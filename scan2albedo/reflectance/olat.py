@@ -156,7 +156,7 @@ def _sharing(rooms: list[NDArray[Any]], pairs: int) -> list[int]:
     """Return for each pair how many have a picture of the room equal to its own, itself among them."""
     if len(rooms) == 1:
         return [pairs] * pairs
-    digests = [hashlib.blake2b(np.ascontiguousarray(room)).digest() for room in rooms]
+    digests = [hashlib.blake2b(room.tobytes()).digest() for room in rooms]
     count = Counter(digests)
     return [count[digest] for digest in digests]
 

@@ -106,6 +106,25 @@ def lobe_slopes(
     return slopes
 
 
+def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
+    """Return unit normals (V, 3) tilted by `tilt` (V, 2) along the tangents of `lobe_slopes`; NaN is 0.
+
+    Examples
+    --------
+    >>> tilted_normals([[0.0, 0, 1]], [[1.0, 0]]).round(3).tolist()
+    [[0.707, 0.0, 0.707]]
+    """
+    unit = np.asarray(normals, np.float64)
+    x, y, z = unit.T
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], 1)
+    second = np.stack([x * y * a, sign + y * y * a, -y], 1)
+    angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
+    turned = unit + (angle[:, 0] * first + angle[:, 1] * second) * (unit != 0).any(1, keepdims=True)
+    return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: ignore[no-untyped-def]
     """Fill lobes (J, V, 4); the exponents 1, 8, 64 are products, since powers cost ten times as much."""

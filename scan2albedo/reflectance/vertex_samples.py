@@ -206,8 +206,8 @@ def sample_vertices(
         spread = options.position_sigma_px**2
         bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
     slopes = lobe_slopes(xyz, normal, positions, rig.light_positions)
-    spread = _normal_spread(xyz, index, normal)
-    return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light, slopes, spread)
+    normal_spread = _normal_spread(xyz, index, normal)
+    return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light, slopes, normal_spread)
 
 
 def _normal_spread(xyz: FloatArray, faces: IntArray, normal: FloatArray) -> FloatArray:
