@@ -1,6 +1,7 @@
 """Reflectance of vertices: speed beside scipy's nnls, and accuracy on captures of known reflectance.
 
     python tools/bench_reflectance.py [--vertices 20000] [--peer 400] [--seed 0] [--skip-speed] [--people 3]
+    python tools/bench_reflectance.py --heads [--size 256] [--files DIR]
 
 Speed, on one thread, is CPU time in the same run:
 
@@ -17,6 +18,10 @@ Accuracy, 99 pictures, 1 % noise of white, in every case against the truth:
 
 The rig: pictures of `synthetic.flash_capture` (256 x 256, 1 % noise, room light, saturation) through files;
 the median is of the relative difference of albedos, CPU seconds those of two fits with reading and rays.
+
+With --heads only: captures of a head that is not of the project, rendered by Mitsuba (two minutes each), with
+normals that are off (`benchmarks/reflectance_heads.py` tells the columns); needs ../shared/data and mitsuba.
+--files also writes them as files for the commands.
 """
 
 from __future__ import annotations
@@ -36,6 +41,7 @@ from benchmarks.reflectance_captures import (
     relative_rmse,
     samples_of,
 )
+from benchmarks.reflectance_heads import print_heads
 from benchmarks.reflectance_pictures import EXPOSURE, albedo_at, build_scene
 from scipy.optimize import nnls
 from skimage.metrics import structural_similarity
@@ -287,7 +293,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--skip-speed", action="store_true")
     parser.add_argument("--people", type=int, default=3, help="of the synthetic rig")
+    parser.add_argument("--heads", action="store_true", help="captures rendered by Mitsuba instead")
+    parser.add_argument("--size", type=int, default=256, help="of their pictures")
+    parser.add_argument("--files", type=Path, help="folder to write them to")
     given = parser.parse_args()
+    if given.heads:
+        with threadpool_limits(1):
+            print_heads(given.size, given.files)
+        return
     capture = head_capture(given.vertices, seed=given.seed)
     if not given.skip_speed:
         with threadpool_limits(1):

@@ -10,7 +10,7 @@ from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.normal_errors import normal_sigma
-from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes
+from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes
 from scan2albedo.reflectance.robust_fit import (
     Observations,
     ReflectanceFitOptions,
@@ -18,7 +18,7 @@ from scan2albedo.reflectance.robust_fit import (
     RobustFit,
     fit_rows,
 )
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
 _TWO_SIDED_95 = 1.959964
@@ -251,7 +251,7 @@ def _result(
         high=_spread(high, rows, count),
         pair_count=samples.pair_count,
         condition=_spread(_condition(fitted.normal), rows, count),
-        activation=np.max(n_h, axis=0, where=seen, initial=0.0)[:, None] ** np.array(EXPONENTS),
+        activation=np.max(_over_peak(samples.lobes, n_h), axis=0, where=seen[..., None], initial=0.0),
         identifiability=_spread(identifiability, rows, count),
         identified=identified,
         impossible=impossible,
@@ -267,6 +267,13 @@ def _result(
         residual=fitted.residual,
         trace=meter.trace,
     )
+
+
+def _over_peak(lobes: FloatArray, n_h: FloatArray) -> FloatArray:
+    """Return lobes over their peaks (J, V, 3), max(0, n.h)^s, whatever the strength of the light."""
+    broad = lobes[..., 1]
+    scale = np.divide(PEAKS[0] * n_h, broad, out=np.zeros_like(broad), where=broad > 0)
+    return np.asarray(lobes[..., 1:] / PEAKS * scale[..., None])
 
 
 def _spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:

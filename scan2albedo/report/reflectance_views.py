@@ -37,7 +37,7 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     weights = one.weights[one.known]
     most = max(float(np.percentile(weights, 95)) if weights.size else 0.0, 1e-9)
     title = "albedo" if one.known.all() else "albedo, unknown vertices filled"
-    panels = [Panel(title, _colored(mesh, albedo_colors(_filled_albedo(mesh)), view))]
+    panels = [Panel(title, _colored(mesh, albedo_colors(filled_albedo(mesh)), view))]
     for k, name in enumerate(("broad lobe (1)", "middle lobe (8)", "narrow lobe (64)")):
         title = f"weight of the {name}, 0 to {most:.2g}"
         panels.append(Panel(title, _heat(mesh, one.weights[:, k], most, view)))
@@ -54,7 +54,8 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     return panels
 
 
-def _filled_albedo(mesh: MeshReflectance) -> FloatArray:
+def filled_albedo(mesh: MeshReflectance) -> FloatArray:
+    """Return albedos (V, 3), unknown ones from the vertices around them; NaN where none is known at all."""
     one = mesh.reflectance
     if not one.known.any():
         return one.diffuse_linear

@@ -37,6 +37,7 @@ from scan2albedo.reflectance.relit_picture import RelitFace
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import (
     albedo_colors,
+    filled_albedo,
     reflectance_panels,
     relit_panels,
 )
@@ -177,10 +178,10 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
 
 
 def write_colored_mesh(path: Path, mesh: MeshReflectance) -> None:
-    """Write the mesh with its albedo as colours of the vertices, sRGB, as PLY."""
+    """Write the mesh with its albedo as colours of the vertices, sRGB, unknown ones filled, as PLY."""
     import trimesh
 
-    colors = np.round(255 * albedo_colors(mesh.reflectance.diffuse_linear)).astype(np.uint8)
+    colors = np.round(255 * albedo_colors(filled_albedo(mesh))).astype(np.uint8)
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False)
     shape.export(path)
 
