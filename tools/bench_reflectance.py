@@ -55,6 +55,7 @@ from scan2albedo.reflectance import (
     VertexSamples,
     extract_olat,
     fit_reflectance,
+    lobe_slopes,
     point_light_lobes,
     point_light_radiance,
     read_capture,
@@ -149,13 +150,25 @@ def solver_speed(capture: Capture, peer: int, seed: int = 0) -> SolverSpeed:
     )
 
 
-def end_to_end_cpu_s(capture: Capture) -> float:
-    """Return CPU seconds of lobes, samples and fit."""
-    given = samples_of(capture, noise=0.01)
+def end_to_end_cpu_s(capture: Capture, normals_off_deg: float | None = None) -> float:
+    """Return CPU seconds of lobes, samples and fit; normals are taken as right, or off and tilted."""
+    given = samples_of(capture, noise=0.01, normals_off_deg=normals_off_deg or 0.0)
+    scene = capture.vertices, capture.normals, capture.cameras, capture.lights
 
     def work() -> None:
-        lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.lights)
-        fit_reflectance(VertexSamples(given.observed_linear, given.sigma, given.valid, lobes, given.light))
+        point_light_lobes(*scene)
+        if normals_off_deg is not None:
+            lobe_slopes(*scene)
+        fit_reflectance(
+            VertexSamples(
+                given.observed_linear,
+                given.sigma,
+                given.valid,
+                given.lobes,
+                given.light,
+                None if normals_off_deg is None else given.slopes,
+            )
+        )
 
     return cpu_of(work, 2)
 
@@ -304,7 +317,8 @@ def main() -> None:
     capture = head_capture(given.vertices, seed=given.seed)
     if not given.skip_speed:
         with threadpool_limits(1):
-            speed, seconds = solver_speed(capture, given.peer, given.seed), end_to_end_cpu_s(capture)
+            speed = solver_speed(capture, given.peer, given.seed)
+            seconds = [end_to_end_cpu_s(capture, off) for off in (None, 0.0, 3.0)]
         print(f"solver                     {speed.ours:12,.0f} vertices a second")
         print(f"  and sums over pictures   {speed.with_sums:12,.0f}")
         print(f"  scipy nnls, 6 x 6        {speed.factor:12,.0f}")
@@ -313,7 +327,9 @@ def main() -> None:
             f"  largest difference {speed.difference:.1e}; {100 * speed.bounded:.1f} % of vertices at a bound"
         )
         print(
-            f"{given.vertices} vertices, {len(capture.cameras)} pictures, end to end: {seconds:.2f} s CPU\n"
+            f"{given.vertices} vertices, {len(capture.cameras)} pictures, end to end, CPU s: "
+            f"{seconds[0]:.2f} with normals taken as right, {seconds[1]:.2f} with tilts, {seconds[2]:.2f} "
+            "with normals off by 3 degrees\n"
         )
         print(from_pictures())
     print(f"{'case':20s} diffuse  weights  relight  cover  identified  misfit  rounds")
