@@ -277,7 +277,7 @@ def from_rig(seed: int, hair: bool) -> str:
     assert error is not None
     off = one.diffuse_linear[one.known] - capture.diffuse_linear[one.known]
     truth = capture.diffuse_linear[one.known]
-    similar = np.mean([similarity(done, j) for j in np.flatnonzero(done.held_out)])
+    similar = np.mean([similarity(done, int(j)) for j in np.flatnonzero(done.held_out)])
     name = f"person {seed}, {'hair not in the mesh' if hair else 'no hair'}"
     return (
         f"{name:32s} {relative_rmse(off + truth, truth):7.3f} {np.median(np.abs(off / truth)):7.3f} "

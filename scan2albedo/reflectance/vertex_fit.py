@@ -91,6 +91,16 @@ class ReflectanceFit:
         """(V, 6) albedos and weights, columns `PARAMETERS`."""
         return np.concatenate([self.reflectance.diffuse_linear, self.reflectance.weights], axis=1)
 
+    @property
+    def drawn(self) -> BoolArray:
+        """(V,) vertices that pictures show as found: all albedos identified; others are filled from them.
+
+        All that are known where the albedos of fewer than half of them are identified.
+        """
+        known = self.reflectance.known
+        sure = known & self.identified[:, :3].all(1)
+        return sure if 2 * sure.sum() >= known.sum() else known
+
 
 def fit_reflectance(
     samples: VertexSamples,

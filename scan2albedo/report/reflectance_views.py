@@ -30,14 +30,15 @@ _MARGIN_PX = 8
 def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None) -> list[Panel]:
     """Return panels of albedo, weights and a fit's certainty; the mesh from +z, unknown vertices grey.
 
-    In the albedo's panel they are filled from those around them.
+    In the albedo's panel they, and those whose albedo the fit does not identify, are filled from around them.
     """
     view = View.around(mesh.vertices)
     one = mesh.reflectance
     weights = one.weights[one.known]
     most = max(float(np.percentile(weights, 95)) if weights.size else 0.0, 1e-9)
-    title = "albedo" if one.known.all() else "albedo, unknown vertices filled"
-    panels = [Panel(title, _colored(mesh, albedo_colors(filled_albedo(mesh)), view))]
+    drawn = one.known if fit is None else fit.drawn
+    title = "albedo" if drawn.all() else "albedo, unknown vertices filled"
+    panels = [Panel(title, _colored(mesh, albedo_colors(filled_albedo(mesh, drawn)), view))]
     for k, name in enumerate(("broad lobe (1)", "middle lobe (8)", "narrow lobe (64)")):
         title = f"weight of the {name}, 0 to {most:.2g}"
         panels.append(Panel(title, _heat(mesh, one.weights[:, k], most, view)))
@@ -54,12 +55,11 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     return panels
 
 
-def filled_albedo(mesh: MeshReflectance) -> FloatArray:
-    """Return albedos (V, 3), unknown ones from the vertices around them; NaN where none is known at all."""
+def filled_albedo(mesh: MeshReflectance, drawn: BoolArray | None = None) -> FloatArray:
+    """Return albedos (V, 3), those not `drawn` (V,) or not known from around them; NaN if there are none."""
     one = mesh.reflectance
-    if not one.known.any():
-        return one.diffuse_linear
-    return filled_over_mesh(one.diffuse_linear, one.known, mesh.faces)
+    kept = one.known if drawn is None else one.known & drawn
+    return filled_over_mesh(one.diffuse_linear, kept, mesh.faces) if kept.any() else one.diffuse_linear
 
 
 def albedo_colors(diffuse_linear: FloatArray, *, white: float | None = None) -> FloatArray:

@@ -34,6 +34,7 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.app.output import folder_of_results
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
 from scan2albedo.reflectance.relit_picture import RelitFace
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import (
     albedo_colors,
@@ -171,17 +172,20 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         results.figure("overview.png", overview_figure(_title(figures), reflectance_panels(mesh, fit), 5))
         if done.error is not None:
             results.figure("relit.png", overview_figure(_relit_title(done.error), relit_held_out(done), 6))
-        write_colored_mesh(results.folder / "face.ply", mesh)
+        write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
         notes = (*done.notes, *_notes(done.olat, capture.pair_names()))
         results.write_record(figures, options=options, notes=notes)
     return figures
 
 
-def write_colored_mesh(path: Path, mesh: MeshReflectance) -> None:
-    """Write the mesh with its albedo as colours of the vertices, sRGB, unknown ones filled, as PLY."""
+def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | None = None) -> None:
+    """Write the mesh with its albedo as colours of the vertices, sRGB, as PLY.
+
+    Those that are not `drawn` (V,), by default those that are not known, are filled from the others.
+    """
     import trimesh
 
-    colors = np.round(255 * albedo_colors(filled_albedo(mesh))).astype(np.uint8)
+    colors = np.round(255 * albedo_colors(filled_albedo(mesh, drawn))).astype(np.uint8)
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False)
     shape.export(path)
 
@@ -200,13 +204,15 @@ def relit_held_out(done: FittedCapture) -> list[Panel]:
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return the light that a flash added (H, W, 3), that of the tested fit, and where it is known (H, W).
 
-    Shadows are those that the mesh casts; vertices that are not known are filled from those around them.
+    Shadows are those that the mesh casts; where the albedo is not identified it is filled from around.
     """
     assert done.error is not None
     capture = done.capture
     fit, rig = done.error.fit, capture.rig
     normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
-    face = RelitFace(capture.vertices, capture.faces, normals, fit.reflectance)
+    one = fit.reflectance
+    shown = VertexReflectance(one.diffuse_linear, one.weights, fit.drawn)
+    face = RelitFace(capture.vertices, capture.faces, normals, shown)
     linear = done.olat.linear[pair].astype(np.float64)
     made, known = face.picture(
         rig.cameras[pair],
