@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, fit_rows
+from scan2albedo.reflectance.robust_fit import TILT_FREEDOM, Observations, ReflectanceFitOptions, fit_rows
 
 _VERTICES = 1000
 """That the deviation is found from, evenly chosen."""
@@ -16,8 +16,6 @@ _BROAD = np.radians(10.0)
 """Deviation that is assumed while tilts are found for it."""
 _LEAST, _MOST = np.radians(0.02), np.radians(20.0)
 _ROUNDS = 30
-_FREEDOM = 4.0
-"""Of the tilts' distribution, Student's t, as in `robust_fit`."""
 
 
 def normal_sigma(
@@ -61,7 +59,7 @@ def _scored(tilt: FloatArray, noise: FloatArray, terms: FloatArray) -> FloatArra
     found = np.array([np.radians(1.0) ** 2, 0.0])
     for _ in range(_ROUNDS):
         total = np.maximum(terms @ found, _LEAST**2) + noise
-        robust = (_FREEDOM + 2) / (_FREEDOM + square / total)
+        robust = (TILT_FREEDOM + 2) / (TILT_FREEDOM + square / total)
         before, found = found, nnls(terms / total[:, None], (robust * square / 2 - noise) / total)[0]
         if np.abs(found - before).max() < 1e-3 * max(before.max(), 1e-12):
             break

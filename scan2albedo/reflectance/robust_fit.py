@@ -19,7 +19,7 @@ _WIDTH = 2.4
 """Residual over sigma from which the loss departs from squares; wider for vertices that fit worse."""
 _ITERATIONS, _TOLERANCE = 100, 0.02
 """Most reweightings; a vertex is done when no number moves by more than this part of its deviation."""
-_FREEDOM = 4.0
+TILT_FREEDOM = 4.0
 """Degrees of freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
 _MOST_DAMPING = 1e6
 _KINDS = {"cauchy": kernels.CAUCHY, "charbonnier": kernels.CHARBONNIER, "squares": kernels.NONE}
@@ -34,7 +34,7 @@ class ReflectancePrior:
 
     diffuse_mean: float = 1.0
     diffuse_std: float = 1.0
-    """`diffuse_mean`, `diffuse_std`: of each channel's albedo; broad."""
+    """`diffuse_mean`, `diffuse_std`: of each channel's albedo; as wide as its level."""
     weights_mean: tuple[float, float, float] = (0.1, 0.1, 0.1)
     weights_std: tuple[float, float, float] = (0.3, 0.3, 0.3)
     """`weights_mean`, `weights_std`: of the lobes with exponents 1, 8 and 64."""
@@ -280,7 +280,7 @@ class _State:
     def _tilt_prior(self, data: Observations) -> FloatArray:
         """Return (V,) the precisions of the Gaussian that touches the tilts' prior."""
         assert data.tilt_sigma is not None
-        return np.asarray((_FREEDOM + 2) / (_FREEDOM * data.tilt_sigma**2 + (self.tilt**2).sum(1)))
+        return np.asarray((TILT_FREEDOM + 2) / (TILT_FREEDOM * data.tilt_sigma**2 + (self.tilt**2).sum(1)))
 
     def _tilt_equations(self, data: Observations, part: IntArray) -> FloatArray:
         equations = np.empty((len(part), tilt_kernels.TILT_EQUATIONS))
@@ -364,5 +364,5 @@ class _State:
         each_block(work, blocks(len(rows), _BLOCK))
         if self.tilting:
             assert data.tilt_sigma is not None
-            square = (self.tilt[rows] ** 2).sum(1) / (_FREEDOM * data.tilt_sigma[rows] ** 2)
-            self.loss[rows] += 0.5 * (_FREEDOM + 2) * np.log1p(square)
+            square = (self.tilt[rows] ** 2).sum(1) / (TILT_FREEDOM * data.tilt_sigma[rows] ** 2)
+            self.loss[rows] += 0.5 * (TILT_FREEDOM + 2) * np.log1p(square)

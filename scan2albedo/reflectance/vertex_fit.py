@@ -149,7 +149,7 @@ def fit_reflectance(
     parts of the face (``python tools/bench_reflectance.py --heads``). Neither that light nor texture finer
     than a pixel is in them.
 
-    Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less.
+    Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less; with slopes twice that.
 
     Examples
     --------
