@@ -1,6 +1,7 @@
 """Reflectance of vertices: speed beside scipy's nnls, and accuracy on captures of known reflectance.
 
     python tools/bench_reflectance.py [--vertices 20000] [--peer 400] [--seed 0] [--skip-speed] [--people 3]
+    python tools/bench_reflectance.py --heads [--size 256] [--files DIR]
 
 Speed, on one thread, is CPU time in the same run:
 
@@ -17,6 +18,10 @@ Accuracy, 99 pictures, 1 % noise of white, in every case against the truth:
 
 The rig: pictures of `synthetic.flash_capture` (256 x 256, 1 % noise, room light, saturation) through files;
 the median is of the relative difference of albedos, CPU seconds those of two fits with reading and rays.
+
+With --heads only: captures of a head that is not of the project, rendered by Mitsuba (two minutes each), with
+normals that are off (`benchmarks/reflectance_heads.py` tells the columns); needs ../shared/data and mitsuba.
+--files also writes them as files for the commands.
 """
 
 from __future__ import annotations
@@ -36,6 +41,7 @@ from benchmarks.reflectance_captures import (
     relative_rmse,
     samples_of,
 )
+from benchmarks.reflectance_heads import print_heads
 from benchmarks.reflectance_pictures import EXPOSURE, albedo_at, build_scene
 from scipy.optimize import nnls
 from skimage.metrics import structural_similarity
@@ -49,6 +55,7 @@ from scan2albedo.reflectance import (
     VertexSamples,
     extract_olat,
     fit_reflectance,
+    lobe_slopes,
     point_light_lobes,
     point_light_radiance,
     read_capture,
@@ -143,13 +150,25 @@ def solver_speed(capture: Capture, peer: int, seed: int = 0) -> SolverSpeed:
     )
 
 
-def end_to_end_cpu_s(capture: Capture) -> float:
-    """Return CPU seconds of lobes, samples and fit."""
-    given = samples_of(capture, noise=0.01)
+def end_to_end_cpu_s(capture: Capture, normals_off_deg: float | None = None) -> float:
+    """Return CPU seconds of lobes, samples and fit; normals are taken as right, or off and tilted."""
+    given = samples_of(capture, noise=0.01, normals_off_deg=normals_off_deg or 0.0)
+    scene = capture.vertices, capture.normals, capture.cameras, capture.lights
 
     def work() -> None:
-        lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.lights)
-        fit_reflectance(VertexSamples(given.observed_linear, given.sigma, given.valid, lobes, given.light))
+        point_light_lobes(*scene)
+        if normals_off_deg is not None:
+            lobe_slopes(*scene)
+        fit_reflectance(
+            VertexSamples(
+                given.observed_linear,
+                given.sigma,
+                given.valid,
+                given.lobes,
+                given.light,
+                None if normals_off_deg is None else given.slopes,
+            )
+        )
 
     return cpu_of(work, 2)
 
@@ -258,7 +277,7 @@ def from_rig(seed: int, hair: bool) -> str:
     assert error is not None
     off = one.diffuse_linear[one.known] - capture.diffuse_linear[one.known]
     truth = capture.diffuse_linear[one.known]
-    similar = np.mean([similarity(done, j) for j in np.flatnonzero(done.held_out)])
+    similar = np.mean([similarity(done, int(j)) for j in np.flatnonzero(done.held_out)])
     name = f"person {seed}, {'hair not in the mesh' if hair else 'no hair'}"
     return (
         f"{name:32s} {relative_rmse(off + truth, truth):7.3f} {np.median(np.abs(off / truth)):7.3f} "
@@ -287,11 +306,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--skip-speed", action="store_true")
     parser.add_argument("--people", type=int, default=3, help="of the synthetic rig")
+    parser.add_argument("--heads", action="store_true", help="captures rendered by Mitsuba instead")
+    parser.add_argument("--size", type=int, default=256, help="of their pictures")
+    parser.add_argument("--files", type=Path, help="folder to write them to")
     given = parser.parse_args()
+    if given.heads:
+        with threadpool_limits(1):
+            print_heads(given.size, given.files)
+        return
     capture = head_capture(given.vertices, seed=given.seed)
     if not given.skip_speed:
         with threadpool_limits(1):
-            speed, seconds = solver_speed(capture, given.peer, given.seed), end_to_end_cpu_s(capture)
+            speed = solver_speed(capture, given.peer, given.seed)
+            seconds = [end_to_end_cpu_s(capture, off) for off in (None, 0.0, 3.0)]
         print(f"solver                     {speed.ours:12,.0f} vertices a second")
         print(f"  and sums over pictures   {speed.with_sums:12,.0f}")
         print(f"  scipy nnls, 6 x 6        {speed.factor:12,.0f}")
@@ -300,7 +327,9 @@ def main() -> None:
             f"  largest difference {speed.difference:.1e}; {100 * speed.bounded:.1f} % of vertices at a bound"
         )
         print(
-            f"{given.vertices} vertices, {len(capture.cameras)} pictures, end to end: {seconds:.2f} s CPU\n"
+            f"{given.vertices} vertices, {len(capture.cameras)} pictures, end to end, CPU s: "
+            f"{seconds[0]:.2f} with normals taken as right, {seconds[1]:.2f} with tilts, {seconds[2]:.2f} "
+            "with normals off by 3 degrees\n"
         )
         print(from_pictures())
     print(f"{'case':20s} diffuse  weights  relight  cover  identified  misfit  rounds")

@@ -41,7 +41,10 @@ def _common() -> None:
 
 @app.command()
 def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = False) -> None:
-    """Write what each flash added to the room's light, as linear EXR pictures."""
+    """Write what each flash added to the room's light, as linear EXR pictures.
+
+    Light is value^gamma with the capture file's `gamma`; 1.2 is taken, and noted, when it gives none.
+    """
     with _work("olat", out) as progress:
         from scan2albedo.reflectance import read_capture
         from scan2albedo.reflectance.app.capture_run import write_olat
@@ -70,14 +73,30 @@ def fit(
     least_pairs: Annotated[
         int, typer.Option(help="Vertices seen in fewer pairs are left unknown.", min=1)
     ] = 3,
+    normal_sigma: Annotated[
+        str,
+        typer.Option(
+            help="Standard deviation of the mesh's normals in degrees, 0 if they are right; or auto.",
+            metavar="DEGREES|auto",
+        ),
+    ] = "auto",
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
-    """Fit albedo and three highlight lobes to each vertex of a capture's mesh."""
+    """Fit albedo and three highlight lobes to each vertex of a capture's mesh.
+
+    The capture file should give `gamma` (light = value^gamma): 1 for linear pictures, about 2.2 for sRGB.
+    When it does not, 1.2 is taken, and noted.
+    """
     from scan2albedo.reflectance import ReflectanceFitOptions
 
     try:
-        options = ReflectanceFitOptions(loss=loss, light_gains=light_gains, least_pairs=least_pairs)
+        options = ReflectanceFitOptions(
+            loss=loss,
+            light_gains=light_gains,
+            least_pairs=least_pairs,
+            normal_sigma_degrees=_number_or_auto(normal_sigma),
+        )
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     if held_out_every == 1:
@@ -102,6 +121,7 @@ def fit(
                 "loss": loss,
                 "held_out_every": held_out_every,
                 "least_pairs": least_pairs,
+                "normal_sigma": normal_sigma,
                 "budget": budget,
             },
         )
@@ -283,6 +303,13 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
     with removed_if_empty(out), ProgressLines(name) as progress:
         check_writable(out)
         yield progress
+
+
+def _number_or_auto(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:

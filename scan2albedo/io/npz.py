@@ -125,15 +125,19 @@ def read_npz_record(
     kind: type[Content],
     arrays: Mapping[str, str],
     *,
+    optional: Mapping[str, str] | None = None,
     what: str,
     advice: str,
     error: type[Scan2AlbedoError],
 ) -> tuple[Content, Arrays]:
     """Return record and arrays of a file that `write_npz_record` wrote; see `read_npz`.
 
-    `arrays` maps the names of the arrays to the letters of the kinds of dtype they may have.
+    `arrays` and `optional` map the names of the arrays to the letters of the kinds of dtype they may have.
     """
-    found = read_npz(path, ("header", *arrays), what=what, advice=advice, error=error)
+    kinds = {**arrays, **(optional or {})}
+    found = read_npz(
+        path, ("header", *arrays), optional=optional or (), what=what, advice=advice, error=error
+    )
     header = parse_record(
         str(found.pop("header")),
         kind,
@@ -143,6 +147,6 @@ def read_npz_record(
         error=error,
     )
     for name, array in found.items():
-        if array.dtype.kind not in arrays[name]:
+        if array.dtype.kind not in kinds[name]:
             raise error(f"{what} {path}: {name} holds {array.dtype}; write it again")
     return header, found

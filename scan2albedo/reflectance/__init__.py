@@ -19,7 +19,7 @@ from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableR
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.photograph import PhotographOptions, observe_photograph
 from scan2albedo.reflectance.photograph_files import PhotographFiles, read_photograph, write_photograph
-from scan2albedo.reflectance.point_light_lobes import point_light_lobes, point_light_radiance
+from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.relighting_error import RelightingError, relighting_error
 from scan2albedo.reflectance.robust_fit import ReflectanceFitOptions, ReflectancePrior
@@ -72,6 +72,7 @@ __all__ = [
     "fit_reflectance",
     "generated_environment",
     "light_transfer",
+    "lobe_slopes",
     "lobe_weights_of_phong",
     "observe_photograph",
     "point_light_lobes",

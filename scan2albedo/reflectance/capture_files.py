@@ -66,7 +66,13 @@ class FlashCaptureFile(_Part):
     mesh: str = Field(
         description="OBJ, PLY, GLB, STL or OFF; relative to this file; vertices keep their order."
     )
-    gamma: float = Field(1.2, ge=0.1, le=10, description="Light is value^gamma.")
+    gamma: float = Field(
+        1.2,
+        ge=0.1,
+        le=10,
+        description="Light is value^gamma: 1 for linear pictures, about 2.2 for sRGB. Say it: 1.2 is that of "
+        "one known rig.",
+    )
     noise: float = Field(0.01, ge=1e-6, le=1, description="Standard deviation of the values, white = 1.")
     saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
     falloff_distance: float | None = Field(
@@ -122,6 +128,16 @@ class CaptureFiles:
         """Where the flashes have fallen off to 1, None when they do not fall off."""
         distance = self.content.falloff_distance
         return None if distance is None else distance * MM_PER_UNIT[self.content.unit]
+
+    @property
+    def scale_known(self) -> bool:
+        """Whether the file gives the strength of the flashes, so that albedos have their true scale."""
+        return self.content.flash_strength != FlashCaptureFile.model_fields["flash_strength"].default
+
+    @property
+    def gamma_given(self) -> bool:
+        """Whether the file says what gamma is, which is a guess otherwise."""
+        return "gamma" in self.content.model_fields_set
 
     def pair_names(self) -> tuple[str, ...]:
         """Return camera and flash of each pair."""

@@ -144,6 +144,7 @@ class MorphableReflectanceModel:
         *,
         components: int | None = None,
         least_support: float = 0.5,
+        weights: Sequence[ArrayLike] | None = None,
     ) -> MorphableReflectanceModel:
         """Learn a model from K reflectances of one topology.
 
@@ -161,6 +162,8 @@ class MorphableReflectanceModel:
             Directions to keep; all, at most K - 1, when omitted.
         least_support : float
             Share of the samples, above 0, that must know a vertex for the model to know it.
+        weights : sequence of (V,) array_like of float, optional
+            Of each sample's vertices, 0 to 1: the mean is weighted, deviations are multiplied by them.
 
         Notes
         -----
@@ -183,10 +186,10 @@ class MorphableReflectanceModel:
                 f"no vertex is known to {100 * least_support:.0f} % of the {len(samples)} samples; give more "
                 "complete ones or a smaller least_support"
             )
-        stack_known, shared = stack.known & known, stack.shared & known
-        diffuse, diffuse_off = mean_and_deviations(stack.diffuse, stack_known, 0.0)
-        total, total_off = mean_and_deviations(stack.total, stack_known, 0.0)
-        share, share_off = mean_and_deviations(stack.share, shared, 1 / 3)
+        trust = (stack.known & known) * _checked_weights(weights, stack.known.shape)
+        diffuse, diffuse_off = mean_and_deviations(stack.diffuse, trust, 0.0)
+        total, total_off = mean_and_deviations(stack.total, trust, 0.0)
+        share, share_off = mean_and_deviations(stack.share, trust * stack.shared, 1 / 3)
         directions = principal_directions(diffuse_off, components, size=float(np.sum(diffuse**2)))
         return cls(
             known,
@@ -305,3 +308,13 @@ class MorphableReflectanceModel:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _checked_weights(weights: Sequence[ArrayLike] | None, shape: tuple[int, ...]) -> FloatArray:
+    """Return weights (K, V), ones when there are none; raises `ValueError` for others than 0 to 1."""
+    if weights is None:
+        return np.ones(shape)
+    given = np.asarray([np.asarray(one, np.float64) for one in weights])
+    if given.shape != shape or not ((given >= 0) & (given <= 1)).all():
+        raise ValueError(f"weights must be numbers from 0 to 1 of shape {shape}, got {given.shape}")
+    return given

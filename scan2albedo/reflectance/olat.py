@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -84,7 +86,10 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
 
     I = F^g - R^g with g = `gamma` and, to first order in the noise s (Han, Wang, Xu, supplement, Eq. 2),
 
-        sigma^2 = (g s)^2 (F^(2 g - 2) + R^(2 g - 2)).
+        sigma^2 = (g s)^2 (F^(2 g - 2) + m R^(2 g - 2)).
+
+    m is the number of pairs that share the picture of the room's light (are given equal ones): its noise is
+    the same in all of them, so that their mean has no less of it.
 
     Its slope is 0 in the dark, where first order does not hold; values count there as at least s. Negative
     differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the other two are
@@ -117,13 +122,15 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     linear, sigma = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     saturated, valid = np.zeros(shape, bool), np.zeros(shape, bool)
     diagnostics: list[CaptureDiagnostic] = []
+    sharing = _sharing(rooms, shape[0])
     for j in range(shape[0]):
         lit = picture_values(pictures[j], f"flash picture {j}", options.saturation)
         ambient = picture_values(rooms[j % len(rooms)], f"room picture {j}", options.saturation)
         finite = np.isfinite(lit) & np.isfinite(ambient)
         lit, ambient = np.where(finite, lit, 0.0), np.where(finite, ambient, 0.0)
         difference = linear_values(lit, options.gamma) - linear_values(ambient, options.gamma)
-        deviation = np.sqrt(_variance(lit, options) + _variance(ambient, options))
+        noise, noise_of_room = _variance(lit, options), _variance(ambient, options)
+        deviation = np.sqrt(noise + noise_of_room)
         saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
         changed = (np.abs(difference) > _SIGMAS * deviation).all(-1) & usable
@@ -132,7 +139,7 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
         found += _room_diagnostics(j, usable.sum(), darker.sum(), brighter.sum())
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
-        linear[j], sigma[j] = np.where(valid[j], difference, 0.0), deviation
+        linear[j], sigma[j] = np.where(valid[j], difference, 0.0), np.sqrt(noise + sharing[j] * noise_of_room)
     _check_some_pair_usable(diagnostics, shape[0])
     return OlatImages(linear, sigma, valid, saturated, tuple(diagnostics))
 
@@ -143,6 +150,15 @@ def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
     if not pictures:
         raise ReflectanceError(f"{name} holds no pictures: there are no pairs, give one at least")
     return [np.asarray(picture) for picture in pictures]
+
+
+def _sharing(rooms: list[NDArray[Any]], pairs: int) -> list[int]:
+    """Return for each pair how many have a picture of the room equal to its own, itself among them."""
+    if len(rooms) == 1:
+        return [pairs] * pairs
+    digests = [hashlib.blake2b(room.tobytes()).digest() for room in rooms]
+    count = Counter(digests)
+    return [count[digest] for digest in digests]
 
 
 def _shape(flash: list[NDArray[Any]], room: list[NDArray[Any]]) -> tuple[int, int, int, int]:

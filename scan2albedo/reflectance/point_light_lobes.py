@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.reflectance.tilt_kernels import fill_slopes
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
 PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
@@ -61,6 +62,67 @@ def point_light_lobes(
     reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
     _fill_lobes(*arrays, reference, lobes)
     return lobes
+
+
+def cosines_of_lobes(lobes: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return n.l and n.h (J, V) of lobes (J, V, 4) times any factor a picture; 0 where either is not above 0.
+
+    Examples
+    --------
+    >>> lobes = point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], [[0.0, 0, 1]], [[1.0, 0, 1]])
+    >>> [cosine.round(4).tolist() for cosine in cosines_of_lobes(7 * lobes)]
+    [[[0.7071]], [[0.9239]]]
+    """
+    diffuse, broad, middle = np.moveaxis(np.asarray(lobes, np.float64)[..., :3], -1, 0)
+    there = (broad > 0) & (middle > 0)
+    lobe = np.where(there, broad, 1.0)
+    n_h = np.where(there, (middle / lobe * PEAKS[0] / PEAKS[1]) ** (1 / 7), 0.0)
+    return np.where(there, diffuse / lobe * n_h * PEAKS[0] * np.pi, 0.0), n_h
+
+
+def lobe_slopes(
+    vertices: ArrayLike, normals: ArrayLike, camera_positions: ArrayLike, light_positions: ArrayLike
+) -> FloatArray:
+    """Return (J, V, 4): e_1.l / n.l, e_2.l / n.l, e_1.h / n.h, e_2.h / n.h for tangents e of each normal.
+
+    A normal tilted by t is (n + t_1 e_1 + t_2 e_2) / |.|, which multiplies n.l by
+    (1 + t_1 e_1.l / n.l + t_2 e_2.l / n.l) / sqrt(1 + t.t), and n.h likewise. 0 where the light is behind.
+
+    Parameters
+    ----------
+    vertices, normals, camera_positions, light_positions
+        As of `point_light_lobes`.
+
+    Examples
+    --------
+    >>> lobe_slopes([[0.0, 0, 0]], [[0.0, 0, 1]], [[0.0, 0, 1]], [[1.0, 0, 1]]).round(3) + 0.0
+    array([[[1.   , 0.   , 0.414, 0.   ]]])
+    """
+    arrays = [
+        np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
+    ]
+    slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
+    fill_slopes(*arrays, slopes)
+    return slopes
+
+
+def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
+    """Return unit normals (V, 3) tilted by `tilt` (V, 2) along the tangents of `lobe_slopes`; NaN is 0.
+
+    Examples
+    --------
+    >>> tilted_normals([[0.0, 0, 1]], [[1.0, 0]]).round(3).tolist()
+    [[0.707, 0.0, 0.707]]
+    """
+    unit = np.asarray(normals, np.float64)
+    x, y, z = unit.T
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], 1)
+    second = np.stack([x * y * a, sign + y * y * a, -y], 1)
+    angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
+    turned = unit + (angle[:, 0] * first + angle[:, 1] * second) * (unit != 0).any(1, keepdims=True)
+    return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -15,6 +15,8 @@ from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
+RESULT_FILE = "reflectance.npz"
+"""In the folder that the command `fit` writes."""
 _ARRAYS = {"vertices": "f", "faces": "iu", "known": "b", "diffuse_linear": "f", "weights": "f"}
 _OF_A_FIT = {
     "std": "f",
@@ -25,7 +27,10 @@ _OF_A_FIT = {
     "activation": "f",
     "identifiability": "f",
     "identified": "b",
+    "impossible": "b",
     "misfit": "f",
+    "tilt": "f",
+    "normal_sigma_degrees": "f",
     "light_gain": "f",
 }
 """Further arrays in a fit's file; NaN where a vertex is not known."""
@@ -44,6 +49,8 @@ class MeshReflectance:
     """(F, 3)."""
     reflectance: VertexReflectance
     """Of V vertices."""
+    std: FloatArray | None = None
+    """(V, 6): standard deviations of albedos and weights where a fit gave them, NaN where not known."""
 
     def __post_init__(self) -> None:
         vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces)
@@ -54,6 +61,8 @@ class MeshReflectance:
             raise ReflectanceError(f"faces is {faces.dtype} {faces.shape}, expected integers (F, 3)")
         if faces.size and (faces.min() < 0 or faces.max() >= count):
             raise ReflectanceError(f"faces point outside the {count} vertices")
+        if self.std is not None and np.shape(self.std) != (count, 6):
+            raise ReflectanceError(f"std is {np.shape(self.std)}, expected ({count}, 6)")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces.astype(np.int64))
 
@@ -62,8 +71,8 @@ class MeshReflectanceHeader(BaseModel):
     """The text "header" in a file of a mesh's reflectance, as JSON.
 
     The file also holds vertices (V, 3) in mm, faces (F, 3), known (V,), diffuse_linear and weights (V, 3);
-    that of a fit also std, low, high, identifiability and identified (V, 6), pair_count, condition and
-    misfit (V,), activation (V, 3) and light_gain (L, 3).
+    that of a fit also std, low, high, identifiability and identified (V, 6), pair_count, condition, misfit,
+    impossible and normal_sigma_degrees (V,), tilt (V, 2), activation (V, 3) and light_gain (L, 3).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo reflectance of a mesh")
@@ -109,23 +118,28 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
     Parameters
     ----------
     path : str or Path
+        The file, or the folder that the command `fit` or `fit-image` wrote.
 
     Raises
     ------
     ReflectanceError
         When the file is missing, damaged or something else; names it.
     """
+    if Path(path).is_dir():
+        path = Path(path) / RESULT_FILE
     header, arrays = read_npz_record(
         path,
         MeshReflectanceHeader,
         _ARRAYS,
+        optional={"std": _OF_A_FIT["std"]},
         what="reflectance",
-        advice="give a file that write_reflectance wrote (data_schemas/mesh_reflectance.schema.json)",
+        advice="give a file that write_reflectance wrote, or a fit's folder (data_schemas/mesh_reflectance."
+        "schema.json)",
         error=ReflectanceError,
     )
     check_exponents(header.exponents, f"reflectance {path}")
     try:
         reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
-        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance)
+        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance, arrays.get("std"))
     except ReflectanceError as error:
         raise ReflectanceError(f"reflectance {path}: {error}; write the file again") from error

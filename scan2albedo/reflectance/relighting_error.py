@@ -82,7 +82,9 @@ def relighting_error(
         )
     fit = fit_reflectance(samples.of_pairs(~left_out), options=options)
     unseen = samples.of_pairs(left_out)
-    predicted = _gains(fit, unseen.light) * point_light_radiance(fit.reflectance, unseen.lobes)
+    predicted = _gains(fit, unseen.light) * point_light_radiance(
+        fit.reflectance, unseen.turned_lobes(fit.tilt)
+    )
     seen = unseen.valid & fit.reflectance.known[:, None]
     if not seen.any():
         raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")

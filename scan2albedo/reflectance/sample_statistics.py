@@ -14,6 +14,8 @@ from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
 _RANK_TOLERANCE = 1e-12
 """Eigenvalues below this share of the largest are rounding."""
+_PEOPLE_DIFFER = 0.2
+"""Standard deviation of an albedo among people, as part of its level."""
 _ROUNDING = 1e-28
 """And those below this share of the squared values themselves."""
 
@@ -52,17 +54,31 @@ def stack_samples(samples: Sequence[VertexReflectance]) -> SampleStack:
     return SampleStack(diffuse, total, share, known, known & (total > 0))
 
 
-def mean_and_deviations(
-    values: FloatArray, known: BoolArray, otherwise: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the mean (V, ...) over the samples that know a vertex, and deviations (K, V, ...), 0 at gaps.
+def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray:
+    """Return (V,) the weight of each vertex of a sample: t^2 / (t^2 + s^2), 0 where it is not known.
 
-    The mean is `otherwise` where no sample knows the vertex.
+    s is the largest of the standard deviations of its albedos, columns of `std` (V, 6), and t how much people
+    differ, a part of the sample's median albedo. Without `std` all that is known counts fully.
     """
-    mask = known.reshape(known.shape + (1,) * (values.ndim - 2))
-    count = mask.sum(0)
-    mean = np.where(count > 0, (values * mask).sum(0) / np.maximum(count, 1), otherwise)
-    return mean, np.where(mask, values - mean, 0.0)
+    weight = sample.known.astype(np.float64)
+    if std is not None and sample.known.any():
+        differ = _PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
+        square = np.nan_to_num(std[:, :3]).max(1) ** 2
+        weight *= differ**2 / np.maximum(differ**2 + square, 1e-300)
+    return weight
+
+
+def mean_and_deviations(
+    values: FloatArray, weight: FloatArray, otherwise: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean (V, ...) of samples of `weight` (K, V), and weighted deviations (K, V, ...).
+
+    The weight is 0 at gaps; the mean is `otherwise` where no sample knows the vertex.
+    """
+    part = weight.reshape(weight.shape + (1,) * (values.ndim - 2))
+    total = part.sum(0)
+    mean = np.where(total > 0, (values * part).sum(0) / np.where(total > 0, total, 1.0), otherwise)
+    return mean, part * (values - mean)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance.capture_rig import CaptureRig
 from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.picture_samples import bilinear_samples, checked_mesh, checked_normals
-from scan2albedo.reflectance.point_light_lobes import point_light_lobes
+from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes
+from scan2albedo.reflectance.tilt_kernels import turn_lobes
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 _LEAST_SIGMA = 1e-100
@@ -69,16 +71,27 @@ class VertexSamples:
     """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`."""
     light: IntArray
     """(J,): number of the flash."""
+    slopes: FloatArray | None = None
+    """(J, V, 4): how lobes change as the normal tilts, see `lobe_slopes`; None: normals are right."""
+    normal_spread: FloatArray | None = None
+    """(V,): root mean square angle, in radians, between a vertex's normal and those of its triangles."""
 
     def __post_init__(self) -> None:
         observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
         valid, lobes = np.asarray(self.valid), np.ascontiguousarray(self.lobes, np.float64)
         light = np.asarray(self.light)
+        slopes = np.zeros(lobes.shape) if self.slopes is None else np.asarray(self.slopes, np.float64)
+        spread = np.zeros(lobes.shape[1]) if self.normal_spread is None else np.asarray(self.normal_spread)
         if observed.ndim != 3 or observed.shape[2] != 3:
             raise ReflectanceError(f"observed_linear is {observed.shape}, expected (J, V, 3)")
-        expected = (observed.shape, observed.shape, (*observed.shape[:2], 4), observed.shape[:1])
-        for name, array, shape in zip(
-            ("sigma", "valid", "lobes", "light"), (sigma, valid, lobes, light), expected, strict=True
+        lobed = (*observed.shape[:2], 4)
+        for name, array, shape in (
+            ("sigma", sigma, observed.shape),
+            ("valid", valid, observed.shape),
+            ("lobes", lobes, lobed),
+            ("light", light, observed.shape[:1]),
+            ("slopes", slopes, lobed),
+            ("normal_spread", spread, observed.shape[1:2]),
         ):
             if array.shape != shape:
                 raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed_linear says")
@@ -88,6 +101,8 @@ class VertexSamples:
             )
         bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
         bad |= valid & ~np.isfinite(lobes).all(-1, keepdims=True)
+        if not (np.isfinite(slopes).all() and np.isfinite(spread).all()):
+            raise ReflectanceError("slopes and normal_spread must be finite; leave them out if unknown")
         if bad.any():
             pair, vertex, _ = np.argwhere(bad)[0]
             raise ReflectanceError(
@@ -98,6 +113,9 @@ class VertexSamples:
         arrays = np.where(valid, observed, 0.0), sigma, valid, lobes, light.astype(np.int64)
         for name, array in zip(("observed_linear", "sigma", "valid", "lobes", "light"), arrays, strict=True):
             object.__setattr__(self, name, array)
+        for name, array in (("slopes", slopes), ("normal_spread", spread)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.ascontiguousarray(array, np.float64))
 
     @property
     def pair_count(self) -> IntArray:
@@ -108,8 +126,23 @@ class VertexSamples:
         """Return the samples of some pictures: indices, or a mask (J,)."""
         keep = np.asarray(pairs)
         return VertexSamples(
-            self.observed_linear[keep], self.sigma[keep], self.valid[keep], self.lobes[keep], self.light[keep]
+            self.observed_linear[keep],
+            self.sigma[keep],
+            self.valid[keep],
+            self.lobes[keep],
+            self.light[keep],
+            None if self.slopes is None else self.slopes[keep],
+            self.normal_spread,
         )
+
+    def turned_lobes(self, tilt: ArrayLike) -> FloatArray:
+        """Return the lobes (J, V, 4) of normals tilted by `tilt` (V, 2), see `ReflectanceFit.tilt`."""
+        if self.slopes is None:
+            return self.lobes
+        turned = np.zeros(self.lobes.shape)
+        rows, angle = np.arange(self.lobes.shape[1]), np.nan_to_num(np.asarray(tilt, np.float64))
+        turn_lobes(self.lobes, self.slopes, angle, rows, turned)
+        return turned
 
 
 def sample_vertices(
@@ -172,7 +205,21 @@ def sample_vertices(
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
         spread = options.position_sigma_px**2
         bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
-    return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light)
+    slopes = lobe_slopes(xyz, normal, positions, rig.light_positions)
+    normal_spread = _normal_spread(xyz, index, normal)
+    return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light, slopes, normal_spread)
+
+
+def _normal_spread(xyz: FloatArray, faces: IntArray, normal: FloatArray) -> FloatArray:
+    """Return (V,) root mean square angles between normals of vertices and of their triangles, by area."""
+    across, corners = face_cross_products(xyz, faces), faces.ravel()
+    area = np.linalg.norm(across, axis=1)
+    flat = np.divide(across, area[:, None], out=np.zeros_like(across), where=area[:, None] > 0)
+    angle = np.arccos(np.clip(np.einsum("fkc,fc->fk", normal[faces], flat), -1, 1))
+    weight = np.repeat(area, 3)
+    total = np.bincount(corners, weight, len(xyz))
+    square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
+    return np.sqrt(square / np.maximum(total, 1e-300))
 
 
 def _facing(xyz: FloatArray, normal: FloatArray, light: FloatArray, cosine: float) -> BoolArray:

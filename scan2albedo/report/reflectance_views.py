@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.mesh_filling import filled_over_mesh
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
@@ -27,12 +28,17 @@ _MARGIN_PX = 8
 
 
 def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None) -> list[Panel]:
-    """Return panels of albedo, weights and a fit's certainty; the mesh from +z, unknown vertices grey."""
+    """Return panels of albedo, weights and a fit's certainty; the mesh from +z, unknown vertices grey.
+
+    In the albedo's panel they, and those whose albedo the fit does not identify, are filled from around them.
+    """
     view = View.around(mesh.vertices)
     one = mesh.reflectance
     weights = one.weights[one.known]
     most = max(float(np.percentile(weights, 95)) if weights.size else 0.0, 1e-9)
-    panels = [Panel("albedo", _colored(mesh, albedo_colors(one.diffuse_linear), view))]
+    drawn = one.known if fit is None else fit.drawn
+    title = "albedo" if drawn.all() else "albedo, unknown vertices filled"
+    panels = [Panel(title, _colored(mesh, albedo_colors(filled_albedo(mesh, drawn)), view))]
     for k, name in enumerate(("broad lobe (1)", "middle lobe (8)", "narrow lobe (64)")):
         title = f"weight of the {name}, 0 to {most:.2g}"
         panels.append(Panel(title, _heat(mesh, one.weights[:, k], most, view)))
@@ -47,6 +53,13 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     misfit = np.where(np.isfinite(fit.misfit), fit.misfit, np.nan)
     panels.append(Panel("misfit over noise, 0 to 3", _heat(mesh, misfit, 3.0, view)))
     return panels
+
+
+def filled_albedo(mesh: MeshReflectance, drawn: BoolArray | None = None) -> FloatArray:
+    """Return albedos (V, 3), those not `drawn` (V,) or not known from around them; NaN if there are none."""
+    one = mesh.reflectance
+    kept = one.known if drawn is None else one.known & drawn
+    return filled_over_mesh(one.diffuse_linear, kept, mesh.faces) if kept.any() else one.diffuse_linear
 
 
 def albedo_colors(diffuse_linear: FloatArray, *, white: float | None = None) -> FloatArray:
@@ -71,19 +84,20 @@ def relit_panels(
 ) -> list[Panel]:
     """Return panels of a photograph, of a face relit as it was, both (H, W, 3) linear, and the difference.
 
-    `shown` (H, W) marks the face, `valid` (H, W, 3) what the photograph did not clip.
+    `shown` (H, W) marks the part of the face that is known, `valid` (H, W, 3) what the photograph did not
+    clip: only there is there a difference.
     """
     rows, columns = _window(shown)
     compared = shown & valid.all(-1)
     level = float(np.percentile(photograph[compared], 99)) if compared.any() else 1.0
     scale = 1 / max(level, 1e-12)
     whole = np.where(valid, photograph, level)
-    taken, made, inside = (picture[rows, columns] for picture in (whole, relit, shown))
+    taken, made = (picture[rows, columns] for picture in (whole, relit))
     off = np.abs(scale * (taken - made)).mean(-1)
     off = np.where(compared[rows, columns], off, np.nan)
     return [
         Panel(f"{name}: photograph", encode_srgb_bytes(np.clip(scale * taken, 0, 1))),
-        Panel("relit", encode_srgb_bytes(np.clip(scale * np.where(inside[..., None], made, 0), 0, 1))),
+        Panel("relit", encode_srgb_bytes(np.clip(scale * made, 0, 1))),
         Panel(
             f"difference, 0 to {100 * _MOST_ERROR:.0f} % of white",
             np.round(255 * heat_colors(off, 0, _MOST_ERROR, "magma")).astype(np.uint8),

@@ -1,15 +1,20 @@
 """Captures as files: what is written is read again, and what is wrong is named."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from scan2albedo.errors import ReflectanceError, ScanError
+from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance import read_capture
+from scan2albedo.reflectance.app.capture_run import fit_capture
 from scan2albedo.reflectance.app.demo import write_synthetic_capture
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
 
@@ -133,3 +138,32 @@ def test_pictures_without_integers_cannot_be_written(capture, tmp_path):
     floats = replace(capture, options=replace(capture.options, bits=None))
     with pytest.raises(ValueError, match="bits"):
         write_synthetic_capture(floats, tmp_path)
+
+
+def test_the_example_of_the_documentation(tmp_path):
+    page = Path(__file__).resolve().parents[2] / "docs" / "capture_format.md"
+    example = re.search(r"^```json\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    (tmp_path / "capture.json").write_text(example.group(1))
+    trimesh.creation.icosphere(radius=80).export(tmp_path / "face.ply")
+    value = np.full((768, 1024, 3), 40, np.uint8)
+    cv2.imwrite(str(tmp_path / "front_room.png"), value)
+    cv2.imwrite(str(tmp_path / "front_side.png"), value + 90)
+    read = read_capture(tmp_path / "capture.json")
+    assert np.allclose(read.rig.camera_positions, [[0, 0, 1000]])
+    assert np.allclose(read.rig.light_positions, [[1000, 0, 0]])
+    pixels, depth = project(read.rig.cameras[0], np.array([[0.0, 0, 0], [100, 0, 0], [0, 100, 0]]))
+    assert np.allclose(pixels, [[511.5, 383.5], [631.5, 383.5], [511.5, 263.5]])
+    assert np.allclose(depth, 1000)
+    light = (130 / 255) ** 2.2 - (40 / 255) ** 2.2
+    assert read.extract_olat().linear[0, 300, 500] == pytest.approx(light, rel=1e-5)
+    assert read.gamma_given
+    assert not read.scale_known
+
+
+def test_a_gamma_that_nobody_gave_is_told(folder):
+    given = fit_capture(read_capture(folder / "capture.json"), held_out_every=0)
+    assert not any("gamma" in note for note in given.notes)
+    assert given.capture.scale_known
+    file = changed(folder, lambda content: content.pop("gamma"))
+    assumed = fit_capture(read_capture(file), held_out_every=0)
+    assert any("gives no gamma" in note and "value^1.2" in note for note in assumed.notes)

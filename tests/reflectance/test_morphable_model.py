@@ -7,6 +7,7 @@ import pytest
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
+from scan2albedo.reflectance.sample_statistics import reliability
 
 
 def faces(count, vertices=60, rank=None, seed=0, known=None):
@@ -231,3 +232,35 @@ def test_what_does_not_fit_the_model_is_refused():
         model.project(faces(1, known=np.zeros((1, 60), bool))[0])
     with pytest.raises(ValueError, match="prior"):
         model.project(faces(1)[0], prior=-1)
+
+
+def test_vertices_with_little_weight_count_little():
+    samples = faces(6)
+    wild = [dataclasses.replace(sample) for sample in samples]
+    spoiled = samples[2].diffuse_linear.copy()
+    spoiled[:10] = 5.0
+    wild[2] = VertexReflectance(spoiled, samples[2].weights, samples[2].known)
+    weights = np.ones((6, 60))
+    weights[2, :10] = 1e-4
+    right = MorphableReflectanceModel.from_samples(samples[:2] + samples[3:])
+    plain, trusting = (
+        MorphableReflectanceModel.from_samples(wild, weights=given) for given in (None, weights)
+    )
+    off = [np.abs(model.diffuse_mean - right.diffuse_mean)[:10].max() for model in (plain, trusting)]
+    assert off[1] < 0.01 < 0.5 < off[0]
+    assert plain.deviation[0] > 5 * trusting.deviation[0]
+    same = MorphableReflectanceModel.from_samples(samples, weights=np.ones((6, 60)))
+    assert np.array_equal(same.diffuse_mean, MorphableReflectanceModel.from_samples(samples).diffuse_mean)
+    with pytest.raises(ValueError, match="weights must be"):
+        MorphableReflectanceModel.from_samples(samples, weights=2 * weights)
+
+
+def test_reliability_falls_with_the_interval():
+    sample = faces(1)[0]
+    std = np.zeros((60, 6))
+    std[0, 1], std[1, :3] = 0.08, 10.0
+    weight = reliability(sample, std)
+    assert weight[0] == pytest.approx(0.5, abs=0.05)  # as wide as people differ: a fifth of 0.4
+    assert weight[1] < 1e-3
+    assert (weight[2:] == 1).all()
+    assert (reliability(sample, None) == 1).all()

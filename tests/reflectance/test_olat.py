@@ -165,3 +165,19 @@ def test_pictures_that_do_not_fit_are_refused(flash, room, error):
 def test_options_outside_their_range_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         OlatOptions(**wrong)
+
+
+def test_pairs_that_share_a_picture_of_the_room_are_less_sure_together():
+    """The mean over a camera's pairs has the spread that independent sigmas foretell."""
+    rng, pairs = np.random.default_rng(5), 8
+    flash = 0.5 + 0.02 * rng.standard_normal((pairs, 100, 100, 3))
+    room = 0.3 + 0.02 * rng.standard_normal((100, 100, 3))
+    options = OlatOptions(gamma=1.2, noise=0.02)
+    shared = extract_olat(flash, room, options=options)
+    spread = shared.linear.mean(0).std()
+    assert spread == pytest.approx(np.sqrt((shared.sigma.astype(float) ** 2).mean() / pairs), rel=0.05)
+    own = 0.3 + 0.02 * rng.standard_normal((pairs, 100, 100, 3))
+    apart = extract_olat(flash, own, options=options)
+    spread = apart.linear.mean(0).std()
+    assert spread == pytest.approx(np.sqrt((apart.sigma.astype(float) ** 2).mean() / pairs), rel=0.05)
+    assert apart.sigma.mean() < 0.7 * shared.sigma.mean()

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from benchmarks.reflectance_captures import head_capture, samples_of
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
     MeshReflectance,
     MorphableReflectanceModel,
     VertexReflectance,
+    fit_reflectance,
     read_reflectance,
     write_reflectance,
 )
@@ -31,6 +33,28 @@ def test_what_is_written_is_read_again_to_the_bit(mesh, tmp_path):
         assert np.array_equal(found, given, equal_nan=found.dtype.kind == "f")
     write_reflectance(tmp_path / "again.npz", mesh)
     assert (tmp_path / "face.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
+
+
+def test_the_folder_of_a_fit_is_as_good_as_its_file(mesh, tmp_path):
+    write_reflectance(tmp_path / "reflectance.npz", mesh)
+    read = read_reflectance(tmp_path)
+    assert np.array_equal(read.vertices, mesh.vertices)
+    assert read.std is None
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ReflectanceError, match=r"empty.*reflectance\.npz.*folder"):
+        read_reflectance(tmp_path / "empty")
+
+
+def test_a_fit_keeps_its_deviations(tmp_path):
+    capture = head_capture(60)
+    fit = fit_reflectance(samples_of(capture, noise=0.01))
+    faces = np.array([[0, 1, 2]])
+    mesh = MeshReflectance(capture.vertices, faces, fit.reflectance)
+    write_reflectance(tmp_path / "reflectance.npz", mesh, fit=fit)
+    assert np.array_equal(read_reflectance(tmp_path).std, fit.std, equal_nan=True)
+    with np.load(tmp_path / "reflectance.npz") as arrays:
+        assert np.array_equal(arrays["tilt"], fit.tilt, equal_nan=True)
+        assert np.array_equal(arrays["impossible"], fit.impossible)
 
 
 def test_damaged_and_other_files_are_refused_by_name(mesh, tmp_path):

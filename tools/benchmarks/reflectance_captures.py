@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.reflectance import VertexReflectance, VertexSamples, point_light_lobes
+from scan2albedo.reflectance import VertexReflectance, VertexSamples, lobe_slopes, point_light_lobes
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,8 @@ def samples_of(
     sigma = np.full(clean.shape, (said_noise or noise or 1e-7) * white)
     lobes = point_light_lobes(capture.vertices, believed, capture.cameras, capture.lights)
     valid = np.repeat((faced & (lobes[..., 0] > 0))[..., None], 3, axis=2)
-    return VertexSamples(observed, sigma, valid, lobes, capture.light)
+    slopes = lobe_slopes(capture.vertices, believed, capture.cameras, capture.lights)
+    return VertexSamples(observed, sigma, valid, lobes, capture.light, slopes)
 
 
 def turned(normals: FloatArray, angle_deg: float, rng: np.random.Generator) -> FloatArray:

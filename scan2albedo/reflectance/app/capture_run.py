@@ -27,17 +27,18 @@ from scan2albedo.reflectance import (
     SamplingOptions,
     VertexSamples,
     fit_reflectance,
-    point_light_radiance,
     relighting_error,
     sample_vertices,
     write_reflectance,
 )
 from scan2albedo.reflectance.app.output import folder_of_results
-from scan2albedo.reflectance.vertex_visibility import VertexVisibility
+from scan2albedo.reflectance.point_light_lobes import tilted_normals
+from scan2albedo.reflectance.relit_picture import RelitFace
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import (
     albedo_colors,
-    draw_in_camera,
+    filled_albedo,
     reflectance_panels,
     relit_panels,
 )
@@ -75,6 +76,8 @@ class FittedCapture:
                 zip(("red", "green", "blue", "weight_1", "weight_8", "weight_64"), identified, strict=True)
             ),
             "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
+            "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
+            "impossible_vertices": int(fit.impossible.sum()),
             "level": fit.level,
             "converged": fit.converged,
             "iterations": fit.iterations,
@@ -105,7 +108,11 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         for number, linear in enumerate(olat.linear):
             write_exr(results.folder / f"olat_{number:03d}.exr", linear)
         results.picture("olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
-        results.write_record(figures, options={"gamma": capture.content.gamma}, notes=_notes(olat, names))
+        results.write_record(
+            figures,
+            options={"gamma": capture.content.gamma},
+            notes=(*_notes_of_file(capture), *_notes(olat, names)),
+        )
     return figures
 
 
@@ -120,15 +127,18 @@ def fit_capture(
     """Read the pictures of a capture, fit its vertices, and test a fit without one of `held_out_every` pairs.
 
     With 0 none is tested; the result, and the `budget`, are of the fit to all pairs. Raises errors of
-    `CaptureFiles.extract_olat`, `sample_vertices` and `fit_reflectance`.
+    `CaptureFiles.extract_olat`, `sample_vertices` and `fit_reflectance`. Where the file gives the strength of
+    the flashes, albedos above 1 are impossible.
     """
+    if capture.scale_known and options.most_albedo is None:
+        options = replace(options, most_albedo=1.0)
     with _naming(capture):
         olat = capture.extract_olat()
         sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
         samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
         fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
-    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
+    notes = (*_notes_of_file(capture), *_notes_of_fit(fit))
     held_out = _held_out(np.asarray(samples.valid.any((1, 2))), held_out_every)
     error = None
     if held_out.any():
@@ -162,17 +172,20 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         results.figure("overview.png", overview_figure(_title(figures), reflectance_panels(mesh, fit), 5))
         if done.error is not None:
             results.figure("relit.png", overview_figure(_relit_title(done.error), relit_held_out(done), 6))
-        write_colored_mesh(results.folder / "face.ply", mesh)
+        write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
         notes = (*done.notes, *_notes(done.olat, capture.pair_names()))
         results.write_record(figures, options=options, notes=notes)
     return figures
 
 
-def write_colored_mesh(path: Path, mesh: MeshReflectance) -> None:
-    """Write the mesh with its albedo as colours of the vertices, sRGB, as PLY."""
+def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | None = None) -> None:
+    """Write the mesh with its albedo as colours of the vertices, sRGB, as PLY.
+
+    Those that are not `drawn` (V,), by default those that are not known, are filled from the others.
+    """
     import trimesh
 
-    colors = np.round(255 * albedo_colors(mesh.reflectance.diffuse_linear)).astype(np.uint8)
+    colors = np.round(255 * albedo_colors(filled_albedo(mesh, drawn))).astype(np.uint8)
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False)
     shape.export(path)
 
@@ -189,25 +202,25 @@ def relit_held_out(done: FittedCapture) -> list[Panel]:
 
 
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the light that a flash added (H, W, 3), that of the tested fit, and the face's pixels (H, W).
+    """Return the light that a flash added (H, W, 3), that of the tested fit, and where it is known (H, W).
 
-    Shadows are those that the mesh casts.
+    Shadows are those that the mesh casts; where the albedo is not identified it is filled from around.
     """
     assert done.error is not None
     capture = done.capture
-    normals = vertex_normals(capture.vertices, capture.faces)
-    visibility = VertexVisibility(capture.vertices, capture.faces, normals)
-    radiance = point_light_radiance(done.error.fit.reflectance, done.samples.lobes[pair : pair + 1])[0]
-    lit = visibility.reached(capture.rig.light_positions[pair])
+    fit, rig = done.error.fit, capture.rig
+    normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
+    one = fit.reflectance
+    shown = VertexReflectance(one.diffuse_linear, one.weights, fit.drawn)
+    face = RelitFace(capture.vertices, capture.faces, normals, shown)
     linear = done.olat.linear[pair].astype(np.float64)
-    made, shown = draw_in_camera(
-        capture.rig.cameras[pair],
+    made, known = face.picture(
+        rig.cameras[pair],
         linear.shape[:2],
-        capture.vertices,
-        capture.faces,
-        radiance * lit[:, None],
+        rig.light_positions[pair],
+        reference_distance_mm=capture.reference_distance_mm,
     )
-    return linear, made, shown
+    return linear, capture.content.flash_strength * made, known
 
 
 def _held_out(usable: BoolArray, every: int) -> BoolArray:
@@ -217,6 +230,25 @@ def _held_out(usable: BoolArray, every: int) -> BoolArray:
         step = min(every, len(pairs))
         chosen[pairs[step // 2 :: step]] = True
     return chosen
+
+
+def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
+    if capture.gamma_given:
+        return ()
+    return (
+        f"{capture.path.name} gives no gamma: light is taken as value^{capture.content.gamma:g}; say "
+        '"gamma": 1 for linear pictures, about 2.2 for ordinary sRGB pictures',
+    )
+
+
+def _notes_of_fit(fit: ReflectanceFit) -> tuple[str, ...]:
+    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
+    if fit.impossible.any():
+        notes += (
+            f"{fit.impossible.sum()} vertices have an albedo above 1, which is impossible, and count as not "
+            "identified: creases, or mesh, poses or flash_strength are off there",
+        )
+    return notes
 
 
 def _notes(olat: OlatImages, names: tuple[str, ...]) -> tuple[str, ...]:

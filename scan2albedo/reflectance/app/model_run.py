@@ -22,12 +22,14 @@ from scan2albedo.reflectance import (
     write_reflectance,
 )
 from scan2albedo.reflectance.app.output import folder_of_results
+from scan2albedo.reflectance.reflectance_files import RESULT_FILE
+from scan2albedo.reflectance.sample_statistics import reliability
 from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
 from scan2albedo.report.rendering import View, render_mesh
 
-FIT_FILE, MODEL_FILE, MEAN_FILE = "reflectance.npz", "reflectance_model.npz", "mean.npz"
+MODEL_FILE, MEAN_FILE = "reflectance_model.npz", "mean.npz"
 SHAPE_FILE = "shape_model.npz"
 _RESULT_FILE = "result.json"
 _SHOWN_DIRECTIONS = 4
@@ -64,8 +66,8 @@ def read_sample(path: Path) -> MeshReflectance:
 
     Raises `ReflectanceError` or `ApplicationError` when it is none of them, or damaged.
     """
-    if (path / FIT_FILE).is_file():
-        return read_reflectance(path / FIT_FILE)
+    if (path / RESULT_FILE).is_file():
+        return read_reflectance(path)
     if path.is_dir() and (path / _RESULT_FILE).is_file():
         from scan2albedo.applications import reflectance_of_processed
 
@@ -73,8 +75,8 @@ def read_sample(path: Path) -> MeshReflectance:
         return MeshReflectance(face.vertices, face.faces, face.reflectance)
     if path.is_dir():
         raise ReflectanceError(
-            f"{path} holds neither {FIT_FILE} nor {_RESULT_FILE}: give the folder of a fit or of a processed "
-            "scan, or a reflectance's .npz file"
+            f"{path} holds neither {RESULT_FILE} nor {_RESULT_FILE}: give the folder of a fit or of a "
+            "processed scan, or a reflectance's .npz file"
         )
     return read_reflectance(path)
 
@@ -88,7 +90,8 @@ def build_model(
 ) -> BuiltModel:
     """Learn a model from files or folders, see `read_sample` and `MorphableReflectanceModel.from_samples`.
 
-    Meshes are aligned rigidly to the first before their mean is taken. With `landmark_vertices`, a JSON file
+    Vertices count by how well their fit knows them. Meshes are aligned rigidly to the first before their mean
+    is taken. With `landmark_vertices`, a JSON file
     with the 68 landmarks' vertex numbers in iBUG-68 order, a shape model is learned, too. Raises
     `ReflectanceError` when a file is unusable or meshes differ, `ValueError` for options out of range.
     """
@@ -102,7 +105,10 @@ def build_model(
                 "meshes that correspond, or process scans with one model"
             )
     model = MorphableReflectanceModel.from_samples(
-        [sample.reflectance for sample in samples], components=components, least_support=least_support
+        [sample.reflectance for sample in samples],
+        components=components,
+        least_support=least_support,
+        weights=[reliability(sample.reflectance, sample.std) for sample in samples],
     )
     first = samples[0].vertices
     shapes = np.stack([transform_points(procrustes(one.vertices, first), one.vertices) for one in samples])
