@@ -67,6 +67,8 @@ def test_files_and_json_tell_the_same(folder, tmp_path):
     Draft202012Validator(IdentificationRecord.model_json_schema(mode="serialization")).validate(record)
     assert record["rates"]["rank_1_rate"] == 1
     rows = list(csv.DictReader((out / "identification.csv").read_text(encoding="utf-8").splitlines()))
+    assert record["use"] == ["albedo"]  # images have no shape
+    assert "no result has shape; they are compared without" in done.stderr
     assert list(rows[0])[:5] == ["probe", "person", "predicted", "similarity", "rank"]
     assert [row["rank"] for row in rows] == ["1", "1", ""]
     with np.load(out / "similarities.npz") as arrays:
