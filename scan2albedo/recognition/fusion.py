@@ -54,20 +54,29 @@ def _discriminant(scores: FloatArray, same: BoolArray) -> tuple[float, ...]:
     return (*map(float, slope), float(-slope @ (means[0] + means[1]) / 2))
 
 
-CALIBRATION = Calibration((1.0, 0.0), (1.0, 0.0), (1.0, 1.0, 0.0))
-"""Of the default templates, from synthetic people: `python tools/experiment_recognition.py --calibrate`."""
+CALIBRATION = Calibration((135.0, -97.2), (893.0, -768.0), (94.0, 817.0, -770.0))
+"""Of the default templates, from synthetic people: `python tools/experiment_real.py pop/manifest.csv --make
+population --persons 8 --seed 7 --calibrate`."""
 
 
 def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION) -> FloatArray:
     """Return one similarity for each pair: that of the only kind, or the mean of both by their weights.
 
-    Weights are the calibration's slopes. Where one of two kinds is not known (NaN), the other is brought to
-    the same scale: to where the likelihood ratio is the same. NaN where none is known.
+    Weights are the calibration's slopes. A probe is compared by what it and all images of the gallery have,
+    since a likelihood ratio by one kind and one by both seldom agree; where nothing is common to all, by what
+    each pair has. Similarities by one of two kinds are brought to where the likelihood ratio by both is the
+    same.
 
     Parameters
     ----------
     similarities : mapping of "albedo", "shape" to (P, G)
+        NaN where a probe or an image lacks the kind.
     calibration : Calibration
+
+    Returns
+    -------
+    (P, G) float64
+        NaN where a pair has no kind in common.
 
     Examples
     --------
@@ -81,8 +90,10 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
     albedo, shape = similarities["albedo"], similarities["shape"]
     of_albedo, of_shape, offset = calibration.both
     total = of_albedo + of_shape
-    both = (of_albedo * albedo + of_shape * shape) / total
+    found = (of_albedo * albedo + of_shape * shape) / total
+    by_both = ~np.isnan(found).any(axis=1, keepdims=True)
     for one, (slope, start) in ((albedo, calibration.albedo), (shape, calibration.shape)):
-        alone = (slope * one + start - offset) / total
-        both = np.where(np.isnan(both), np.clip(alone, 0, 1), both)
-    return both
+        alone = np.clip((slope * one + start - offset) / total, 0, 1)
+        by_one = ~np.isnan(one).any(axis=1, keepdims=True)
+        found = np.where((by_one & ~by_both) | np.isnan(found), alone, found)
+    return found

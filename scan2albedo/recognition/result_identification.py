@@ -20,7 +20,7 @@ from scan2albedo.recognition.labelled_templates import (
     read_labelled_templates,
 )
 from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.similarity import comparable_similarities
+from scan2albedo.recognition.similarity import comparable_similarities, has_window
 from scan2albedo.recognition.templates import Kind, common_chart
 
 StageCallback = Callable[[str, int, int], None]
@@ -92,15 +92,15 @@ def identify_results(
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
     known = _read(gallery, "gallery", use, options, on_count)
     shown = _read(probes, "probes", use, known.options, on_count)
-    known, shown, scores = _compared(known, shown, similarity)
-    total = fused(scores)
-    apart, gallery_names = np.isnan(total), [person or "" for person in known.persons]
+    known, shown, scores, apart = _compared(known, shown, similarity)
+    total, gallery_names = fused(scores), [person or "" for person in known.persons]
+    unlike = np.isnan(total)
     shown, strangers = _without_strangers(known, shown)
-    matches = match_probes(np.where(apart, 0.0, total), gallery_names, shown.persons, combine=combine)
+    matches = match_probes(np.where(unlike, 0.0, total), gallery_names, shown.persons, combine=combine)
     by_kind = {
         kind: similarities_by_person(values, gallery_names, combine)[1] for kind, values in scores.items()
     }
-    notes = (*known.notes, *shown.notes, *strangers, *_apart(apart), *_copies(known, shown))
+    notes = (*known.notes, *shown.notes, *strangers, *_zeros(apart, unlike), *_copies(known, shown))
     return ResultIdentification(known, shown, matches, by_kind, combine, notes)
 
 
@@ -122,10 +122,11 @@ def _read(
 
 def _compared(
     known: LabelledTemplates, shown: LabelledTemplates, options: SimilarityOptions
-) -> tuple[LabelledTemplates, LabelledTemplates, dict[Kind, FloatArray]]:
-    """Return gallery, probes and similarities (P, images) of each kind, NaN where unknown.
+) -> tuple[LabelledTemplates, LabelledTemplates, dict[Kind, FloatArray], BoolArray]:
+    """Return gallery, probes, similarities (P, images) of each kind, and which pairs (P, images) lie apart.
 
-    Results that share no window with any of the other side are left out, with a note.
+    Those share no window and have similarity 0; NaN is where one of a pair lacks the kind. Results whose masks hold no window are
+    left out, with a note.
     """
     kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
     if not kinds:
@@ -133,33 +134,37 @@ def _compared(
             f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
             f"{' and '.join(shown.sets)}; process all scans alike, or choose what to use"
         )
+    known, shown = _with_windows(known, kinds, options), _with_windows(shown, kinds, options)
     scores: dict[Kind, FloatArray] = {}
+    apart = np.zeros((len(shown), len(known)), bool)
     for kind in kinds:
-        a, b = shown.sets[kind], known.sets[kind]
-        common_chart(b.chart, a.chart, str(known.source), str(shown.source))
-        scores[kind] = np.full((len(shown.labels), len(known.labels)), np.nan)
-        scores[kind][np.ix_(shown.rows[kind], known.rows[kind])] = comparable_similarities(a, b, options)
-    compared = np.logical_or.reduce([~np.isnan(values) for values in scores.values()])
-    if not compared.any():
-        raise RecognitionError(
-            f"no probe of {shown.source} has a window of {options.window} x {options.window} coefficients in "
-            f"common with any image of {known.source}; scan the same side of the faces"
-        )
-    probes, images = compared.any(axis=1), compared.any(axis=0)
-    known, shown = (_kept(one, rows) for one, rows in ((known, images), (shown, probes)))
-    return known, shown, {kind: values[np.ix_(probes, images)] for kind, values in scores.items()}
+        scores[kind] = np.full((len(shown), len(known)), np.nan)
+        if kind in known.sets and kind in shown.sets:
+            a, b = shown.sets[kind], known.sets[kind]
+            common_chart(b.chart, a.chart, str(known.source), str(shown.source))
+            here = np.ix_(shown.rows[kind], known.rows[kind])
+            found = comparable_similarities(a, b, options)
+            scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
+    return known, shown, scores, apart
 
 
-def _kept(labelled: LabelledTemplates, chosen: BoolArray) -> LabelledTemplates:
-    if chosen.all():
+def _with_windows(
+    labelled: LabelledTemplates, kinds: Sequence[Kind], options: SimilarityOptions
+) -> LabelledTemplates:
+    usable = np.zeros(len(labelled), bool)
+    for kind in kinds:
+        usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], options)
+    if usable.all():
         return labelled
-    left = [labelled.labels[k] for k in np.flatnonzero(~chosen)]
-    note = (
-        f"{labelled.source}: {', '.join(left[:5])}{', ...' if len(left) > 5 else ''}: left out, as no window "
-        "lies inside the masks"
+    left = [labelled.labels[k] for k in np.flatnonzero(~usable)]
+    told = (
+        f"{labelled.source}: {', '.join(left[:5])}{', ...' if len(left) > 5 else ''}: no window of "
+        f"{options.window} x {options.window} coefficients lies inside the mask"
     )
-    kept = labelled.select(np.flatnonzero(chosen))
-    return replace(kept, notes=(*kept.notes, note))
+    if not usable.any():
+        raise RecognitionError(f"{told}, and no result is left; scan more of the faces")
+    kept = labelled.select(np.flatnonzero(usable))
+    return replace(kept, notes=(*kept.notes, f"left out: {told}"))
 
 
 def _without_strangers(
@@ -181,7 +186,12 @@ def _without_strangers(
     return replace(probes, persons=tuple(p if p in known else None for p in probes.persons)), [note]
 
 
-def _apart(apart: BoolArray) -> Iterator[str]:
+def _zeros(apart: BoolArray, unlike: BoolArray) -> Iterator[str]:
+    if unlike.any():
+        yield (
+            f"{unlike.sum()} of {unlike.size} pairs of a probe and an image have neither albedo nor shape in "
+            "common: they count as similarity 0"
+        )
     if apart.any():
         yield (
             f"{apart.sum()} of {apart.size} pairs of a probe and an image have no window in common: they "

@@ -99,6 +99,13 @@ def pair_similarity(
     return float(index[:, inside].mean())
 
 
+def has_window(templates: Templates, options: SimilarityOptions) -> BoolArray:
+    """Return (N,) whether a window lies inside each template's mask."""
+    _check_window(templates.mask.shape[1:], options)
+    inside = _window_sums(templates.mask, options.window) == options.window**2
+    return np.asarray(inside.any(axis=(1, 2)))
+
+
 def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
     """Return sums (..., h - window + 1, w - window + 1) over all windows of values (..., h, w)."""
     sums = values.cumsum(axis=-2).cumsum(axis=-1)

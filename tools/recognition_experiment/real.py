@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recognition_experiment.methods import method_names, session_templates
 from recognition_experiment.options import RecognitionExperimentOptions
@@ -135,7 +136,7 @@ def _data_set(scans: Sequence[ListedScan], failures: dict[str, str], gallery: st
     return DataSet(kept, tuple(probes), {**failures, **left})
 
 
-def albedo_of(image: GeometryImage, name: str, brdf: str, cache: Path, seed: int) -> FloatArray:
+def albedo_of(image: GeometryImage, name: str, brdf: str, cache: Path, seed: int) -> NDArray[np.float32]:
     """Return the albedo (H, W, 3) by another reflectance, estimated on the geometry image or kept."""
     file = cache / brdf / f"{name}.npz"
     if file.is_file():
@@ -159,7 +160,8 @@ def templates_of(
     }
     if image.texture_linear is None or not (folder / "albedo.exr").is_file():
         return made
-    images = {TEXTURE: image.texture_linear, options.brdfs[0]: read_image_linear(folder / "albedo.exr")}
+    images: dict[str, NDArray[np.floating]] = {TEXTURE: image.texture_linear}
+    images[options.brdfs[0]] = read_image_linear(folder / "albedo.exr")
     for brdf in options.brdfs[1:]:
         images[brdf] = albedo_of(image, scan.name, brdf, cache, options.seed)
     return made | session_templates(Session(images, image.seen), scan.person, options)
@@ -184,7 +186,7 @@ class ComparedSet:
     def results(self) -> dict[tuple[str, str], list[MethodResult]]:
         """Return the results of all methods by condition and its value; ("all", "") of all probes.
 
-        Conditions that hold the same probes as an earlier one, as a lamp of one session does, are not repeated.
+        Conditions that hold the same probes as an earlier one, as a lamp of one session, are not repeated.
         """
         groups: dict[tuple[str, str], list[int]] = {(ALL, ""): list(range(len(self.data.probes)))}
         for k, probe in enumerate(self.data.probes):

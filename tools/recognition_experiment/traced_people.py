@@ -153,6 +153,7 @@ def _chart_range(heads: Heads) -> tuple[FloatArray, FloatArray]:
 def rig_of(light: str, rng: np.random.Generator) -> Rig:
     """Return the lamps of a session: softboxes of a studio, a flash from a side, or a lamp in a warm room."""
     side = 1.0 if rng.uniform() < 0.5 else -1.0
+    parts: tuple[Source, ...]
     if light == "studio":  # the same lamps for everybody
         left, right = (Lamp(azimuth, 15, 1500.0, (350.0, 350.0)) for azimuth in (-42, 48))
         parts = (Source(left, 0.6), Source(right, 0.45, COOL), Source(Environment("dim_room"), 0.12))
