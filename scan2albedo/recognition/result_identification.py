@@ -125,8 +125,8 @@ def _compared(
 ) -> tuple[LabelledTemplates, LabelledTemplates, dict[Kind, FloatArray], BoolArray]:
     """Return gallery, probes, similarities (P, images) of each kind, and which pairs (P, images) lie apart.
 
-    Those share no window and have similarity 0; NaN is where one of a pair lacks the kind. Results whose masks hold no window are
-    left out, with a note.
+    Those share no window and have similarity 0; NaN is where one of a pair lacks the kind. Results whose
+    masks hold no window are left out, with a note.
     """
     kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
     if not kinds:
