@@ -130,6 +130,7 @@ def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):
         ((), "no probes"),
         (("-o", "out"), "no probes"),
         (("--probes", "probes.csv", "--combine", "worst"), "--combine is 'worst'"),
+        (("--probes", "probes.csv", "--use", "colour"), "--use is 'colour', expected albedo, shape or"),
         (("--save-templates", "gallery.bin"), "ends in .npz"),
     ],
 )
