@@ -192,10 +192,13 @@ class ComparedSet:
         for k, probe in enumerate(self.data.probes):
             for condition, value in probe.conditions.items():
                 groups.setdefault((condition, value), []).append(k)
-        different = {tuple(rows): group for group, rows in reversed(groups.items())}
+        different: dict[tuple[str, str], list[int]] = {}
+        for group, rows in groups.items():
+            if rows not in different.values():
+                different[group] = rows
         return {
             group: [self._result(name, rows) for name in self.similarities]
-            for rows, group in reversed(different.items())
+            for group, rows in different.items()
         }
 
     def _result(self, method: str, rows: Sequence[int]) -> MethodResult:
