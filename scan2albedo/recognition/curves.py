@@ -120,9 +120,9 @@ def roc_curve(
 
     The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times,
     a genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93,
-    2004) say why persons are resampled and not claims. Claims that never err do not err in resamples either:
-    intervals of true accept rates, and of an equal error rate of 0, are never shorter than Clopper and
-    Pearson's for as many independent genuine claims.
+    2004) say why persons are resampled and not claims. Claims that never err do not err in resamples either,
+    and the few that do err much alike: intervals of true accept rates and of the equal error rate are never
+    shorter than Clopper and Pearson's for as many independent genuine claims.
 
     Parameters
     ----------
@@ -180,8 +180,8 @@ def roc_curve(
     if resamples > 0:
         least, most = _rate_interval(found[2:] * genuine, genuine, confidence)
         low[2:], high[2:] = np.minimum(low[2:], least), np.maximum(high[2:], most)
-        if found[1] == 0:
-            high[1] = _rate_interval(0, genuine, confidence)[1]
+        least, most = _rate_interval(found[1] * genuine, genuine, confidence)
+        low[1], high[1] = min(low[1], least), max(high[1], most)
     return RocCurve(
         rates,
         found[2:],

@@ -35,8 +35,8 @@ from scan2albedo.synthetic.textures import HEMOGLOBIN, smooth_noise
 SESSIONS = (
     ("studio", "neutral"),
     ("flash", "neutral"),
-    ("lamp", "expression"),
-    ("studio", "expression"),
+    ("lamp", "mixed"),
+    ("studio", "mixed"),
 )
 """Light and expression of each session; the first is the gallery's, whose lamps the last one has too."""
 SCANNER = RawScanOptions(spacing_mm=2.0, noise_mm=0.15, spikes=8, holes=3, crumbs=3)
