@@ -193,7 +193,18 @@ def _files(file: Path) -> list[Path]:
 
 
 def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> tuple[Path, ...]:
-    """Write templates as NPZ files and return their names: NAME.npz, and NAME.shape.npz for a second kind.
+    """Write templates as NPZ files, each whole or not at all, and return their names.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .npz.
+    labelled : LabelledTemplates
+
+    Returns
+    -------
+    tuple of Path
+        NAME.npz, and NAME.shape.npz where there are both albedo and shape.
 
     Raises
     ------

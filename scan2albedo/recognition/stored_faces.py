@@ -80,6 +80,8 @@ def read_shape(path: str | Path) -> StoredShape:
     ------
     RecognitionError
         When something is missing, cannot be read, or has no surface on a model's chart; names it.
+    NothingToCompareError
+        A RecognitionError: when it is an image.
     """
     source = _result_or_file(path)
     if not source.is_dir():
