@@ -28,12 +28,19 @@ class Calibration:
 
     @classmethod
     def of(cls, albedo: ArrayLike, shape: ArrayLike, genuine: ArrayLike) -> Calibration:
-        """Return the calibration by similarities (N,) of pairs, `genuine` (N,) where they show one person.
+        """Return the calibration by similarities of pairs.
+
+        Parameters
+        ----------
+        albedo, shape : (N,) array_like of float
+            Similarities by each alone.
+        genuine : (N,) array_like of bool
+            Whether a pair shows one person.
 
         Raises
         ------
         ValueError
-            When either kind of pair is missing, or there are fewer than three of it.
+            When there are fewer than three pairs of one person, or of two.
         """
         scores = np.stack([np.ravel(albedo), np.ravel(shape)]).astype(np.float64)
         same = np.ravel(np.asarray(genuine, bool))
