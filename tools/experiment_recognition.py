@@ -30,17 +30,17 @@ from recognition_experiment.files import write_report
 from scan2albedo.core import TraceRow
 from scan2albedo.io.atomic import check_writable, removed_if_empty
 from scan2albedo.io.records import plain_json
-from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
+from scan2albedo.recognition import SimilarityOptions, TemplateOptions
 
 OTHER_TEMPLATES = {
-    "as it is": (TemplateOptions(), IDENTIFICATION),
+    "as it is": (TemplateOptions(), SimilarityOptions()),
     "window 5": (TemplateOptions(), SimilarityOptions(window=5)),
     "window 7": (TemplateOptions(), SimilarityOptions(window=7)),
-    "holes stay": (TemplateOptions(hole_radius=0), IDENTIFICATION),
-    "V": (TemplateOptions(channel="value"), IDENTIFICATION),
-    "256 texels": (TemplateOptions(size=256), IDENTIFICATION),
-    "256 texels, window 5": (TemplateOptions(size=256), SimilarityOptions(window=5)),
-    "256 texels, 4 scales": (TemplateOptions(size=256, scales=4), IDENTIFICATION),
+    "holes stay": (TemplateOptions(hole_radius=0), SimilarityOptions()),
+    "V": (TemplateOptions(channel="value"), SimilarityOptions()),
+    "128 texels": (TemplateOptions(size=128), SimilarityOptions()),
+    "128 texels, window 5": (TemplateOptions(size=128), SimilarityOptions(window=5)),
+    "4 scales": (TemplateOptions(scales=4), SimilarityOptions()),
 }
 
 

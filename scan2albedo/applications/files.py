@@ -278,7 +278,9 @@ def _write_images(face: ProcessedFace, folder: Path) -> None:
     write_exr(folder / "albedo.exr", face.albedo_linear)
     factor = auto_exposure(face.albedo_linear[face.mask])
     preview = encode_srgb_bytes(np.clip(factor * filled_from_nearest(face.albedo_linear, face.mask), 0, 1))
-    write_png(folder / "albedo.png", np.where(face.mask[..., None], preview, np.uint8(255)))
+    on_white = np.where(face.mask[..., None], preview, np.uint8(255))
+    alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
+    write_png(folder / "albedo.png", np.dstack([on_white, alpha]))
     write_glb(folder / "fitted.glb", face.mesh.vertices, face.mesh.faces, face.mesh.uv, preview)
     write_png(folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
 

@@ -11,6 +11,7 @@ from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interr
 
 if TYPE_CHECKING:
     from scan2albedo.recognition.app.files import IdentificationRecord
+    from scan2albedo.recognition.templates import Kind
 
 COMBINATIONS = ("best", "mean")
 TEMPLATES = ".npz"
@@ -20,36 +21,50 @@ def identify(
     gallery: Annotated[
         Path,
         typer.Option(
-            help="CSV file with the columns person and result, a result being the folder of a processed "
-            "scan, OUT/<scan name>, or an image of an albedo on the model's chart; relative to the CSV file. "
-            "Or templates from --save-templates."
+            help="A folder of results: of OUT/PERSON/SCAN, PERSON is shown; of OUT/SCAN, whom the column "
+            "person of the batch's manifest names, else a person called SCAN. Or a CSV file with the columns "
+            "person and result, a result being the folder of a processed scan or an image of an albedo on "
+            "the model's chart, relative to the CSV file. Or templates from --save-templates."
         ),
     ],
     probes: Annotated[
         Path | None,
-        typer.Option(help="The same; person may be empty where it is unknown."),
+        typer.Option(
+            help="The same; persons may be left empty or unknown to the gallery: such probes are identified, "
+            "and count in no rate."
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for table, similarities and curves.")
     ] = None,
+    use: Annotated[
+        str, typer.Option(help="What is compared: albedo, shape, or albedo,shape, both taken together.")
+    ] = "albedo,shape",
     combine: Annotated[
         str, typer.Option(help="Of a person's several images in the gallery: best, or mean.")
     ] = "best",
     size: Annotated[
         int | None,
-        typer.Option(help="Side that albedos are averaged down to, 128, or that of the templates.", min=8),
+        typer.Option(
+            help="Side that larger charts are averaged down to; 256, or that of the templates.", min=8
+        ),
     ] = None,
     save_templates: Annotated[
-        Path | None, typer.Option(help="Write the gallery's templates (.npz), to be given as --gallery.")
+        Path | None,
+        typer.Option(
+            help="Write the gallery's templates, to be given as --gallery: NAME.npz, and NAME.shape.npz "
+            "beside it where both albedo and shape are used."
+        ),
     ] = None,
     json_summary: JsonOption = False,
 ) -> None:
-    """Find the person of a gallery whom each probe resembles most, by albedo.
+    """Find the person of a gallery whom each probe resembles most, by albedo and shape.
 
     Somebody of the gallery is always the most similar: how similar, and by how much more than the next
     person, shows how reliable that is. Where probes name their person, the rate of right answers is printed.
     """
     _check_options(probes, out, combine, save_templates)
+    kinds = _kinds(use)
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
@@ -57,7 +72,7 @@ def identify(
         TemplateOptions,
         identify_results,
         read_labelled_templates,
-        write_templates,
+        write_labelled_templates,
     )
     from scan2albedo.recognition.app.files import identification_record, write_identification
 
@@ -66,21 +81,28 @@ def identify(
             check_writable(out)
         known = read_labelled_templates(
             gallery,
+            use=kinds,
             options=None if size is None else TemplateOptions(size=size),
             on_count=lambda done, total: progress.count("gallery", done, total),
         )
         if save_templates is not None:
-            write_templates(save_templates, known.templates)
-            progress.say(f"identify: {len(known.templates)} templates in {save_templates}")
+            written = write_labelled_templates(save_templates, known)
+            progress.say(f"identify: {len(known)} templates in {' and '.join(map(str, written))}")
         if probes is None:
             if json_summary:
                 counts = {
-                    "gallery_images": len(known.templates),
-                    "persons": sorted(set(known.templates.names)),
+                    "gallery_images": len(known),
+                    "persons": sorted({person for person in known.persons if person is not None}),
                 }
                 echo_json({"templates": str(save_templates), **counts})
             return
-        found = identify_results(known, probes, combine=combine, on_count=progress.count)  # type: ignore[arg-type]
+        found = identify_results(
+            known,
+            probes,
+            use=kinds,
+            combine=combine,  # type: ignore[arg-type]
+            on_count=progress.count,
+        )
         for note in found.notes:
             progress.say(f"identify: {note}")
         record = identification_record(found) if out is None else write_identification(found, out)
@@ -100,8 +122,20 @@ def _check_options(probes: Path | None, out: Path | None, combine: str, save_tem
         raise typer.BadParameter("there are no probes; give --probes (or --save-templates alone)")
 
 
+def _kinds(use: str) -> tuple[Kind, ...]:
+    from scan2albedo.recognition.labelled_templates import checked_use
+
+    try:
+        return checked_use([name.strip() for name in use.split(",")])  # type: ignore[misc]
+    except ValueError as error:
+        raise typer.BadParameter(f"--use is {use!r}, expected albedo, shape or albedo,shape") from error
+
+
 def _summary(record: IdentificationRecord) -> str:
-    text = f"{len(record.results)} probes, {len(record.persons)} persons on {record.gallery_images} images"
+    text = (
+        f"{len(record.results)} probes, {len(record.persons)} persons on {record.gallery_images} images, by "
+        f"{' and '.join(record.use)}"
+    )
     rates = record.rates
     if rates is None:
         return text

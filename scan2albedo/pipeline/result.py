@@ -265,6 +265,13 @@ def _preview(result: ProcessResult) -> NDArray[np.uint8] | None:
     return None if estimate is None else preview_srgb(estimate.albedo_linear, result.geometry_image.mask)
 
 
+def _seen_preview(result: ProcessResult) -> NDArray[np.uint8]:
+    """Return the preview with alpha: transparent where the scan saw nothing."""
+    preview = _preview(result)
+    assert preview is not None
+    return np.dstack([preview, np.where(result.geometry_image.seen, np.uint8(255), np.uint8(0))])
+
+
 def _stage_files(result: ProcessResult) -> dict[str, Callable[[Path], object]]:
     """Return what writes each file of the geometry image and of the albedo."""
     image, estimate = result.geometry_image, result.albedo
@@ -278,7 +285,7 @@ def _stage_files(result: ProcessResult) -> dict[str, Callable[[Path], object]]:
     if estimate is not None:
         files |= {
             "albedo.exr": lambda path: write_exr(path, estimate.albedo_linear),
-            "albedo.png": lambda path: write_png(path, preview_srgb(estimate.albedo_linear, image.mask)),
+            "albedo.png": lambda path: write_png(path, _seen_preview(result)),
             "shading.exr": lambda path: write_exr(path, estimate.shading),
             "specular.exr": lambda path: write_exr(path, estimate.specular),
             "shadow.png": lambda path: write_png(path, _gray_bytes(estimate.shadow)),

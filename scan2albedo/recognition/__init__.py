@@ -1,6 +1,7 @@
 """Recognition of persons by their albedo: templates, similarity, identification and its curves."""
 
 from scan2albedo.recognition.curves import CmcCurve, RocCurve, cmc_curve, roc_curve
+from scan2albedo.recognition.fusion import Calibration, fused
 from scan2albedo.recognition.identification import (
     Identification,
     ProbeMatches,
@@ -8,23 +9,29 @@ from scan2albedo.recognition.identification import (
     identify_by_similarity,
     match_probes,
 )
-from scan2albedo.recognition.manifest import Manifest, ManifestEntry, read_manifest
-from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.pyramid import SteerablePyramid, steerable_pyramid
-from scan2albedo.recognition.result_identification import (
+from scan2albedo.recognition.labelled_templates import (
     LabelledTemplates,
-    ResultIdentification,
-    identify_results,
     read_labelled_templates,
+    write_labelled_templates,
 )
+from scan2albedo.recognition.manifest import Manifest, ManifestEntry, read_manifest
+from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.pyramid import SteerablePyramid, steerable_pyramid
+from scan2albedo.recognition.result_identification import ResultIdentification, identify_results
 from scan2albedo.recognition.similarity import cw_ssim, similarity_matrix
-from scan2albedo.recognition.stored_albedo import StoredAlbedo, read_albedo, result_templates
+from scan2albedo.recognition.stored_faces import (
+    StoredAlbedo,
+    StoredShape,
+    read_albedo,
+    read_shape,
+    result_templates,
+)
 from scan2albedo.recognition.template_files import read_templates, write_templates
-from scan2albedo.recognition.templates import Chart, Templates, albedo_templates
+from scan2albedo.recognition.templates import Chart, Templates, albedo_templates, shape_templates
 from scan2albedo.recognition.transformers import DistanceTransformer, TemplateTransformer
 
 __all__ = [
-    "IDENTIFICATION",
+    "Calibration",
     "Chart",
     "CmcCurve",
     "DistanceTransformer",
@@ -38,12 +45,14 @@ __all__ = [
     "SimilarityOptions",
     "SteerablePyramid",
     "StoredAlbedo",
+    "StoredShape",
     "TemplateOptions",
     "TemplateTransformer",
     "Templates",
     "albedo_templates",
     "cmc_curve",
     "cw_ssim",
+    "fused",
     "identify",
     "identify_by_similarity",
     "identify_results",
@@ -51,10 +60,13 @@ __all__ = [
     "read_albedo",
     "read_labelled_templates",
     "read_manifest",
+    "read_shape",
     "read_templates",
     "result_templates",
     "roc_curve",
+    "shape_templates",
     "similarity_matrix",
     "steerable_pyramid",
+    "write_labelled_templates",
     "write_templates",
 ]

@@ -72,7 +72,8 @@ def _rate_interval(hits: ArrayLike, trials: int, confidence: float) -> tuple[Flo
     return low, high
 
 
-DEFAULT_FALSE_ACCEPT_RATES = tuple(float(rate) for rate in np.geomspace(1e-3, 1.0, 61))
+_RATES, _LEAST_RATE = 61, 1e-6
+"""Number of false accept rates of a curve, and the least."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class RocCurve:
 def roc_curve(
     identification: Identification,
     *,
-    false_accept_rates: ArrayLike = DEFAULT_FALSE_ACCEPT_RATES,
+    false_accept_rates: ArrayLike | None = None,
     confidence: float = 0.95,
     resamples: int = 500,
     seed: int | np.random.Generator = 0,
@@ -119,15 +120,15 @@ def roc_curve(
 
     The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times,
     a genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93,
-    2004) say why persons are resampled and not claims. Claims that never err do not err in resamples either:
-    intervals of true accept rates, and of an equal error rate of 0, are never shorter than Clopper and
-    Pearson's for as many independent genuine claims.
+    2004) say why persons are resampled and not claims. Claims that never err do not err in resamples either,
+    and the few that do err much alike: intervals of true accept rates and of the equal error rate are never
+    shorter than Clopper and Pearson's for as many independent genuine claims.
 
     Parameters
     ----------
     identification : Identification
     false_accept_rates : (F,)
-        Ascending, within [0, 1].
+        Ascending, within [0, 1]; evenly spaced logarithms from that of one impostor's claim when omitted.
     confidence : float
         Of the two-sided intervals, within (0, 1).
     resamples : int
@@ -143,8 +144,8 @@ def roc_curve(
 
     Notes
     -----
-    Rates below one over the number of impostors' claims accept none of them (`RocCurve.carried`). Where no
-    claim errs the area's interval has no width, however few the claims. About 60 ms a resample for 1,000
+    Given rates below one over the number of impostors' claims accept none of them (`RocCurve.carried`). Where
+    no claim errs the area's interval has no width, however few the claims. About 60 ms a resample for 1,000
     probes of 1,000 persons.
 
     Examples
@@ -154,6 +155,12 @@ def roc_curve(
     >>> roc_curve(found).area
     1.0
     """
+    if len(identification.persons) < 2:
+        raise RecognitionError("the gallery has one person only, so nobody is an impostor; add persons")
+    claims = _Claims.of(identification)
+    if false_accept_rates is None:
+        one_claim = 1 / int((~claims.genuine).sum())
+        false_accept_rates = np.geomspace(max(one_claim, _LEAST_RATE), 1.0, _RATES)
     rates = np.asarray(false_accept_rates, np.float64)
     if (
         rates.ndim != 1
@@ -164,9 +171,6 @@ def roc_curve(
         raise ValueError("false_accept_rates are expected to be (F,), ascending, within [0, 1]")
     if not 0 < confidence < 1 or resamples < 0:
         raise ValueError(f"confidence is {confidence} and resamples {resamples}, expected in (0, 1) and >= 0")
-    if len(identification.persons) < 2:
-        raise RecognitionError("the gallery has one person only, so nobody is an impostor; add persons")
-    claims = _Claims.of(identification)
     found = claims.rates(np.ones(len(identification.persons)), rates)
     random = np.random.default_rng(seed)
     drawn = [found] if resamples == 0 else [claims.resampled(random, rates) for _ in range(resamples)]
@@ -176,8 +180,8 @@ def roc_curve(
     if resamples > 0:
         least, most = _rate_interval(found[2:] * genuine, genuine, confidence)
         low[2:], high[2:] = np.minimum(low[2:], least), np.maximum(high[2:], most)
-        if found[1] == 0:
-            high[1] = _rate_interval(0, genuine, confidence)[1]
+        least, most = _rate_interval(found[1] * genuine, genuine, confidence)
+        low[1], high[1] = min(low[1], least), max(high[1], most)
     return RocCurve(
         rates,
         found[2:],

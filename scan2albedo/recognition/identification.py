@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions
+from scan2albedo.recognition.options import SimilarityOptions
 from scan2albedo.recognition.similarity import similarity_matrix
 from scan2albedo.recognition.templates import Templates
 
@@ -53,7 +53,7 @@ def identify(
     probes: Templates,
     *,
     combine: Combine = "best",
-    similarity: SimilarityOptions = IDENTIFICATION,
+    similarity: SimilarityOptions = SimilarityOptions(),
 ) -> Identification:
     """Return which persons of a gallery the probes show.
 
@@ -123,7 +123,8 @@ def identify_by_similarity(
     ([1, 2], 0.5)
     """
     _check_closed(gallery_names, probe_names)
-    persons, scores = _similarities_by_person(similarities, gallery_names, probe_names, combine)
+    scores = _checked(similarities, gallery_names, probe_names)
+    persons, scores = similarities_by_person(scores, gallery_names, combine)
     right = np.searchsorted(persons, probe_names)
     own = scores[np.arange(len(scores)), right]
     best = scores.max(axis=1, keepdims=True)
@@ -139,13 +140,21 @@ def identify_by_similarity(
     )
 
 
-def _similarities_by_person(
-    similarities: ArrayLike,
-    gallery_names: Sequence[str],
-    probe_names: Sequence[str | None],
-    combine: Combine,
+def similarities_by_person(
+    scores: FloatArray, gallery_names: Sequence[str], combine: Combine
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the persons of a gallery, in alphabetical order, and the similarities (probes, persons)."""
+    """Return the persons of a gallery, in alphabetical order, and the similarities (P, persons) to them.
+
+    NaN in scores (P, images) is no similarity: a person's best is that of the others, the mean is NaN.
+    """
+    persons = tuple(sorted(set(gallery_names)))
+    return persons, _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
+
+
+def _checked(
+    similarities: ArrayLike, gallery_names: Sequence[str], probe_names: Sequence[str | None]
+) -> FloatArray:
+    """Return similarities (probes, images) as floats; errors when they do not fit, or one is not finite."""
     scores = np.asarray(similarities, np.float64)
     _check_not_empty(len(gallery_names), len(probe_names))
     if scores.shape != (len(probe_names), len(gallery_names)):
@@ -159,16 +168,15 @@ def _similarities_by_person(
             f"the similarity of probe {i} ({probe_names[i] or 'nobody named'}) and gallery image {j} "
             f"({gallery_names[j]}) is {scores[i, j]}; leave one of them out"
         )
-    persons = tuple(sorted(set(gallery_names)))
-    return persons, _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
+    return scores
 
 
 def _by_person(scores: FloatArray, person: IntArray, count: int, combine: Combine) -> FloatArray:
     """Return (P, count) of scores (P, images), images of `person` (images,) taken together."""
     if combine == "best":
         result = np.full((count, len(scores)), -np.inf)
-        np.maximum.at(result, person, scores.T)
-        return result.T
+        np.maximum.at(result, person, np.where(np.isnan(scores), -np.inf, scores).T)
+        return np.where(np.isinf(result), np.nan, result).T
     if combine == "mean":
         result = np.zeros((count, len(scores)))
         np.add.at(result, person, scores.T)
@@ -256,7 +264,8 @@ def match_probes(
     >>> found.predicted(), found.ranks.tolist()
     (('ann', 'ann'), [0, 2])
     """
-    persons, scores = _similarities_by_person(similarities, gallery_names, probe_persons, combine)
+    checked = _checked(similarities, gallery_names, probe_persons)
+    persons, scores = similarities_by_person(checked, gallery_names, combine)
     rows = [k for k, person in enumerate(probe_persons) if person is not None]
     named, ranks = None, np.zeros(len(probe_persons), np.int64)
     if rows:

@@ -1,4 +1,4 @@
-"""CSV files of results and the persons they show."""
+"""Results and the persons they show: a CSV file, or a folder of processed scans."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
-from scan2albedo.errors import RecognitionError
+from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
+from scan2albedo.io.result_records import APPLICATION_FILE
 
 COLUMNS = ("person", "result")
+RESULT_FILE, CATALOGUE_FILE = "result.json", "catalogue.parquet"
 
 
 @dataclass(frozen=True)
@@ -22,30 +24,34 @@ class ManifestEntry:
     """As written in the file."""
     path: Path
     """The result itself; relative ones lie in the folder of the file."""
-    line: int
-    """Number of the line in the file."""
+    line: int | None = None
+    """Number of the line in the file; None in a folder."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """The entries of a CSV file, one or more."""
+    """The entries of a CSV file or a folder, one or more."""
 
     file: Path
     entries: tuple[ManifestEntry, ...]
-    """`file`, `entries`: the file, and its lines in order."""
+    """`file`, `entries`: the file or folder, and its results in order."""
     notes: tuple[str, ...] = ()
     """What is odd about them, one sentence each."""
 
     def where(self, entry: ManifestEntry) -> str:
         """Return file, line and result of an entry, for messages."""
+        if entry.line is None:
+            return str(entry.path)
         return f"{self.file}, line {entry.line}: {entry.result}"
 
 
 def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifest:
-    """Return the entries of a CSV file with the columns `person` and `result`.
+    """Return the entries of a CSV file with the columns `person` and `result`, or of a folder of results.
 
     UTF-8 with or without a byte order mark; the header shows whether commas, semicolons or tabs separate
-    cells. Other columns and empty lines are ignored.
+    cells. Other columns and empty lines are ignored. Of a folder, every result `FOLDER/PERSON/SCAN` shows
+    PERSON, and `FOLDER/SCAN` the person that the column `person` of the batch's catalogue names or, without
+    that column, a person called SCAN.
 
     Parameters
     ----------
@@ -58,14 +64,75 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     RecognitionError
         When the file is missing, no text, lacks a column or has no entry; when an entry lacks person or
         result, a result does not exist or is named with two persons. Names file and line.
+    MissingDependencyError
+        When a folder holds a catalogue, and pyarrow, which reads it, is not installed.
     """
     file = Path(path)
+    if file.is_dir():
+        return _of_folder(file, persons_required)
     advice = f"give a CSV file with the columns {' and '.join(COLUMNS)}"
     header, rows = _table(read_text(file, what=str(file), advice=advice, error=RecognitionError), file)
     entries = tuple(_entry(file, header, line, row, persons_required) for line, row in rows)
     if not entries:
         raise RecognitionError(f"{file} has no entry below its header; add lines of person and result")
     return Manifest(file, entries, _repeated(file, entries))
+
+
+def holds_result(folder: Path) -> bool:
+    """Return whether a folder is that of one processed scan, or of a face that an application wrote."""
+    return any((folder / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
+
+
+def _of_folder(folder: Path, persons_required: bool) -> Manifest:
+    if holds_result(folder):
+        raise RecognitionError(
+            f"{folder}: is one result; give the folder that holds the folders of results, or a CSV file with "
+            f"the columns {' and '.join(COLUMNS)}"
+        )
+    named = _persons_of_catalogue(folder / CATALOGUE_FILE)
+    entries = []
+    for first in _folders(folder):
+        if holds_result(first):
+            person = first.name if named is None else named.get(first.name)
+            entries.append(ManifestEntry(person or None, first.name, first))
+            continue
+        for second in filter(holds_result, _folders(first)):
+            entries.append(ManifestEntry(first.name, f"{first.name}/{second.name}", second))
+    if not entries:
+        raise RecognitionError(
+            f"{folder}: holds no folder of a processed scan, neither SCAN nor PERSON/SCAN; process scans "
+            "with -o, or give a CSV file"
+        )
+    if persons_required and (nameless := [entry.result for entry in entries if entry.person is None]):
+        raise RecognitionError(
+            f"{folder / CATALOGUE_FILE}: names no person for {', '.join(nameless[:5])}; fill the column "
+            "person of the batch's manifest"
+        )
+    return Manifest(folder, tuple(entries))
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+
+
+def _persons_of_catalogue(file: Path) -> dict[str, str] | None:
+    """Return the persons of a batch's catalogue by the scan's name; None without such a column."""
+    if not file.is_file():
+        return None
+    with needs_extra("batch"):
+        import pyarrow
+        import pyarrow.parquet as parquet
+
+    try:
+        columns = set(parquet.read_schema(file).names)
+        if not {"name", "person"} <= columns:
+            return None
+        rows = parquet.read_table(file, columns=["name", "person"]).to_pylist()
+    except (OSError, pyarrow.ArrowException) as error:
+        raise RecognitionError(
+            f"{file}: cannot be read ({error}); move it away, or repair the batch"
+        ) from error
+    return {row["name"]: unicodedata.normalize("NFC", (row["person"] or "").strip()) for row in rows}
 
 
 def _table(text: str, file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

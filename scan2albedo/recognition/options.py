@@ -1,4 +1,4 @@
-"""Options of templates and of their comparison."""
+"""Options of templates and of their comparison; their defaults hold everywhere that persons are compared."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ class TemplateOptions:
     Raises `ValueError` when a value is outside its range.
     """
 
-    size: int | None = 128
-    """Side in pixels to which square images are averaged down; None keeps each image as it is. 256 separates
-    persons better than 128 where charts are off by less than half a per cent of their side, and worse where
-    they are off by more."""
+    size: int | None = 256
+    """Longest side in pixels to which larger images are averaged down; smaller ones stay as they are, and
+    with None all do."""
     scales: int = 3
     """Scales of the pyramid; the coarsest, a factor of 2^(scales - 1) smaller than the image, is kept."""
     orientations: int = 10
@@ -66,15 +65,11 @@ class SimilarityOptions:
     Raises `ValueError` when a value is outside its range.
     """
 
-    window: int = 7
-    """Side of the square windows in coefficients."""
+    window: int = 3
+    """Side of the square windows in coefficients. Charts of fitted faces are misaligned unevenly, and within
+    a small window the phases still turn alike: 3 tells people who are alike apart better than the usual 7
+    (`tools/experiment_recognition.py --other-templates`)."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.window, Integral) and self.window >= 1):
             raise ValueError(f"window is {self.window}, expected a whole number >= 1")
-
-
-IDENTIFICATION = SimilarityOptions(window=3)
-"""For persons. Charts of fitted faces are misaligned unevenly, and within a small window the phases still
-turn alike: 3 separates persons better than 5, and 5 better than the usual 7
-(`tools/experiment_recognition.py --other-templates`)."""

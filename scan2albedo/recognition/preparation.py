@@ -14,6 +14,10 @@ _DARKEST = 1 / 255
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
+class NothingToCompareError(RecognitionError):
+    """An image without a single coefficient: masked (nearly) everywhere, or black."""
+
+
 def checked_image(
     image: ArrayLike, mask: ArrayLike | None, channel: Channel, what: str
 ) -> tuple[FloatArray, BoolArray]:
@@ -29,7 +33,9 @@ def checked_image(
     if valid.dtype != np.bool_:
         raise ValueError(f"{what}: its mask is of {valid.dtype}, expected bool")
     if not valid.any():
-        raise RecognitionError(f"{what} is masked everywhere; leave it out, or give a mask with valid pixels")
+        raise NothingToCompareError(
+            f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
+        )
     if not np.isfinite(pixels[valid]).all():
         bad = int((~np.isfinite(pixels[valid].reshape(valid.sum(), -1)).all(axis=1)).sum())
         raise RecognitionError(
@@ -50,22 +56,19 @@ def one_channel(color_linear: FloatArray, channel: Channel) -> FloatArray:
 
 
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
-    """Return the image and its mask with sides of `size`; a pixel is valid where half of its area is."""
-    if image.shape == (size, size):
+    """Return image and mask, the longer side at most `size`; a pixel is valid where half of its area is."""
+    longest = max(image.shape)
+    if longest <= size:
         return image, mask
-    if image.shape[0] != image.shape[1] or image.shape[0] < size:
-        raise RecognitionError(
-            f"{what} has {_size(image)} pixels, expected a square of {size} or more; "
-            "sample it larger, or choose a smaller size (None keeps the images' own)"
-        )
+    height, width = (max(1, round(side * size / longest)) for side in image.shape)
     import cv2
 
     # The area average of OpenCV holds for factors above 1, the only ones here.
-    total = cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA)
-    share = cv2.resize(mask.astype(np.float64), (size, size), interpolation=cv2.INTER_AREA)
+    total = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    share = cv2.resize(mask.astype(np.float64), (width, height), interpolation=cv2.INTER_AREA)
     valid = share >= 0.5
     if not valid.any():
-        raise RecognitionError(f"{what} has no valid pixel left at {size} pixels a side; widen its mask")
+        raise NothingToCompareError(f"{what} has no valid pixel left at {size} pixels a side; widen its mask")
     return np.where(valid, total / np.maximum(share, 0.5), 0.0), valid
 
 
@@ -89,7 +92,7 @@ def scaled_to_unit_mean(image: FloatArray, mask: BoolArray, what: str) -> FloatA
     if mean == np.inf:
         raise RecognitionError(f"{what} reaches {image[mask].max():.3g}, too much to average; scale it down")
     if not mean > 0:
-        raise RecognitionError(
+        raise NothingToCompareError(
             f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "
             "compare as it is (unit_mean=False)"
         )

@@ -2,77 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
+
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.identification import Combine, ProbeMatches, match_probes
-from scan2albedo.recognition.manifest import read_manifest
-from scan2albedo.recognition.options import IDENTIFICATION, SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.similarity import similarity_matrix
-from scan2albedo.recognition.stored_albedo import CountCallback, result_templates
-from scan2albedo.recognition.template_files import read_templates
-from scan2albedo.recognition.templates import Templates, common_chart
-
-
-@dataclass(frozen=True)
-class LabelledTemplates:
-    """Templates, and the origin of each."""
-
-    source: Path
-    """The file that named them."""
-    templates: Templates
-    """N of them."""
-    labels: tuple[str, ...]
-    """(N,): the results as the manifest names them, or the persons with a number."""
-    persons: tuple[str | None, ...]
-    """(N,): who is shown; None where that is unknown."""
-    notes: tuple[str, ...] = ()
-    """What is odd about them, one sentence each."""
-
-
-def read_labelled_templates(
-    source: str | Path,
-    *,
-    persons_required: bool = True,
-    options: TemplateOptions | None = None,
-    on_count: CountCallback | None = None,
-) -> LabelledTemplates:
-    """Return the templates of a file (.npz), or of the results that a CSV file names.
-
-    Parameters
-    ----------
-    source : path
-        From `write_templates`, or a manifest as `read_manifest` takes it.
-    persons_required : bool
-        Whether every line of a manifest has to name a person.
-    options : TemplateOptions, optional
-        The default ones, or those of the file, when omitted.
-    on_count : callable, optional
-        Called with the number of results done and their number.
-
-    Raises
-    ------
-    RecognitionError
-        When something cannot be read or used, or the file was made with other options; names it.
-    """
-    file = Path(source)
-    if file.suffix.lower() != ".npz":
-        manifest = read_manifest(file, persons_required=persons_required)
-        templates = result_templates(manifest, options=options or TemplateOptions(), on_count=on_count)
-        labels = tuple(entry.result for entry in manifest.entries)
-        persons = tuple(entry.person for entry in manifest.entries)
-        return LabelledTemplates(file, templates, labels, persons, manifest.notes)
-    templates = read_templates(file)
-    if options is not None and options != templates.options:
-        raise RecognitionError(
-            f"{file} was made with {templates.options}, asked for were {options}; leave the choice out, or "
-            "make the file anew"
-        )
-    labels = tuple(f"{name} [{k}]" for k, name in enumerate(templates.names))
-    return LabelledTemplates(file, templates, labels, templates.names)
-
+from scan2albedo.recognition.fusion import fused
+from scan2albedo.recognition.identification import Combine, ProbeMatches, match_probes, similarities_by_person
+from scan2albedo.recognition.labelled_templates import (
+    DEFAULT_USE,
+    LabelledTemplates,
+    checked_use,
+    read_labelled_templates,
+)
+from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.similarity import comparable_similarities, has_window
+from scan2albedo.recognition.templates import Kind, common_chart
 
 StageCallback = Callable[[str, int, int], None]
 """Called with "gallery" or "probes", how many results are read, and of how many."""
@@ -87,6 +36,9 @@ class ResultIdentification:
     """`gallery`, `probes`: what was compared."""
     matches: ProbeMatches
     """Of the probes, in their order."""
+    by_kind: Mapping[Kind, FloatArray]
+    """(P, G) of each kind that was used: similarities of each probe to each person by it alone, NaN where one
+    of them lacks it."""
     combine: Combine
     """What is taken of a person's several gallery images."""
     notes: tuple[str, ...]
@@ -97,9 +49,10 @@ def identify_results(
     gallery: str | Path | LabelledTemplates,
     probes: str | Path | LabelledTemplates,
     *,
+    use: Sequence[Kind] = DEFAULT_USE,
     combine: Combine = "best",
     options: TemplateOptions | None = None,
-    similarity: SimilarityOptions = IDENTIFICATION,
+    similarity: SimilarityOptions = SimilarityOptions(),
     on_count: StageCallback | None = None,
 ) -> ResultIdentification:
     """Return which persons of a gallery of processed scans other processed scans show.
@@ -108,9 +61,14 @@ def identify_results(
     ----------
     gallery : path or LabelledTemplates
         A CSV file with the columns person and result, each result the folder of a processed scan (see
-        `read_albedo`), or a file of templates. Several results may show one person.
+        `read_albedo`); the folder of a batch (see `read_manifest`); or a file of templates. Several
+        results may show one person.
     probes : path or LabelledTemplates
-        The same; a cell of person may be empty: such a probe is identified, but counts in no rate.
+        The same; a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
+        identified, but counts in no rate.
+    use : sequence of {"albedo", "shape"}
+        What is compared; similarities by both are taken together as `fused` says. A result that lacks one of
+        them, as a scan without colour lacks the albedo, is compared by the other.
     combine : {"best", "mean"}
         A person's similarity is the best of, or the mean over, the images in the gallery.
     options : TemplateOptions, optional
@@ -122,58 +80,132 @@ def identify_results(
     Raises
     ------
     ValueError
-        When `combine` is unknown.
+        When `combine` or a name of `use` is unknown.
     RecognitionError
-        When a file cannot be read or used, sizes or models differ, or a probe's person is not in the gallery.
+        When a file cannot be read or used, sizes or models differ, or nothing is left to compare.
+
+    Notes
+    -----
+    Results that have nothing to compare are left out, and `notes` name them.
     """
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
-    known = _read(gallery, "gallery", options, on_count)
-    shown = _read(probes, "probes", known.templates.options, on_count)
-    _check_pair(known, shown)
-    scores = similarity_matrix(shown.templates, known.templates, options=similarity)
-    matches = match_probes(scores, known.templates.names, shown.persons, combine=combine)
-    return ResultIdentification(
-        known, shown, matches, combine, (*known.notes, *shown.notes, *_copies(known, shown))
-    )
+    known = _read(gallery, "gallery", use, options, on_count)
+    shown = _read(probes, "probes", use, known.options, on_count)
+    known, shown, scores, apart = _compared(known, shown, similarity)
+    total, gallery_names = fused(scores), [person or "" for person in known.persons]
+    unlike = np.isnan(total)
+    shown, strangers = _without_strangers(known, shown)
+    matches = match_probes(np.where(unlike, 0.0, total), gallery_names, shown.persons, combine=combine)
+    by_kind = {
+        kind: similarities_by_person(values, gallery_names, combine)[1] for kind, values in scores.items()
+    }
+    notes = (*known.notes, *shown.notes, *strangers, *_zeros(apart, unlike), *_copies(known, shown))
+    return ResultIdentification(known, shown, matches, by_kind, combine, notes)
 
 
 def _read(
     source: str | Path | LabelledTemplates,
     stage: str,
+    use: Sequence[Kind],
     options: TemplateOptions | None,
     on_count: StageCallback | None,
 ) -> LabelledTemplates:
     if isinstance(source, LabelledTemplates):
+        checked_use(use)
         return source
     count = None if on_count is None else lambda done, total: on_count(stage, done, total)
     return read_labelled_templates(
-        source, persons_required=stage == "gallery", options=options, on_count=count
+        source, use=use, persons_required=stage == "gallery", options=options, on_count=count
     )
 
 
-def _check_pair(gallery: LabelledTemplates, probes: LabelledTemplates) -> None:
-    common_chart(gallery.templates.chart, probes.templates.chart, str(gallery.source), str(probes.source))
+def _compared(
+    known: LabelledTemplates, shown: LabelledTemplates, options: SimilarityOptions
+) -> tuple[LabelledTemplates, LabelledTemplates, dict[Kind, FloatArray], BoolArray]:
+    """Return gallery, probes, similarities (P, images) of each kind, and which pairs (P, images) lie apart.
+
+    Those share no window and have similarity 0; NaN is where one of a pair lacks the kind. Results whose
+    masks hold no window are left out, with a note.
+    """
+    kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
+    if not kinds:
+        raise RecognitionError(
+            f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
+            f"{' and '.join(shown.sets)}; process all scans alike, or choose what to use"
+        )
+    known, shown = _with_windows(known, kinds, options), _with_windows(shown, kinds, options)
+    scores: dict[Kind, FloatArray] = {}
+    apart = np.zeros((len(shown), len(known)), bool)
+    for kind in kinds:
+        scores[kind] = np.full((len(shown), len(known)), np.nan)
+        if kind in known.sets and kind in shown.sets:
+            a, b = shown.sets[kind], known.sets[kind]
+            common_chart(b.chart, a.chart, str(known.source), str(shown.source))
+            here = np.ix_(shown.rows[kind], known.rows[kind])
+            found = comparable_similarities(a, b, options)
+            scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
+    return known, shown, scores, apart
+
+
+def _with_windows(
+    labelled: LabelledTemplates, kinds: Sequence[Kind], options: SimilarityOptions
+) -> LabelledTemplates:
+    usable = np.zeros(len(labelled), bool)
+    for kind in kinds:
+        usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], options)
+    if usable.all():
+        return labelled
+    left = [labelled.labels[k] for k in np.flatnonzero(~usable)]
+    told = (
+        f"{labelled.source}: {', '.join(left[:5])}{', ...' if len(left) > 5 else ''}: no window of "
+        f"{options.window} x {options.window} coefficients lies inside the mask"
+    )
+    if not usable.any():
+        raise RecognitionError(f"{told}, and no result is left; scan more of the faces")
+    kept = labelled.select(np.flatnonzero(usable))
+    return replace(kept, notes=(*kept.notes, f"left out: {told}"))
+
+
+def _without_strangers(
+    gallery: LabelledTemplates, probes: LabelledTemplates
+) -> tuple[LabelledTemplates, list[str]]:
+    """Return the probes, persons of whom the gallery has no image unknown, and notes about these."""
+    known = set(gallery.persons)
     strangers = [
         f"{label} ({person})"
         for label, person in zip(probes.labels, probes.persons, strict=True)
-        if person is not None and person not in gallery.templates.names
+        if person is not None and person not in known
     ]
-    if strangers:
-        more = f" and {len(strangers) - 5} more" if len(strangers) > 5 else ""
-        raise RecognitionError(
-            f"{gallery.source} has no image of the persons on these probes of {probes.source}: "
-            f"{', '.join(strangers[:5])}{more}; add their images to the gallery, or leave their person "
-            "empty: then they are identified, and not counted"
+    if not strangers:
+        return probes, []
+    note = (
+        f"{gallery.source} has no image of the persons on {len(strangers)} probes: {', '.join(strangers[:5])}"
+        f"{', ...' if len(strangers) > 5 else ''}; they are identified, but count in no rate"
+    )
+    return replace(probes, persons=tuple(p if p in known else None for p in probes.persons)), [note]
+
+
+def _zeros(apart: BoolArray, unlike: BoolArray) -> Iterator[str]:
+    if unlike.any():
+        yield (
+            f"{unlike.sum()} of {unlike.size} pairs of a probe and an image have neither albedo nor shape in "
+            "common: they count as similarity 0"
+        )
+    if apart.any():
+        yield (
+            f"{apart.sum()} of {apart.size} pairs of a probe and an image have no window in common: they "
+            "count as similarity 0"
         )
 
 
 def _copies(gallery: LabelledTemplates, probes: LabelledTemplates) -> Iterator[str]:
     """Give a note for probes that are images of the gallery themselves."""
-    stored = {values.tobytes() for values in gallery.templates.coefficients}
+    kind = next(kind for kind in probes.sets if kind in gallery.sets)
+    stored = {values.tobytes() for values in gallery.sets[kind].coefficients}
     same = [
-        label
-        for label, values in zip(probes.labels, probes.templates.coefficients, strict=True)
+        probes.labels[row]
+        for row, values in zip(probes.rows[kind], probes.sets[kind].coefficients, strict=True)
         if values.tobytes() in stored
     ]
     if same:

@@ -25,10 +25,11 @@ def cw_ssim(
     b: ArrayLike,
     mask: ArrayLike | None = None,
     *,
-    options: TemplateOptions = TemplateOptions(size=None),
+    mask_b: ArrayLike | None = None,
+    options: TemplateOptions = TemplateOptions(),
     similarity: SimilarityOptions = SimilarityOptions(),
 ) -> float:
-    """Return the complex wavelet structural similarity of two images, 0 to 1.
+    """Return the complex wavelet structural similarity of two images, 0 to 1, as identification computes it.
 
     Over windows of coefficients x, y at the same places of one orientation,
 
@@ -43,7 +44,9 @@ def cw_ssim(
     a, b : (H, W) or (H, W, 3)
         Linear images of the same size.
     mask : (H, W) bool, optional
-        Pixels that count, in both.
+        Pixels that count, in both images, or in the first one.
+    mask_b : (H, W) bool, optional
+        Pixels that count in the second image; those of `mask` when omitted.
     options : TemplateOptions
     similarity : SimilarityOptions
 
@@ -73,8 +76,9 @@ def cw_ssim(
             f"the images have {np.shape(a)[:2]} and {np.shape(b)[:2]} pixels; give images of one size"
         )
     first, carried = image_coefficients(a, mask, options, "the first image")
-    second, _ = image_coefficients(b, mask, options, "the second image")
-    return pair_similarity(first, second, carried, similarity)
+    of_second = mask if mask_b is None else mask_b
+    second, also_carried = image_coefficients(b, of_second, options, "the second image")
+    return pair_similarity(first, second, carried & also_carried, similarity)
 
 
 def pair_similarity(
@@ -93,6 +97,13 @@ def pair_similarity(
     energy = _window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, options.window)
     index = (2 * shared + STABILIZER) / (energy + STABILIZER)
     return float(index[:, inside].mean())
+
+
+def has_window(templates: Templates, options: SimilarityOptions) -> BoolArray:
+    """Return (N,) whether a window lies inside each template's mask."""
+    _check_window(templates.mask.shape[1:], options)
+    inside = _window_sums(templates.mask, options.window) == options.window**2
+    return np.asarray(inside.any(axis=(1, 2)))
 
 
 def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
@@ -150,19 +161,24 @@ def similarity_matrix(
     >>> bool(np.allclose(np.diag(similarity_matrix(templates, templates)), 1, atol=1e-4))
     True
     """
-    _check_sets(templates_a, templates_b, options)
-    rows = [
-        _similarity_rows(
-            templates_a.select(range(start, min(start + _ROWS, len(templates_a)))), templates_b, options
-        )
-        for start in range(0, len(templates_a), _ROWS)
-    ]
-    totals, windows = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    if (windows == 0).any():
-        i, j = np.argwhere(windows == 0)[0]
+    similarities = comparable_similarities(templates_a, templates_b, options)
+    if (missing := np.isnan(similarities)).any():
+        i, j = np.argwhere(missing)[0]
         pair = f"template {i} ({templates_a.names[i]}) and template {j} ({templates_b.names[j]})"
         raise RecognitionError(_no_window_message(pair, options))
-    return np.asarray(totals / (windows * templates_a.options.orientations), np.float64)
+    return similarities
+
+
+def comparable_similarities(a: Templates, b: Templates, options: SimilarityOptions) -> FloatArray:
+    """Return `similarity_matrix` (A, B), NaN for pairs whose masks have no window in common."""
+    _check_sets(a, b, options)
+    rows = [
+        _similarity_rows(a.select(range(start, min(start + _ROWS, len(a)))), b, options)
+        for start in range(0, len(a), _ROWS)
+    ]
+    totals, windows = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    bands = a.coefficients.shape[1]
+    return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
 
 @dataclass(frozen=True)
@@ -243,6 +259,10 @@ def _check_sets(a: Templates, b: Templates, options: SimilarityOptions) -> None:
     for which, templates in (("first", a), ("second", b)):
         if len(templates) == 0:
             raise RecognitionError(f"the {which} set of templates is empty; give one template or more")
+    if a.kind != b.kind:
+        raise RecognitionError(
+            f"the first set is of the {a.kind}, the second of the {b.kind}; compare like with like"
+        )
     if a.options != b.options:
         raise RecognitionError(
             f"the sets of templates differ in their options, {a.options} and {b.options}; make them alike"

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.recognition.options import Channel, TemplateOptions
-from scan2albedo.recognition.templates import Chart, Templates
+from scan2albedo.recognition.templates import Chart, Kind, Templates
 
 _ARRAYS = {"coefficients": "c", "mask": "b"}
 """Names of the arrays in a file and their kinds."""
@@ -47,13 +47,15 @@ class TemplatesHeader(BaseModel):
     format_version: Literal[1] = 1
     names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
     options: TemplateOptionsRecord
+    kind: Kind = Field("albedo", description="What the templates are of.")
     chart: ChartRecord | None = Field(None, description="Of the images; null where unknown.")
 
 
 def write_templates(path: str | Path, templates: Templates) -> None:
     """Write templates as an NPZ file, whole or not at all.
 
-    82 kB a template of 128 pixels; not compressed, for the bits of coefficients do not repeat.
+    330 kB a template of an albedo of 256 pixels, three times that of a shape; not compressed, for the bits of
+    coefficients do not repeat.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
         raise RecognitionError("there is no template to write; give one or more")
     options = TemplateOptionsRecord.model_validate(templates.options, from_attributes=True)
     chart = None if templates.chart is None else ChartRecord(**vars(templates.chart))
-    header = TemplatesHeader(names=templates.names, options=options, chart=chart)
+    header = TemplatesHeader(names=templates.names, options=options, chart=chart, kind=templates.kind)
     arrays = {name: getattr(templates, name) for name in _ARRAYS}
     write_npz_record(path, header, arrays, what="template")
 
@@ -102,6 +104,6 @@ def read_templates(path: str | Path) -> Templates:
     try:
         options = TemplateOptions(**header.options.model_dump())
         chart = None if header.chart is None else Chart(**header.chart.model_dump())
-        return Templates(arrays["coefficients"], arrays["mask"], header.names, options, chart)
+        return Templates(arrays["coefficients"], arrays["mask"], header.names, options, chart, header.kind)
     except (ValueError, RecognitionError) as error:
         raise RecognitionError(f"templates {path}: {error}; write the file again") from error

@@ -1,9 +1,10 @@
-"""Templates: the coarsest scale of the complex steerable pyramid of an albedo."""
+"""Templates: the coarsest scale of the complex steerable pyramid of an albedo, or of a surface's normals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.recognition.options import TemplateOptions
 from scan2albedo.recognition.preparation import (
+    NothingToCompareError,
     averaged_down,
     carried_mask,
     checked_image,
@@ -20,6 +22,11 @@ from scan2albedo.recognition.preparation import (
     without_holes,
 )
 from scan2albedo.recognition.pyramid import coarsest_bands
+
+Kind = Literal["albedo", "shape"]
+"""What is compared: the albedo, or the normals of the fitted surface."""
+COMPONENTS: dict[Kind, int] = {"albedo": 1, "shape": 3}
+"""Images that a template holds: one channel of the albedo; x, y and z of the normals."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ class Templates:
     """
 
     coefficients: NDArray[np.complex64]
-    """(N, O, h, w): of O orientations; 0 outside the mask."""
+    """(N, O, h, w): of O orientations, of one component after the other; 0 outside the mask."""
     mask: NDArray[np.bool_]
     """(N, h, w)."""
     names: tuple[str, ...]
@@ -74,13 +81,15 @@ class Templates:
     """How they were made."""
     chart: Chart | None = None
     """Of the images, where it is known; templates of different charts are not compared."""
+    kind: Kind = "albedo"
+    """Of what they are."""
 
     def __post_init__(self) -> None:
         coefficients, mask = self.coefficients, self.mask
-        if coefficients.ndim != 4 or coefficients.shape[1] != self.options.orientations:
+        bands = self.options.orientations * COMPONENTS[self.kind]
+        if coefficients.ndim != 4 or coefficients.shape[1] != bands:
             raise ValueError(
-                f"coefficients have shape {coefficients.shape}, expected "
-                f"(N, {self.options.orientations}, h, w)"
+                f"{self.kind} coefficients have shape {coefficients.shape}, expected (N, {bands}, h, w)"
             )
         if mask.shape != coefficients.shape[:1] + coefficients.shape[2:] or len(mask) != len(self.names):
             raise ValueError(
@@ -110,6 +119,8 @@ class Templates:
         if not parts:
             raise RecognitionError("no set of templates was given; give one or more")
         for k, part in enumerate(parts):
+            if part.kind != parts[0].kind:
+                raise RecognitionError(f"set {k} is of the {part.kind}, set 0 of the {parts[0].kind}")
             if part.options != parts[0].options or part.mask.shape[1:] != parts[0].mask.shape[1:]:
                 raise RecognitionError(
                     f"set {k} has templates of {part.mask.shape[1:]} made with {part.options}, set 0 of "
@@ -120,13 +131,14 @@ class Templates:
             np.concatenate([part.mask for part in parts]),
             tuple(name for part in parts for name in part.names),
             parts[0].options,
+            kind=parts[0].kind,
         )
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
-        return Templates(self.coefficients[chosen], self.mask[chosen], names, self.options, self.chart)
+        return replace(self, coefficients=self.coefficients[chosen], mask=self.mask[chosen], names=names)
 
 
 def image_coefficients(
@@ -140,7 +152,7 @@ def image_coefficients(
         pixels = scaled_to_unit_mean(pixels, valid, what)
     carried = carried_mask(without_holes(valid, options.hole_radius), options.step)
     if not carried.any():
-        raise RecognitionError(
+        raise NothingToCompareError(
             f"{what}: no coefficient lies {options.step // 2} pixels inside its mask; widen the mask"
         )
     padded = mirrored(filled_from_nearest(pixels, valid), 2**options.scales)
@@ -152,6 +164,37 @@ def image_coefficients(
     bands = coarsest_bands(padded, scales=options.scales, orientations=options.orientations)
     inner = bands[:, : carried.shape[0], : carried.shape[1]]
     return np.where(carried, inner, 0.0), carried
+
+
+def normal_coefficients(
+    normal: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
+) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    """Return coefficients (3 O, h, w) and mask (h, w) of the unit normals (H, W, 3) of a surface."""
+    values = np.asarray(normal, np.float64)
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise ValueError(f"{what} has normals of shape {values.shape}, expected (H, W, 3)")
+    as_they_are = replace(options, unit_mean=False)
+    parts = [image_coefficients(values[..., k], mask, as_they_are, what) for k in range(3)]
+    return np.concatenate([bands for bands, _ in parts]), parts[0][1]
+
+
+def shape_templates(
+    normals: Sequence[ArrayLike] | NDArray[np.floating],
+    names: Sequence[str],
+    *,
+    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None = None,
+    options: TemplateOptions = TemplateOptions(),
+) -> Templates:
+    """Return the templates of surfaces by their normals; `channel` and `unit_mean` do not apply.
+
+    Parameters
+    ----------
+    normals : N of (H, W, 3)
+        Unit normals in one chart and in one frame, as `GeometryImage.normal` in the model's.
+    names, masks, options
+        As in `albedo_templates`, whose errors are raised.
+    """
+    return _templates("shape", normals, names, masks, options)
 
 
 def albedo_templates(
@@ -186,6 +229,23 @@ def albedo_templates(
     >>> albedo_templates(images, ["ann", "bob"]).coefficients.shape
     (2, 10, 32, 32)
     """
+    return _templates("albedo", images, names, masks, options)
+
+
+COEFFICIENTS: dict[Kind, Callable[..., tuple[NDArray[np.complex128], NDArray[np.bool_]]]] = {
+    "albedo": image_coefficients,
+    "shape": normal_coefficients,
+}
+"""What makes one template of each kind."""
+
+
+def _templates(
+    kind: Kind,
+    images: Sequence[ArrayLike] | NDArray[np.floating],
+    names: Sequence[str],
+    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None,
+    options: TemplateOptions,
+) -> Templates:
     if len(images) != len(names) or (masks is not None and len(masks) != len(images)):
         counts = f"{len(images)} images, {len(names)} names, {len(images if masks is None else masks)} masks"
         raise ValueError(f"{counts}; expected as many of each")
@@ -195,12 +255,12 @@ def albedo_templates(
     carried: list[NDArray[np.bool_]] = []
     for k, image in enumerate(images):
         what = f"image {k} ({names[k]})"
-        bands, mask = image_coefficients(image, None if masks is None else masks[k], options, what)
+        bands, mask = COEFFICIENTS[kind](image, None if masks is None else masks[k], options, what)
         if carried and mask.shape != carried[0].shape:
             raise RecognitionError(
                 f"{what} has {np.shape(image)[:2]} pixels, image 0 {np.shape(images[0])[:2]}; "
-                "give images of one size, or options with a size to bring them to"
+                "give images of one size, or options with a size that both have"
             )
         coefficients.append(bands.astype(np.complex64))
         carried.append(mask)
-    return Templates(np.stack(coefficients), np.stack(carried), tuple(names), options)
+    return Templates(np.stack(coefficients), np.stack(carried), tuple(names), options, kind=kind)

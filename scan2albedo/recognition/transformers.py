@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.options import IDENTIFICATION, Channel, SimilarityOptions, TemplateOptions
+from scan2albedo.recognition.options import Channel, SimilarityOptions, TemplateOptions
 from scan2albedo.recognition.similarity import similarity_matrix
 from scan2albedo.recognition.templates import Templates, albedo_templates
 
@@ -110,7 +110,7 @@ class DistanceTransformer(_Transformer):
         See `SimilarityOptions`.
     """
 
-    window: int = IDENTIFICATION.window
+    window: int = SimilarityOptions.window
 
     def fit(self, templates: Templates, names: Sequence[str] | None = None) -> Self:
         """Keep the templates of the gallery; RecognitionError when there is none."""

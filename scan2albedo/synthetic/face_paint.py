@@ -47,6 +47,20 @@ def paint_face(
 ) -> FloatArray:
     """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); other arguments as in `skin`."""
     landmarks = landmark_uv(model)
+    return paint_around(uv, landmarks, rng, grain=grain, tone=tone, marks=marks, features=features)
+
+
+def paint_around(
+    uv: FloatArray,
+    landmarks: FloatArray,
+    rng: np.random.Generator,
+    *,
+    grain: float = 1.0,
+    tone: float | None = None,
+    marks: bool = True,
+    features: PaintedFeatures = PaintedFeatures(),
+) -> FloatArray:
+    """Return `paint_face` on any chart of that scale, whose landmarks lie at (68, 2)."""
     albedo = skin(uv, rng, grain=grain, tone=tone, marks=marks)
     pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
     for k in (31, 35):

@@ -67,6 +67,8 @@ def test_files_and_json_tell_the_same(folder, tmp_path):
     Draft202012Validator(IdentificationRecord.model_json_schema(mode="serialization")).validate(record)
     assert record["rates"]["rank_1_rate"] == 1
     rows = list(csv.DictReader((out / "identification.csv").read_text(encoding="utf-8").splitlines()))
+    assert record["use"] == ["albedo"]  # images have no shape
+    assert "no result has shape; they are compared without" in done.stderr
     assert list(rows[0])[:5] == ["probe", "person", "predicted", "similarity", "rank"]
     assert [row["rank"] for row in rows] == ["1", "1", ""]
     with np.load(out / "similarities.npz") as arrays:
@@ -128,6 +130,7 @@ def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):
         ((), "no probes"),
         (("-o", "out"), "no probes"),
         (("--probes", "probes.csv", "--combine", "worst"), "--combine is 'worst'"),
+        (("--probes", "probes.csv", "--use", "colour"), "--use is 'colour', expected albedo, shape or"),
         (("--save-templates", "gallery.bin"), "ends in .npz"),
     ],
 )

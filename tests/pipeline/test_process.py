@@ -14,6 +14,7 @@ import jsonschema
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import scan2albedo as s2a
 from scan2albedo.albedo.options import OPTIONAL_STEPS
@@ -185,6 +186,9 @@ def test_files_hold_what_the_result_holds(result):
     np.testing.assert_array_equal(image.position, result.geometry_image.position)
     np.testing.assert_array_equal(image.region, result.geometry_image.region)
     np.testing.assert_array_equal(read_image_linear(result.out / "albedo.exr"), result.albedo.albedo_linear)
+    with Image.open(result.out / "albedo.png") as preview:
+        alpha = np.asarray(preview.getchannel("A"))
+    np.testing.assert_array_equal(alpha, 255 * image.seen)
     rows = list(csv.DictReader((result.out / "trace.csv").read_text().splitlines()))
     assert len(rows) == len(result.trace)
     assert {row["stage"] for row in rows} == set(result.trace.stages)

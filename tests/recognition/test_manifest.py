@@ -85,8 +85,9 @@ def test_what_is_wrong_is_told_with_its_line(folder, text, words):
 def test_files_that_are_not_there_or_no_files_are_told(folder):
     with pytest.raises(RecognitionError, match=r"none\.csv cannot be read"):
         read_manifest(folder / "none.csv")
-    with pytest.raises(RecognitionError, match="cannot be read"):
-        read_manifest(folder / "out")
+    (folder / "empty").mkdir()
+    with pytest.raises(RecognitionError, match="holds no folder of a processed scan"):
+        read_manifest(folder / "empty")
 
 
 def test_a_result_that_comes_twice_is_noted(folder):

@@ -13,11 +13,23 @@ from scan2albedo.recognition.pyramid import coarsest_bands
 def test_sizes_are_brought_to_one(albedo):
     large = albedo(0, (384, 384), steepness=1.5)
     half = large.reshape(192, 2, 192, 2).mean(axis=(1, 3))
-    templates = albedo_templates([large, half, albedo(1)], ["ann", "ann", "bob"])
+    options = TemplateOptions(size=128)
+    templates = albedo_templates([large, half, albedo(1)], ["ann", "ann", "bob"], options=options)
     assert templates.coefficients.shape == (3, 10, 32, 32)
     similarity = similarity_matrix(templates, templates)
     assert similarity[0, 1] > 0.999
-    assert similarity[0, 2] < 0.6
+    assert similarity[0, 2] < 0.65
+
+
+def test_smaller_images_stay_as_they_are(albedo):
+    given, none = (
+        albedo_templates([albedo(0)], ["ann"], options=TemplateOptions(size=s)) for s in (256, None)
+    )
+    np.testing.assert_array_equal(given.coefficients, none.coefficients)
+    with pytest.raises(
+        RecognitionError, match=r"image 1 \(bob\) has \(64, 64\) pixels, image 0 \(128, 128\)"
+    ):
+        albedo_templates([albedo(0), albedo(0, (64, 64))], ["ann", "bob"])
 
 
 def test_averages_take_valid_pixels_only():

@@ -11,7 +11,7 @@ from pathlib import Path
 import scan2albedo
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.geometry_image import SMALLEST_SIZE
-from scan2albedo.recognition import IDENTIFICATION, SimilarityOptions, TemplateOptions
+from scan2albedo.recognition import SimilarityOptions, TemplateOptions
 from scan2albedo.synthetic.population import PopulationOptions
 from scan2albedo.synthetic.raw_scan import RawScanOptions
 
@@ -65,7 +65,7 @@ class RecognitionExperimentOptions:
         default_factory=lambda: PopulationOptions(capture=RawScanOptions(picture_size=640, size=64))
     )
     templates: TemplateOptions = TemplateOptions()
-    similarity: SimilarityOptions = IDENTIFICATION
+    similarity: SimilarityOptions = SimilarityOptions()
 
     def __post_init__(self) -> None:
         if self.persons < 2 or self.probes < 1:
@@ -76,10 +76,6 @@ class RecognitionExperimentOptions:
         if self.size < SMALLEST_SIZE or self.seed < 0:
             raise ValueError(
                 f"size is {self.size} and seed {self.seed}, expected at least {SMALLEST_SIZE} and 0"
-            )
-        if self.templates.size is not None and self.size < self.templates.size:
-            raise ValueError(
-                f"size is {self.size}, expected at least the {self.templates.size} texels of a template"
             )
         if unknown := sorted(set(self.brdfs) - set(BRDFS)):
             raise ValueError(f"brdfs holds {unknown[0]!r}, expected names from {', '.join(BRDFS)}")

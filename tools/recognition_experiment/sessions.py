@@ -27,7 +27,7 @@ class Session:
 
     Parameters
     ----------
-    images : mapping of str to (H, W, 3) float16
+    images : mapping of str to (H, W, 3) float
         Linear: the texture as scanned, and the albedo of each BRDF. Empty when the pipeline failed.
     seen : (H, W) bool
         Texels whose texture was seen.
@@ -37,7 +37,7 @@ class Session:
         What a scan that failed was tried with; another choice is tried anew.
     """
 
-    images: Mapping[str, NDArray[np.float16]]
+    images: Mapping[str, NDArray[np.floating]]
     seen: NDArray[np.bool_]
     failure: str = ""
     brdfs: tuple[str, ...] = ()

@@ -16,6 +16,7 @@ from scan2albedo.io.atomic import result_folder, write_text
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, listed_files, write_record
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
+from scan2albedo.recognition.templates import Kind
 
 IDENTIFICATION_FILE = "identification.json"
 Interval = tuple[Number, Number]
@@ -29,10 +30,14 @@ class ProbeRecord(Record):
     probe: str = Field(description="The result, as the file of probes names it.")
     person: str | None = Field(description="Who it shows; null where nobody knows.")
     predicted: str = Field(description="The most similar person of the gallery.")
-    similarity: Number = Field(description="Of that person, 0 to 1.")
+    similarity: Number = Field(description="Of that person, 0 to 1; by both, the mean by their weights.")
     rank: int | None = Field(ge=1, description="Place of the right person; null where nobody knows.")
     next_person: str | None = Field(description="The second; null in a gallery of one person.")
     next_similarity: OptionalNumber
+    albedo: OptionalNumber = Field(description="Of the predicted person by albedo alone: CW-SSIM, 0 to 1.")
+    shape: OptionalNumber = Field(
+        description="Of the predicted person by shape alone: CW-SSIM of normals, 0 to 1."
+    )
 
 
 class RatesRecord(Record):
@@ -53,8 +58,9 @@ class IdentificationRecord(Record):
 
     format_version: Literal[1] = 1
     scan2albedo_version: str
-    gallery: str = Field(description="The file that names it, as given.")
-    probes: str = Field(description="The file that names them, as given.")
+    gallery: str = Field(description="The file or folder that names it, as given.")
+    probes: str = Field(description="The file or folder that names them, as given.")
+    use: tuple[Kind, ...] = Field(min_length=1, description="What was compared.")
     gallery_images: int = Field(ge=1)
     persons: tuple[str, ...] = Field(min_length=1, description="Of the gallery.")
     combine: Literal["best", "mean"] = Field(description="What is taken of a person's several images.")
@@ -74,16 +80,17 @@ def identification_record(found: ResultIdentification) -> IdentificationRecord:
 def _record(
     found: ResultIdentification, rates: RatesRecord | None, files: tuple[str, ...] = ()
 ) -> IdentificationRecord:
-    chart = found.gallery.templates.chart
+    templates = found.gallery.templates
     return IdentificationRecord(
         scan2albedo_version=VERSION,
         gallery=str(found.gallery.source),
         probes=str(found.probes.source),
-        gallery_images=len(found.gallery.templates),
+        use=tuple(found.by_kind),
+        gallery_images=len(found.gallery),
         persons=found.matches.persons,
         combine=found.combine,
-        template_options=asdict(found.gallery.templates.options),
-        model=None if chart is None else chart.model,
+        template_options=asdict(templates.options),
+        model=None if templates.chart is None else templates.chart.model,
         rates=rates,
         results=_probes(found),
         notes=found.notes,
@@ -111,12 +118,13 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
         write_text(staging / "identification.csv", _table(found))
         similarities = {
             "similarities": found.matches.similarities,
+            **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
             "persons": np.array(found.matches.persons),
             "probes": np.array(found.probes.labels),
             "probe_persons": np.array([person or "" for person in found.probes.persons]),
         }
         write_npz(staging / "similarities.npz", similarities, what="similarities")
-        _write_figures(cmc, roc, staging)
+        _write_figures(cmc, roc, " and ".join(found.by_kind), staging)
         written = sorted(path.name for path in staging.iterdir())
         record = _record(found, _rates(cmc, roc), (*written, IDENTIFICATION_FILE))
         write_record(staging / IDENTIFICATION_FILE, record)
@@ -140,11 +148,15 @@ def _probes(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
     matches = found.matches
     several = len(matches.persons) > 1
     nobody = (None,) * len(matches.ranks)
+    first = matches.order[:, :1]
+    alone = {kind: np.take_along_axis(v, first, 1)[:, 0].tolist() for kind, v in found.by_kind.items()}
     columns = zip(
         found.probes.labels,
         matches.probe_persons,
         matches.predicted(),
         matches.similarity().tolist(),
+        alone.get("albedo", nobody),
+        alone.get("shape", nobody),
         matches.ranks.tolist(),
         matches.predicted(2) if several else nobody,
         matches.similarity(2).tolist() if several else nobody,
@@ -156,12 +168,18 @@ def _probes(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
             person=person,
             predicted=predicted,
             similarity=_rounded(similarity),
+            albedo=_known(albedo),
+            shape=_known(shape),
             rank=rank or None,
             next_person=next_person,
-            next_similarity=None if next_similarity is None else _rounded(next_similarity),
+            next_similarity=_known(next_similarity),
         )
-        for probe, person, predicted, similarity, rank, next_person, next_similarity in columns
+        for probe, person, predicted, similarity, albedo, shape, rank, next_person, next_similarity in columns
     )
+
+
+def _known(similarity: float | None) -> float | None:
+    return None if similarity is None or np.isnan(similarity) else _rounded(similarity)
 
 
 def _rounded(similarity: float) -> float:
@@ -178,10 +196,10 @@ def _table(found: ResultIdentification) -> str:
     return stream.getvalue()
 
 
-def _write_figures(cmc: CmcCurve | None, roc: RocCurve | None, folder: Path) -> None:
+def _write_figures(cmc: CmcCurve | None, roc: RocCurve | None, name: str, folder: Path) -> None:
     from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
 
     if cmc is not None:
-        cmc_figure({"albedo": cmc}).savefig(folder / "cmc.png")
+        cmc_figure({name: cmc}).savefig(folder / "cmc.png")
     if roc is not None:
-        roc_figure({"albedo": roc}).savefig(folder / "roc.png")
+        roc_figure({name: roc}).savefig(folder / "roc.png")

@@ -171,7 +171,6 @@ def test_an_unknown_method_is_refused(small_options, charts):
     [
         ({"persons": 1}, "persons is 1"),
         ({"probes": 0}, "probes 0"),
-        ({"size": 64}, "expected at least the 128"),
         ({"size": 2}, "size is 2"),
         ({"brdfs": ("phong",)}, "phong"),
         ({"brdfs": ()}, "one name or more"),

@@ -62,7 +62,7 @@ def test_a_folder_that_cannot_be_written_is_named(filled_cache, small_options, t
         (["--individuality", "2"], "individuality is 2"),
         (["--brdf", "phong"], "phong"),
         (["--budget", "-1"], "budget is -1"),
-        (["--size", "32"], "expected at least the 128"),
+        (["--size", "4"], "size is 4"),
         (["--light", "sun"], "invalid choice: 'sun'"),
     ],
 )
