@@ -13,7 +13,7 @@ from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, Processe
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core.arguments import described
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -42,7 +42,7 @@ FILES = frozenset(
     {"application.json", "geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "picture.png"}
 )
 """Every file of a face that an application made."""
-PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
+PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
 _SAME_PLACE_MM = 0.01
 """GLB files hold metres with 24 bits: a vertex of a face is off by far less."""

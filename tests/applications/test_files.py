@@ -9,12 +9,20 @@ import pytest
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions
-from scan2albedo.applications import ProcessedFace, load_result, relight, swap_texture, write_face
+from scan2albedo.applications import (
+    ProcessedFace,
+    RelightOptions,
+    load_result,
+    relight,
+    swap_texture,
+    write_face,
+)
 from scan2albedo.errors import ApplicationError
 from scan2albedo.io.images import read_image_linear, write_exr
 from scan2albedo.pipeline.result import write_result
 
 LIGHT = s2a.PointLight(0.5, 0.3, intensity=2.0)
+AS_ESTIMATED = RelightOptions(gloss="found", fill_gaps=False)
 
 
 @pytest.fixture
@@ -49,15 +57,19 @@ def test_coloured_light_goes_through_files_and_applications(result, tmp_path):
         np.testing.assert_array_equal(face.environment.coefficients, soft.coefficients)
         for ours, given in zip(face.lights, lamps, strict=True):
             assert (ours.color_linear, ours.radius_deg) == (given.color_linear, given.radius_deg)
-    lit = relight(disk, disk.lights, environment=disk.environment).texture_linear
-    np.testing.assert_allclose(lit, estimate.relit(lamps, soft), rtol=1e-4, atol=1e-6)
+    lit = relight(disk, disk.lights, environment=disk.environment, options=AS_ESTIMATED).texture_linear
+    # The lamp of 6 degrees is sampled more finely than the estimate does.
+    assert np.abs(lit - estimate.relit(lamps, soft))[disk.mask].mean() < 0.005 * lit[disk.mask].mean()
 
 
 def test_relighting_is_what_the_estimate_does(result):
     estimate = result.albedo
     assert estimate.reflectance.specular_strength == 0
     np.testing.assert_allclose(
-        relight(load_result(result), [LIGHT]).texture_linear, estimate.relit([LIGHT]), rtol=1e-5, atol=1e-7
+        relight(load_result(result), [LIGHT], options=AS_ESTIMATED).texture_linear,
+        estimate.relit([LIGHT]),
+        rtol=1e-5,
+        atol=1e-7,
     )
 
 
