@@ -1,13 +1,14 @@
-"""Which texels of a face are eyes, brows, nostrils, mouth, or the sides that hair and shadow cover."""
+"""Which texels are eyes, brows, nostrils and mouth, and from which of two faces each of them is taken."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core.arrays import BoolArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 
 FEATURES = {
@@ -19,6 +20,13 @@ FEATURES = {
 """Regions that are of one person or of another, never half and half: both eyes have one colour."""
 SIDES = ("left_temple", "right_temple", "left_cheek", "right_cheek")
 JAWS = ("left_jaw", "right_jaw")
+_WHOLE = 0.05
+"""A feature of which less is missing is whole."""
+_AROUND = 0.012
+"""Of the image's side: how far a feature reaches beyond its region, for lashes and the red of lips."""
+_CATCHLIGHT, _BRIGHTEST = 0.018, 1.5
+"""Of the image's side: bright spots on eyes that are smaller are reflections if they are so many times
+brighter than skin."""
 
 
 def feature_texels(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> dict[str, BoolArray]:
@@ -40,3 +48,61 @@ def region_texels(
         return np.zeros(face.mask.shape, bool)
     known = [template.regions[name].index for name in names if name in template.regions]
     return np.asarray(face.mask & np.isin(face.region, known))
+
+
+@dataclass(frozen=True)
+class FeatureChoice:
+    """Which features of a face another one gives.
+
+    `taken` (H, W) are texels of those that the other gives, and what is close to them; `kept` those of the
+    features that stay; `lost` what was not seen of these, and is not worth another person's lashes.
+    """
+
+    taken: BoolArray
+    kept: BoolArray
+    lost: BoolArray
+
+
+def chosen_features(
+    face: ProcessedFace, other: ProcessedFace, model: AnnotatedFaceModel | None = None
+) -> FeatureChoice:
+    """Return the choice for two faces of one chart: as a whole from `other` where `face` lacks part of it.
+
+    A feature stays where it is whole, or where the other lacks half as much of it or more.
+    """
+    taken, kept, lost = np.zeros((3, *face.mask.shape), bool)
+    for texels in feature_texels(face, model).values():
+        missing, others = (float(np.mean(~given.image.seen[texels])) for given in (face, other))
+        if missing > _WHOLE and others < missing / 2:
+            taken |= texels
+        else:
+            kept |= texels & face.image.seen
+            lost |= texels & ~face.image.seen
+    return FeatureChoice(face.mask & grown(taken, _AROUND) & ~kept & ~lost, kept, lost)
+
+
+def without_catchlights(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> FloatArray:
+    """Return (H, W, 3) the albedo without small spots on the eyes that are brighter than skin.
+
+    They are reflections of the scan's lamps, which are no albedo: V is lowered to its morphological opening.
+    """
+    import cv2
+
+    albedo, eyes = face.albedo_linear.astype(np.float64), region_texels(face, FEATURES["eyes"], model)
+    if not eyes.any():
+        return albedo
+    side, around = max(eyes.shape), face.mask & grown(eyes, _AROUND)
+    value = albedo.max(-1)
+    width = 2 * max(1, round(_CATCHLIGHT * side / 2)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    most = np.maximum(cv2.morphologyEx(value, cv2.MORPH_OPEN, disc), _BRIGHTEST * face.level())
+    factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
+    return np.asarray(albedo * factor[..., None])
+
+
+def grown(texels: BoolArray, part: float) -> BoolArray:
+    """Return `texels` (H, W) with those closer than this part of the image's side."""
+    import cv2
+
+    width = 2 * max(1, round(part * max(texels.shape))) + 1
+    return np.asarray(cv2.dilate(texels.astype(np.uint8), np.ones((width, width), np.uint8)) > 0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.albedo.poisson import integrate_gradients
-from scan2albedo.applications.face_features import JAWS, SIDES, feature_texels, region_texels
+from scan2albedo.applications.face_features import JAWS, SIDES, feature_texels, grown, region_texels
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -61,8 +61,8 @@ def dark_sides(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> 
     darkest = around & (mean < _DARKEST * usual)
     dark = darkest | (around & (mean < _DARK * usual) & (sure < _NOT_SKIN))
     patches = _touching(dark & side, face.image.border)
-    patches |= _touching(darkest, patches) & _grown(patches, _ONTO_JAW)
-    return np.asarray(_grown(patches, _BESIDE) & around)
+    patches |= _touching(darkest, patches) & grown(patches, _ONTO_JAW)
+    return np.asarray(grown(patches, _BESIDE) & around)
 
 
 def _touching(texels: BoolArray, others: BoolArray) -> BoolArray:
@@ -71,11 +71,3 @@ def _touching(texels: BoolArray, others: BoolArray) -> BoolArray:
 
     _, part = cv2.connectedComponents(texels.astype(np.uint8))
     return np.asarray(np.isin(part, np.setdiff1d(part[others], [0])))
-
-
-def _grown(texels: BoolArray, part: float) -> BoolArray:
-    """Return `texels` (H, W) with those closer than this part of the image's side."""
-    import cv2
-
-    width = 2 * max(1, round(part * max(texels.shape))) + 1
-    return np.asarray(cv2.dilate(texels.astype(np.uint8), np.ones((width, width), np.uint8)) > 0)

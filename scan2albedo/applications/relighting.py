@@ -220,7 +220,7 @@ def _prepared(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFa
     return replace(face, reflectance=skin), tuple(notes)
 
 
-def _skin_scale(face: ProcessedFace) -> FloatArray | None:
+def _skin_scale(face: ProcessedFace) -> NDArray[np.float32] | None:
     """Return (H, W) the annotation's scale of highlights, lower where the texture shows hair, no skin."""
     scale, skin = face.image.specular_scale, face.image.skin
     if skin is None:
@@ -231,7 +231,7 @@ def _skin_scale(face: ProcessedFace) -> FloatArray | None:
     glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
     bare = np.where(np.logical_or.reduce(glossy), 1.0, skin).astype(np.float64)
     smooth = cv2.GaussianBlur(bare, (0, 0), _SKIN_BLUR * max(skin.shape))
-    return np.asarray(smooth if scale is None else smooth * scale)
+    return np.asarray(smooth if scale is None else smooth * scale, np.float32)
 
 
 def _chart_image(face: ProcessedFace, values: FloatArray) -> NDArray[np.float32]:

@@ -12,9 +12,11 @@ from scan2albedo.albedo import EstimateOptions
 from scan2albedo.applications import (
     ProcessedFace,
     RelightOptions,
+    TransferOptions,
     load_result,
     relight,
     swap_texture,
+    transfer_expression,
     write_face,
 )
 from scan2albedo.errors import ApplicationError
@@ -142,3 +144,26 @@ def test_spherical_harmonics_relight_as_a_matte_surface(result):
     face = load_result(replace(result, albedo=estimate))
     assert face.reflectance.brdf == "lambert"
     assert np.isfinite(relight(face, [LIGHT]).texture_linear).all()
+
+
+def test_a_shape_alone_is_taken_where_no_albedo_is_needed(result, tmp_path):
+    grey = replace(result, albedo=None)
+    folder = write_result(grey, tmp_path)
+    with pytest.raises(ApplicationError, match="holds no albedo"):
+        load_result(folder)
+    memory, disk = (load_result(source, need_albedo=False) for source in (grey, folder))
+    assert (memory.has_albedo, disk.has_albedo) == (False, False)
+    np.testing.assert_array_equal(memory.image.position, disk.image.position)
+    made = transfer_expression(disk, memory, disk, options=TransferOptions(correspondence="as-fitted"))
+    written = write_face(made, tmp_path / "new", application="transfer-expression", inputs=[disk])
+    assert sorted(path.name for path in written.iterdir()) == [
+        "application.json",
+        "fitted.glb",
+        "geometry_image.npz",
+        "picture.png",
+    ]
+    again = load_result(written, need_albedo=False)
+    np.testing.assert_allclose(again.mesh.vertices, disk.mesh.vertices, atol=0.01)
+    assert not again.has_albedo
+    with pytest.raises(ApplicationError, match="holds no albedo"):
+        load_result(written)
