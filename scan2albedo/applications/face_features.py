@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,35 +49,22 @@ def region_texels(
     return np.asarray(face.mask & np.isin(face.region, known))
 
 
-@dataclass(frozen=True)
-class FeatureChoice:
-    """Which features of a face another one gives.
-
-    `taken` (H, W) are texels of those that the other gives, and what is close to them; `kept` those of the
-    features that stay; `lost` what was not seen of these, and is not worth another person's lashes.
-    """
-
-    taken: BoolArray
-    kept: BoolArray
-    lost: BoolArray
-
-
-def chosen_features(
+def taken_features(
     face: ProcessedFace, other: ProcessedFace, model: AnnotatedFaceModel | None = None
-) -> FeatureChoice:
-    """Return the choice for two faces of one chart: as a whole from `other` where `face` lacks part of it.
+) -> tuple[BoolArray, BoolArray]:
+    """Return (H, W) texels of the features that `other` is to give as a whole, and those of all the others.
 
-    A feature stays where it is whole, or where the other lacks half as much of it or more.
+    It gives those of which part was not seen in `face`, and at most half as much in `other`; with what is
+    close to them.
     """
-    taken, kept, lost = np.zeros((3, *face.mask.shape), bool)
+    taken, kept = np.zeros((2, *face.mask.shape), bool)
     for texels in feature_texels(face, model).values():
         missing, others = (float(np.mean(~given.image.seen[texels])) for given in (face, other))
         if missing > _WHOLE and others < missing / 2:
             taken |= texels
         else:
-            kept |= texels & face.image.seen
-            lost |= texels & ~face.image.seen
-    return FeatureChoice(face.mask & grown(taken, _AROUND) & ~kept & ~lost, kept, lost)
+            kept |= texels
+    return face.mask & grown(taken, _AROUND) & ~kept, kept
 
 
 def without_catchlights(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> FloatArray:

@@ -60,7 +60,7 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     import cv2
 
     side = max(mask.shape)
-    contrasts = [_contrast(field, mask) for field in (a, b)]
+    contrasts = [local_contrast(field, mask) for field in (a, b)]
     seen = [np.round(127.5 * (1 + np.clip(c / _CONTRASTS, -1, 1))).astype(np.uint8) for c in contrasts]
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     there, back = (
@@ -88,7 +88,7 @@ def warped(field: FloatArray, flow: FloatArray) -> FloatArray:
     return np.asarray(np.clip(moved, field.min(), field.max()))
 
 
-def _contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
+def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) log V less its local mean, in its robust deviation; 0 outside the mask."""
     import cv2
 

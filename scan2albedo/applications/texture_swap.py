@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
-from scan2albedo.applications.face_features import chosen_features, without_catchlights
+from scan2albedo.applications.face_features import taken_features, without_catchlights
 from scan2albedo.applications.face_gaps import dark_sides
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.skin_match import level_gain, skin_gains
@@ -95,11 +95,12 @@ def continued_skin(
 ) -> FloatArray:
     """Return (H, W, 3) the albedo of a face without catchlights; `continued`, and with whole features of the
     other face, where it was not seen."""
-    choice = chosen_features(face, other, model)
-    known = choice.kept | (trusted(face, model) & ~choice.taken)
-    guide = replace(other, albedo_linear=without_catchlights(other, model).astype(np.float32))
-    own = without_catchlights(face, model)
-    return continued(own, known, guide, choice.taken | (trusted(other, model) & ~choice.lost))
+    taken, kept = taken_features(face, other, model)
+    known = trusted(face, model) & ~taken
+    # What is missing of a feature that stays is not worth another person's lashes.
+    guide = taken | (trusted(other, model) & ~(kept & ~known))
+    detail = replace(other, albedo_linear=without_catchlights(other, model).astype(np.float32))
+    return continued(without_catchlights(face, model), known, detail, guide)
 
 
 def _gains(source: ProcessedFace, target: ProcessedFace, options: SwapOptions) -> FloatArray:

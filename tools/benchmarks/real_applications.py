@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from scan2albedo.applications import (
     swap_texture,
 )
 from scan2albedo.applications.files import PORTRAIT_LIGHT
-from scan2albedo.applications.skin_match import displacement, warped
+from scan2albedo.applications.skin_match import displacement, local_contrast, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -189,18 +189,14 @@ def bench_blend(results: Path, out: Path) -> None:
 def agreement_text(a: ProcessedFace, b: ProcessedFace) -> str:
     """Return how well the features of two skins lie on one another, as they are and as a blend moves them.
 
-    Correlation of their gradients of log V: what lies elsewhere is in the blend twice.
+    Correlation of the local contrast of log V: what lies elsewhere is in the blend twice.
     """
     whole = [continued_skin(a, b), continued_skin(b, a)]
     beside, parts = displacement(whole[0], whole[1], a.mask & b.mask), []
-    slopes = [
-        _slopes(replace(a, albedo_linear=np.asarray(skin, np.float32)))
-        for skin in (*whole, warped(whole[0], -beside / 2), warped(whole[1], beside / 2))
-    ]
+    skins = [*whole, warped(whole[0], -beside / 2), warped(whole[1], beside / 2)]
+    shown = [local_contrast(skin, a.mask & b.mask) for skin in skins]
     for name, texels in feature_texels(a).items():
-        before, after = (
-            np.corrcoef(slopes[i][texels].ravel(), slopes[i + 1][texels].ravel())[0, 1] for i in (0, 2)
-        )
+        before, after = (np.corrcoef(shown[i][texels], shown[i + 1][texels])[0, 1] for i in (0, 2))
         parts.append(f"{name} {before:.2f} to {after:.2f}")
     return "features agree: " + ", ".join(parts)
 
