@@ -81,7 +81,8 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedFaceModel | None = 
     value = albedo.max(-1)
     width = 2 * max(1, round(_CATCHLIGHT * side / 2)) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    most = np.maximum(cv2.morphologyEx(value, cv2.MORPH_OPEN, disc), _BRIGHTEST * face.level())
+    opened = cv2.GaussianBlur(cv2.morphologyEx(value, cv2.MORPH_OPEN, disc), (0, 0), width / 3)
+    most = np.maximum(opened, _BRIGHTEST * face.level())
     factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
     return np.asarray(albedo * factor[..., None])
 

@@ -45,7 +45,8 @@ def test_a_feature_that_both_lack_stays_and_so_does_a_small_gap(person):
     (a, eyes), (b, _) = (with_half_of(person(seed), "eyes") for seed in (0, 1))
     assert not taken_features(b, a)[0].any()
     # Nothing black is where neither was seen.
-    assert swap_texture(a, b).albedo_linear[eyes].max(-1).min() > 0.2 * a.level()
+    unseen = eyes & ~b.image.seen
+    assert swap_texture(a, b).albedo_linear[unseen].max(-1).min() > 10 * b.albedo_linear[unseen].max()
     whole = person(1)
     row, column = (at[0] for at in np.nonzero(eyes))
     seen = whole.mask.copy()
@@ -53,7 +54,7 @@ def test_a_feature_that_both_lack_stays_and_so_does_a_small_gap(person):
     nearly = replace(whole, image=replace(whole.image, texture_valid=seen))
     assert not taken_features(nearly, person(0))[0].any()
     made = swap_texture(person(0), nearly)
-    assert gradient_correlation(made, whole, eyes) > 0.99
+    assert gradient_correlation(made, whole, eyes) > 0.95
 
 
 def test_no_features_are_known_of_another_models_face(person):
