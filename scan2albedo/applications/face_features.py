@@ -52,17 +52,18 @@ def region_texels(
 def taken_features(
     face: ProcessedFace, other: ProcessedFace, model: AnnotatedFaceModel | None = None
 ) -> tuple[BoolArray, BoolArray]:
-    """Return (H, W) texels of the features that `other` is to give as a whole, and those of all the others.
+    """Return (H, W) texels of the features that `other` is to give as a whole, and those that stay.
 
     It gives those of which part was not seen in `face`, and at most half as much in `other`; with what is
-    close to them.
+    close to them. Of eyes and mouth all stays, for a gap is not worth another person's lashes; of brows and
+    nostrils, which are continued like skin, only what was seen.
     """
     taken, kept = np.zeros((2, *face.mask.shape), bool)
-    for texels in feature_texels(face, model).values():
+    for name, texels in feature_texels(face, model).items():
         missing, others = (float(np.mean(~given.image.seen[texels])) for given in (face, other))
         if missing > _WHOLE and others < missing / 2:
             taken |= texels
-        else:
+        elif name in ("eyes", "mouth"):
             kept |= texels
     return face.mask & grown(taken, _AROUND) & ~kept, kept
 

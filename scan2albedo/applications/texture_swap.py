@@ -96,9 +96,8 @@ def continued_skin(
     """Return (H, W, 3) the albedo of a face without catchlights; `continued`, and with whole features of the
     other face, where it was not seen."""
     taken, kept = taken_features(face, other, model)
-    known = trusted(face, model) & ~taken
-    # What is missing of a feature that stays is not worth another person's lashes.
-    guide = taken | (trusted(other, model) & ~(kept & ~known))
+    known = (trusted(face, model) | kept) & ~taken
+    guide = taken | trusted(other, model)
     detail = replace(other, albedo_linear=without_catchlights(other, model).astype(np.float32))
     return continued(without_catchlights(face, model), known, detail, guide)
 

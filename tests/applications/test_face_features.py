@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan2albedo.applications import blend_faces, swap_texture
+from scan2albedo.applications import SwapOptions, blend_faces, swap_texture
 from scan2albedo.applications.face_features import feature_texels, taken_features, without_catchlights
 
 
@@ -36,7 +36,7 @@ def test_half_seen_eyes_are_the_other_faces_as_a_whole(person):
     assert gradient_correlation(half_way, a, eyes) > 0.9
     # All the rest of the features is B's.
     for name, texels in feature_texels(a).items():
-        if name != "eyes":
+        if name == "mouth":
             assert kept[texels].all()
             assert not taken[texels].any()
 
@@ -44,9 +44,8 @@ def test_half_seen_eyes_are_the_other_faces_as_a_whole(person):
 def test_a_feature_that_both_lack_stays_and_so_does_a_small_gap(person):
     (a, eyes), (b, _) = (with_half_of(person(seed), "eyes") for seed in (0, 1))
     assert not taken_features(b, a)[0].any()
-    # Nothing black is where neither was seen.
-    unseen = eyes & ~b.image.seen
-    assert swap_texture(a, b).albedo_linear[unseen].max(-1).min() > 10 * b.albedo_linear[unseen].max()
+    made = swap_texture(a, b, options=SwapOptions(match_level=False))
+    np.testing.assert_allclose(made.albedo_linear[eyes], b.albedo_linear[eyes], rtol=1e-5)
     whole = person(1)
     row, column = (at[0] for at in np.nonzero(eyes))
     seen = whole.mask.copy()
@@ -54,7 +53,7 @@ def test_a_feature_that_both_lack_stays_and_so_does_a_small_gap(person):
     nearly = replace(whole, image=replace(whole.image, texture_valid=seen))
     assert not taken_features(nearly, person(0))[0].any()
     made = swap_texture(person(0), nearly)
-    assert gradient_correlation(made, whole, eyes) > 0.95
+    assert gradient_correlation(made, whole, eyes) > 0.99
 
 
 def test_no_features_are_known_of_another_models_face(person):
