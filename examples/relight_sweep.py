@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     applications = s2a.applications
     face = synthetic_face() if given.result is None else applications.load_result(given.result)
 
-    key, fill = s2a.PointLight(np.deg2rad(40), np.deg2rad(25), intensity=3.0), s2a.PointLight(-1.0, 0.0)
+    key = s2a.PointLight(np.deg2rad(40), np.deg2rad(25), intensity=3.0, radius_deg=4.0)
+    fill = s2a.PointLight(-1.0, 0.0, radius_deg=4.0)
     portrait = applications.relight(face, [key, fill])
     camera = applications.default_camera(face, shape, azimuth_rad=np.deg2rad(25))
     Image.fromarray(portrait.picture(camera, shape=shape).srgb()).save(given.out / "portrait.png")

@@ -18,7 +18,7 @@ from PIL import Image
 import scan2albedo as s2a
 from scan2albedo.applications import ProcessedFace
 
-LIGHT = s2a.PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
+LIGHT = s2a.PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=4.0)
 
 
 def synthetic_face(seed: int, size: int = 128) -> ProcessedFace:

@@ -2,14 +2,22 @@
 
 python tools/bench_applications.py relight       relit textures, albedo true and estimated, ten new lights
 python tools/bench_applications.py expression    expressions of measured and synthetic faces, given to another
+python tools/bench_applications.py swap          real faces with each other's skin: figures, and swap.png
+python tools/bench_applications.py blend         real faces blended half way: figures, and blend.png
+python tools/bench_applications.py relit         real faces under a lamp from three sides: relit.png
+
+The last three take processed scans from `--results FOLDER` (what is not there is processed into it first) and
+write pictures to `-o FOLDER`.
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from benchmarks.real_applications import bench_blend, bench_relit, bench_swap
 from benchmarks.scan_files import face_data
 
 import scan2albedo as s2a
@@ -225,12 +233,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["relight", "expression", "all"], nargs="?", default="all")
-    what = parser.parse_args().what
+    real = {"swap": bench_swap, "blend": bench_blend, "relit": bench_relit}
+    parser.add_argument("what", choices=["relight", "expression", *real, "all"], nargs="?", default="all")
+    parser.add_argument("--results", type=Path, default=Path("real_results"))
+    parser.add_argument("-o", "--out", type=Path, default=Path("real_pictures"))
+    given = parser.parse_args()
+    what = given.what
     if what in ("relight", "all"):
         bench_relight()
     if what in ("expression", "all"):
         bench_expression()
+    for name, bench in real.items():
+        if what in (name, "all"):
+            given.out.mkdir(parents=True, exist_ok=True)
+            bench(given.results, given.out)
 
 
 if __name__ == "__main__":

@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.texture_swap import continued, trusted
+from scan2albedo.applications.skin_match import displacement, skin_gains, warped
+from scan2albedo.applications.texture_swap import continued_skin
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ApplicationError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.lighting.shading import Reflectance
 
 _OWN_END = 0.05
 """Closer than this to weight 0 or 1 badly seen texels fade to the face's own: the ends are the faces."""
 
 
-def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> ProcessedFace:
+def blend_faces(
+    a: ProcessedFace,
+    b: ProcessedFace,
+    weight: float = 0.5,
+    *,
+    model: AnnotatedFaceModel | None = None,
+) -> ProcessedFace:
     """Return the face `weight` of the way from A to B, in shape and skin.
 
-    Positions are blended linearly on the chart that both share; normals follow the new surface. The albedos
-    are scaled to one level, the geometric mean of theirs by weight, and then blended linearly: an albedo's
-    level depends on the scan's exposure, and the brighter scan would dominate. Where the texture of one face
-    was not seen, for example under hair, the detail of the other is continued in its colours, as in
-    `swap_texture`; where neither was seen the colour is continued smoothly.
+    Positions are blended linearly on the chart that both share; normals follow the new surface. The skins are
+    scaled to one colour, the geometric mean of theirs by weight, and then blended linearly: level and tint of
+    an albedo depend on the scan's light, and the brighter scan would dominate. Features that lie on texels a
+    little apart are moved onto one another first (`skin_match.displacement`), so that none is there twice.
+    Where the texture of one face was not seen, for example under hair, the detail of the other is continued
+    in its colours, and eyes, brows, nostrils and mouth of which a part was not seen are the other's as a
+    whole, as in `swap_texture`; where neither was seen the colour is continued smoothly.
 
     Parameters
     ----------
@@ -32,6 +43,8 @@ def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> Proc
         Of one model and size.
     weight : float
         In [0, 1]: 0 is A, 1 is B. The lights are those of the nearer one.
+    model : AnnotatedFaceModel, optional
+        With which the faces were processed; the default model when omitted.
 
     Raises
     ------
@@ -44,6 +57,7 @@ def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> Proc
         )
     a, b = on_common_chart(a, b)
     nearer, gains = (a if weight < 0.5 else b), _gains(a, b, weight)
+    levels = (float(np.exp(np.log(gains[0]).mean())), float(np.exp(np.log(gains[1]).mean())))
     mask = a.mask
     vertices = _between(a.mesh.vertices, b.mesh.vertices, weight)
     mesh = replace(nearer.mesh, vertices=vertices)
@@ -59,28 +73,41 @@ def blend_faces(a: ProcessedFace, b: ProcessedFace, weight: float = 0.5) -> Proc
         texture_valid=a.image.seen & b.image.seen,
         specular_scale=_between_maps(a.image.specular_scale, b.image.specular_scale, weight),
     )
-    albedo = _between(gains[0] * _whole_skin(a, b, weight), gains[1] * _whole_skin(b, a, 1 - weight), weight)
+    skins = (
+        gains[0] * _whole_skin(a, b, weight, model),
+        gains[1] * _whole_skin(b, a, 1 - weight, model),
+    )
+    albedo = skins[round(weight)] if weight in (0, 1) else _met(*skins, mask, weight)
     return replace(
         shaped,
         name=f"{a.name}+{b.name}",
         image=image,
         albedo_linear=albedo.astype(np.float32),
-        reflectance=_blended_reflectance(a.reflectance, b.reflectance, weight, gains),
+        reflectance=_blended_reflectance(a.reflectance, b.reflectance, weight, levels),
         casts_shadows=a.casts_shadows or b.casts_shadows,
     )
+
+
+def _met(a: FloatArray, b: FloatArray, mask: BoolArray, weight: float) -> FloatArray:
+    """Return (H, W, 3) the albedo between two whose features move toward one another, A's by `weight`."""
+    beside = displacement(a, b, mask)
+    first, second = (filled_from_nearest(albedo, mask) for albedo in (a, b))
+    return _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
 
 
 def _between(a: NDArray, b: NDArray, weight: float | NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((1 - weight) * a + weight * b, np.float64)
 
 
-def _whole_skin(face: ProcessedFace, other: ProcessedFace, weight: float) -> NDArray[np.float64]:
+def _whole_skin(
+    face: ProcessedFace, other: ProcessedFace, weight: float, model: AnnotatedFaceModel | None
+) -> NDArray[np.float64]:
     """Return (H, W, 3) the albedo, continued where it was badly seen unless `weight` of `other` is low."""
-    own, known = face.albedo_linear.astype(np.float64), trusted(face)
+    own = face.albedo_linear.astype(np.float64)
     share = min(weight / _OWN_END, 1.0)
     if share == 0:
         return own
-    return _between(own, continued(own, known, other, trusted(other)), share)
+    return _between(own, continued_skin(face, other, model), share)
 
 
 def _between_maps(a: NDArray | None, b: NDArray | None, weight: float) -> NDArray | None:
@@ -89,13 +116,10 @@ def _between_maps(a: NDArray | None, b: NDArray | None, weight: float) -> NDArra
     return _between(a, b, weight)
 
 
-def _gains(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[float, float]:
-    """Return what brings A's and B's albedo to the level between theirs."""
-    levels = a.level(), b.level()
-    if min(levels) <= 0:
-        return 1.0, 1.0
-    common = math.exp((1 - weight) * math.log(levels[0]) + weight * math.log(levels[1]))
-    return common / levels[0], common / levels[1]
+def _gains(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[FloatArray, FloatArray]:
+    """Return (3,) each: what brings A's and B's skin to the colour between theirs."""
+    toward_b = skin_gains(a, b)
+    return toward_b**weight, toward_b ** (weight - 1)
 
 
 def _blended_reflectance(

@@ -13,13 +13,17 @@ from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, Processe
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core.arguments import described
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.geometry_image_files import read_image_and_albedo, write_geometry_image
+from scan2albedo.io.geometry_image_files import (
+    read_geometry_image,
+    read_image_and_albedo,
+    write_geometry_image,
+)
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record, write_record
@@ -42,7 +46,7 @@ FILES = frozenset(
     {"application.json", "geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "picture.png"}
 )
 """Every file of a face that an application made."""
-PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
+PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
 _SAME_PLACE_MM = 0.01
 """GLB files hold metres with 24 bits: a vertex of a face is off by far less."""
@@ -68,7 +72,7 @@ class ProcessedScan(Protocol):
         """None for a scan without colour."""
 
 
-def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
+def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True) -> ProcessedFace:
     """Return the processed face of a scan's folder ``OUT/<scan name>``, of what an application wrote, or of a
     `ProcessResult`.
 
@@ -77,29 +81,34 @@ def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
     source : path or ProcessResult
         A folder needs result.json (or application.json), geometry_image.npz and albedo.exr, and fitted.glb
         unless it was processed without a model.
+    need_albedo : bool
+        False takes a result without an albedo too, as a shape in grey: its `has_albedo` is False.
 
     Raises
     ------
     ApplicationError
         When a file is missing, cannot be read, or belongs to another result; the message names it. When the
-        result has no albedo.
+        result has no albedo, and it is needed.
     TypeError
         For anything else than a path and a result.
     """
     if isinstance(source, str | Path):
-        return _from_folder(Path(source))
+        return _from_folder(Path(source), need_albedo)
     if not hasattr(source, "albedo"):
         raise TypeError(
             f"load_result: source is {described(source)}, expected str or Path of a result's folder or a "
             "ProcessResult"
         )
     estimate, fitted, image = source.albedo, source.fitted, source.geometry_image
+    mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
+    model_name = NO_MODEL if fitted is None else fitted.model.name
     if estimate is None:
+        if not need_albedo:
+            return ProcessedFace.shape_alone(source.scan.name, image, mesh, model_name)
         raise ApplicationError(
             f"{source.scan.name}: has no albedo, for the scan has no colour or the stage was skipped; "
             "process a coloured scan with the stage albedo"
         )
-    mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
     return ProcessedFace(
         source.scan.name,
         image,
@@ -107,7 +116,7 @@ def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
         estimate.reflectance,
         estimate.lights,
         mesh,
-        NO_MODEL if fitted is None else fitted.model.name,
+        model_name,
         estimate.casts_shadows,
         estimate.view_direction,
         estimate.shadow_offset_mm,
@@ -115,15 +124,16 @@ def load_result(source: str | Path | ProcessedScan) -> ProcessedFace:
     )
 
 
-def _from_folder(folder: Path) -> ProcessedFace:
+def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if not folder.is_dir():
         raise ApplicationError(
             f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
         )
     try:
         if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
-            return _of_scan(folder, read_record(_present(folder, RESULT_FILE), ResultRecord))
-        return _of_application(folder, read_record(folder / APPLICATION_FILE, ApplicationRecord))
+            return _of_scan(folder, read_record(_present(folder, RESULT_FILE), ResultRecord), need_albedo)
+        record = read_record(folder / APPLICATION_FILE, ApplicationRecord)
+        return _of_application(folder, record, need_albedo)
     except ApplicationError:
         raise
     except Scan2AlbedoError as error:
@@ -131,13 +141,22 @@ def _from_folder(folder: Path) -> ProcessedFace:
         raise ApplicationError(text) from error
 
 
-def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
-    if not record.parameters:
+def _shape_alone(folder: Path, name: str, model: str, chart_mesh: bool, need_albedo: bool) -> ProcessedFace:
+    """Return the face of a folder without an albedo; ApplicationError where it is needed."""
+    if need_albedo:
         raise ApplicationError(
-            f"{folder / RESULT_FILE}: holds no albedo, for the scan has no colour or the stage was "
-            "skipped; process a coloured scan with the stage albedo"
+            f"{folder}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
+            "coloured scan with the stage albedo"
         )
+    image = read_geometry_image(_present(folder, "geometry_image.npz"))
+    mesh = FaceMesh.of_chart(image) if chart_mesh else fitted_mesh(folder, image)
+    return ProcessedFace.shape_alone(name, image, mesh, model)
+
+
+def _of_scan(folder: Path, record: ResultRecord, need_albedo: bool) -> ProcessedFace:
     model = str(record.options.get("model", NO_MODEL))
+    if not record.parameters:
+        return _shape_alone(folder, record.name, model, model == NO_MODEL, need_albedo)
     image, albedo = read_image_and_albedo(folder)
     return ProcessedFace(
         record.name,
@@ -152,7 +171,9 @@ def _of_scan(folder: Path, record: ResultRecord) -> ProcessedFace:
     )
 
 
-def _of_application(folder: Path, record: ApplicationRecord) -> ProcessedFace:
+def _of_application(folder: Path, record: ApplicationRecord, need_albedo: bool) -> ProcessedFace:
+    if not record.reflectance:
+        return _shape_alone(folder, record.name, record.model, record.chart_mesh, need_albedo)
     image, albedo = read_image_and_albedo(folder)
     return ProcessedFace(
         record.name,
@@ -240,7 +261,7 @@ def write_face(
     """Write the face that an application made into a folder, whole or not at all; return the folder.
 
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
-    portrait light, and application.json, which comes last.
+    portrait light, and application.json, which comes last. A shape alone has no file of an albedo.
 
     Parameters
     ----------
@@ -275,13 +296,16 @@ def write_face(
 
 def _write_images(face: ProcessedFace, folder: Path) -> None:
     write_geometry_image(folder / "geometry_image.npz", face.image)
-    write_exr(folder / "albedo.exr", face.albedo_linear)
-    factor = auto_exposure(face.albedo_linear[face.mask])
-    preview = encode_srgb_bytes(np.clip(factor * filled_from_nearest(face.albedo_linear, face.mask), 0, 1))
-    on_white = np.where(face.mask[..., None], preview, np.uint8(255))
-    alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
-    write_png(folder / "albedo.png", np.dstack([on_white, alpha]))
-    write_glb(folder / "fitted.glb", face.mesh.vertices, face.mesh.faces, face.mesh.uv, preview)
+    mesh, preview = face.mesh, None
+    if face.has_albedo:
+        write_exr(folder / "albedo.exr", face.albedo_linear)
+        factor = auto_exposure(face.albedo_linear[face.mask])
+        filled = filled_from_nearest(face.albedo_linear, face.mask)
+        preview = encode_srgb_bytes(np.clip(factor * filled, 0, 1))
+        on_white = np.where(face.mask[..., None], preview, np.uint8(255))
+        alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
+        write_png(folder / "albedo.png", np.dstack([on_white, alpha]))
+    write_glb(folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
     write_png(folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
 
 
@@ -304,7 +328,9 @@ def _record(
         casts_shadows=face.casts_shadows,
         view_direction=face.view_direction,
         shadow_offset_mm=face.shadow_offset_mm,
-        reflectance={
+        reflectance={}
+        if not face.has_albedo
+        else {
             "brdf": skin.brdf,
             "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
             "specular_strength": skin.specular_strength,

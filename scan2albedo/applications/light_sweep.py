@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.io.atomic import result_folder, write_bytes
 from scan2albedo.io.images import write_png
 
@@ -26,6 +26,7 @@ def light_arc(
     elevation_rad: float = math.radians(15),
     distance_mm: float = math.inf,
     intensity: float = 3.0,
+    radius_deg: float = LAMP_RADIUS_DEG,
 ) -> list[PointLight]:
     """Return `count` places of a light that goes around the face from one azimuth to another.
 
@@ -39,6 +40,8 @@ def light_arc(
         From the model's origin; inf is a distant light.
     intensity : float
         Relative to ambient light 1.
+    radius_deg : float
+        Angular radius of the light: how soft its shadows are.
 
     Raises
     ------
@@ -53,7 +56,7 @@ def light_arc(
     if not np.isfinite([first_rad, last_rad, elevation_rad]).all():
         raise ValueError(f"angles must be finite, got {first_rad}, {last_rad} and {elevation_rad}")
     return [
-        PointLight(float(azimuth), elevation_rad, distance_mm, intensity)
+        PointLight(float(azimuth), elevation_rad, distance_mm, intensity, radius_deg=radius_deg)
         for azimuth in np.linspace(first_rad, last_rad, count)
     ]
 

@@ -89,6 +89,8 @@ class ProcessedFace:
     """Of shadow rays."""
     environment: EnvironmentLight | None = None
     """The soft light of the scan; None is a white ambient light of 1."""
+    has_albedo: bool = True
+    """False for a shape alone: the albedo is then an even grey."""
 
     def __post_init__(self) -> None:
         albedo = np.asarray(self.albedo_linear, np.float32)
@@ -139,6 +141,12 @@ class ProcessedFace:
         """
         albedo = np.asarray(albedo_linear, np.float32)
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
+
+    @classmethod
+    def shape_alone(cls, name: str, image: GeometryImage, mesh: FaceMesh, model_name: str) -> ProcessedFace:
+        """Return a face without colour, in grey."""
+        grey = np.full((*image.shape, 3), 0.5, np.float32)
+        return cls(name, image, grey, Reflectance("lambert"), (), mesh, model_name, has_albedo=False)
 
     @property
     def mask(self) -> BoolArray:

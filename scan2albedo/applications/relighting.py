@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.applications.face_features import feature_texels
+from scan2albedo.applications.face_gaps import without_gaps
 from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, photograph
-from scan2albedo.applications.processed_face import ProcessedFace, on_grid
+from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace, on_grid
 from scan2albedo.applications.scene_light import SceneLight, shade
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray
@@ -23,6 +26,16 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import write_glb
 from scan2albedo.lighting.shadow_map import ShadowMap
 
+Gloss = Literal["auto", "found", "none"]
+
+SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
+"""Usual highlight of skin as a part of its albedo's level, and Phong's exponent. A dielectric of index 1.4
+reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
+at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
+
+_SKIN_BLUR = 0.01
+"""Of the image's side: over what the likelihood of bare skin is averaged."""
+
 
 @dataclass(frozen=True)
 class RelightOptions:
@@ -32,6 +45,15 @@ class RelightOptions:
     """Cast shadows; None casts them when the estimate found that the surface shades itself."""
     environment_lights: int = 128
     """Distant lights that stand for an environment map; their mean distance is 18 degrees."""
+    gloss: Gloss = "auto"
+    """"found" is the highlight of the estimate, "none" leaves it off; "auto" gives a face fitted with a model
+    skin's usual highlight where the estimate found none."""
+    fill_gaps: bool = True
+    """Put smooth skin where none was seen and on dark sides before the ears, which are black patches else."""
+
+    def __post_init__(self) -> None:
+        if self.gloss not in get_args(Gloss):
+            raise ValueError(f"gloss is {self.gloss!r}, expected one of {get_args(Gloss)}")
 
 
 @dataclass(frozen=True)
@@ -40,7 +62,7 @@ class RelitFace:
 
     face: ProcessedFace
     light: SceneLight
-    """`face`, `light`: what is lit, and by what."""
+    """`face`, `light`: what is lit, with its gloss and without gaps, and by what."""
     texture_linear: NDArray[np.float32]
     """(H, W, 3): albedo times `diffuse`, plus `specular`; 0 outside the mask, not clipped."""
     diffuse: NDArray[np.float32]
@@ -48,6 +70,8 @@ class RelitFace:
     """`diffuse`, `specular`: (H, W, 3)."""
     shadows: bool
     """Whether shadows were cast."""
+    notes: tuple[str, ...] = ()
+    """What was assumed or filled, for people."""
 
     def picture(
         self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
@@ -91,8 +115,10 @@ def relight(
 
         T = A (I_a + sum_k V_k E_k f(n, l_k, v)) + k_s sum_k V_k E_k phong(n, l_k, v)
 
-    with the reflectance that the estimate found: linear in the light, highlights in the colour of their lamp.
-    ``relight(face, face.lights, environment=face.environment)`` is the light of the scan.
+    with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`:
+    linear in the light, highlights in the colour of their lamp.
+    ``relight(face, face.lights, environment=face.environment, options=RelightOptions(gloss="found"))`` is the
+    light of the scan.
 
     Parameters
     ----------
@@ -157,6 +183,7 @@ def relight(
         soft=environment,
     )
     shadows = face.casts_shadows if options.shadows is None else options.shadows
+    face, notes = _prepared(face, options)
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
     shadow_map = ShadowMap(
@@ -169,7 +196,42 @@ def relight(
     lit = shade(shadow_map, light, face.reflectance, view / np.linalg.norm(view), scale)
     texture = face.albedo_linear[mask].astype(np.float64) * lit.diffuse + lit.specular
     pictures = [_chart_image(face, values) for values in (texture, lit.diffuse, lit.specular)]
-    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows)
+    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows, notes)
+
+
+def _prepared(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, tuple[str, ...]]:
+    """Return the face as it is lit, and what was done to it."""
+    notes = []
+    if options.fill_gaps:
+        filled = without_gaps(face)
+        if filled is not face:
+            part = np.mean((filled.albedo_linear != face.albedo_linear).any(-1)[face.mask])
+            notes.append(
+                f"{100 * part:.1f} % of the face was filled from beside it: not seen, or dark at its sides"
+            )
+        face = filled
+    skin = face.reflectance
+    if options.gloss == "none":
+        skin = replace(skin, specular_strength=0.0)
+    elif options.gloss == "auto" and skin.specular_strength == 0 and face.model_name != NO_MODEL:
+        skin = replace(skin, specular_strength=SKIN_GLOSS * face.level(), exponent=SKIN_EXPONENT)
+        face = replace(face, image=replace(face.image, specular_scale=_skin_scale(face)))
+        notes.append("no highlight was found, so skin's usual one is assumed")
+    return replace(face, reflectance=skin), tuple(notes)
+
+
+def _skin_scale(face: ProcessedFace) -> NDArray[np.float32] | None:
+    """Return (H, W) the annotation's scale of highlights, lower where the texture shows hair, no skin."""
+    scale, skin = face.image.specular_scale, face.image.skin
+    if skin is None:
+        return scale
+    import cv2
+
+    features = feature_texels(face)
+    glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
+    bare = np.where(np.logical_or.reduce(glossy), 1.0, skin).astype(np.float64)
+    smooth = cv2.GaussianBlur(bare, (0, 0), _SKIN_BLUR * max(skin.shape))
+    return np.asarray(smooth if scale is None else smooth * scale, np.float32)
 
 
 def _chart_image(face: ProcessedFace, values: FloatArray) -> NDArray[np.float32]:

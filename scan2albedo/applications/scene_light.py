@@ -17,6 +17,9 @@ from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
+_LAMP_POINTS = 96
+"""Of the disc that stands for a lamp of some size: fewer show as steps in a shadow's edge."""
+
 
 @dataclass(frozen=True)
 class SceneLight:
@@ -109,7 +112,7 @@ def shade(
     ):
         if not intensity.any():
             continue
-        visible = shadows.reached(direction, float(distance), float(radius))
+        visible = shadows.reached(direction, float(distance), float(radius), _LAMP_POINTS)
         factors = lamp_factors(position, normal, visible, direction, 1 / distance, toward_viewer, reflectance)
         diffuse += factors.diffuse[:, None] * intensity
         if reflectance.specular_strength > 0:

@@ -7,9 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
+from scan2albedo.applications.face_features import taken_features, without_catchlights
+from scan2albedo.applications.face_gaps import dark_sides
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
+from scan2albedo.applications.skin_match import level_gain, skin_gains
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.face_model import AnnotatedFaceModel
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either."""
@@ -30,22 +34,32 @@ class SwapOptions:
     match_level: bool = True
     """Scale B's albedo to A's level: an albedo's level depends on its own scan's exposure, and A's lights are
     in A's unit."""
+    match_color: bool = True
+    """Scale each channel, so that B's skin gets the colour of A's: the tint of a scan's light stays in its
+    albedo. Complexion goes with it. Without `match_level` nothing is scaled."""
 
 
 def swap_texture(
-    a: ProcessedFace, b: ProcessedFace, *, options: SwapOptions = SwapOptions()
+    a: ProcessedFace,
+    b: ProcessedFace,
+    *,
+    options: SwapOptions = SwapOptions(),
+    model: AnnotatedFaceModel | None = None,
 ) -> ProcessedFace:
     """Return A's geometry with B's albedo and reflectance, under A's lights.
 
     Where B's texture was not seen, A's detail is continued in B's colours: its gradients of log albedo are
     integrated from the border of B's seen texels, so that no seam is left (Perez, Gangnet, Blake, "Poisson
-    image editing", SIGGRAPH 2003). Where A's was not seen either the colour is continued smoothly.
+    image editing", SIGGRAPH 2003). Where A's was not seen either the colour is continued smoothly. Eyes,
+    brows, nostrils and mouth are whole: A's where B's scan lacks part of them and A's has it, else B's.
 
     Parameters
     ----------
     a, b : ProcessedFace
         Of one model and size.
     options : SwapOptions
+    model : AnnotatedFaceModel, optional
+        With which the faces were processed; the default model when omitted.
 
     Raises
     ------
@@ -58,10 +72,9 @@ def swap_texture(
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
     require_type(options, SwapOptions, "swap_texture: options", "make them with SwapOptions()")
     shape, skin = on_common_chart(a, b)
-    gain = _gain(skin, shape) if options.match_level else 1.0
-    albedo = gain * skin.albedo_linear.astype(np.float64)
-    albedo = continued(albedo, trusted(skin), shape, trusted(shape))
-    strength = gain * skin.reflectance.specular_strength
+    gains = _gains(skin, shape, options)
+    albedo = gains * continued_skin(skin, shape, model)
+    strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(
         shape.image,
         texture_linear=None,
@@ -77,18 +90,34 @@ def swap_texture(
     )
 
 
-def _gain(source: ProcessedFace, target: ProcessedFace) -> float:
-    level = source.level()
-    return target.level() / level if level > 0 and target.level() > 0 else 1.0
+def continued_skin(
+    face: ProcessedFace, other: ProcessedFace, model: AnnotatedFaceModel | None = None
+) -> FloatArray:
+    """Return (H, W, 3) the albedo of a face without catchlights; `continued`, and with whole features of the
+    other face, where it was not seen."""
+    taken, kept = taken_features(face, other, model)
+    known = (trusted(face, model) | kept) & ~taken
+    guide = taken | trusted(other, model)
+    detail = replace(other, albedo_linear=without_catchlights(other, model).astype(np.float32))
+    return continued(without_catchlights(face, model), known, detail, guide)
 
 
-def trusted(face: ProcessedFace) -> BoolArray:
-    """Return (H, W) texels that were seen, without those close to one that was not."""
+def _gains(source: ProcessedFace, target: ProcessedFace, options: SwapOptions) -> FloatArray:
+    if not options.match_level:
+        return np.ones(3)
+    if options.match_color:
+        return skin_gains(source, target)
+    return np.full(3, level_gain(source, target))
+
+
+def trusted(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> BoolArray:
+    """Return (H, W) texels that were seen, without those close to one that was not, and without hair or black
+    at the sides."""
     import cv2
 
     unseen = (face.mask & ~face.image.seen).astype(np.uint8)
     near = cv2.dilate(unseen, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
-    return np.asarray(face.mask & (near == 0))
+    return np.asarray(face.mask & (near == 0) & ~dark_sides(face, model))
 
 
 def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:

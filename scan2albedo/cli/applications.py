@@ -34,17 +34,23 @@ def swap(
     b: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the skin.")],
     out: OutFolder,
     keep_level: Annotated[
-        bool, typer.Option("--keep-level", help="Leave B's albedo at its own level, not A's.")
+        bool, typer.Option("--keep-level", help="Leave B's albedo at its own level and colour, not A's.")
     ] = False,
+    keep_color: Annotated[
+        bool, typer.Option("--keep-color", help="Leave B's skin its own colour, at A's level.")
+    ] = False,
+    model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Give A's shape B's skin."""
     from scan2albedo.applications import SwapOptions, load_result, swap_texture
+    from scan2albedo.face_model import chosen_model
 
     _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
-    made = swap_texture(first, second, options=SwapOptions(match_level=not keep_level))
-    _write_face(made, out, "swap", [first, second], {"match_level": not keep_level}, json_summary)
+    chosen = {"match_level": not keep_level, "match_color": not (keep_level or keep_color)}
+    made = swap_texture(first, second, options=SwapOptions(**chosen), model=chosen_model(model))
+    _write_face(made, out, "swap", [first, second], chosen, json_summary)
 
 
 def blend(
@@ -52,16 +58,18 @@ def blend(
     b: Result,
     out: OutFolder,
     weight: Annotated[float, typer.Option(help="0 is all A, 1 is all B.")] = 0.5,
+    model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Make a face between two, in shape and skin."""
     from scan2albedo.applications import blend_faces, load_result
+    from scan2albedo.face_model import chosen_model
 
     if not 0 <= weight <= 1:
         raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
     _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
-    made = blend_faces(first, second, weight)
+    made = blend_faces(first, second, weight, model=chosen_model(model))
     _write_face(made, out, "blend", [first, second], {"weight": weight}, json_summary)
 
 
@@ -81,7 +89,7 @@ def transfer_expression(
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
-    """Give B's face the expression of A's."""
+    """Give B's face the expression of A's; the scans need no colour."""
     from scan2albedo import applications
     from scan2albedo.applications.expression_transfer import level_to_refine
     from scan2albedo.face_model import chosen_model
@@ -92,8 +100,8 @@ def transfer_expression(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     _check_new_folder(out, [neutral_a, expression_a, neutral_b])
-    load = applications.load_result
-    faces = [load(neutral_a), load(expression_a), load(neutral_b)]
+    given = (neutral_a, expression_a, neutral_b)
+    faces = [applications.load_result(folder, need_albedo=False) for folder in given]
     template = chosen_model(model)
     made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
     refined = level_to_refine(faces[0].mesh, options, template) is not None
@@ -122,7 +130,7 @@ def personal_model(
     template = chosen_model(model)
     if template is None:
         raise typer.BadParameter("--model none has no shape to make a person's of")
-    face = applications.load_result(result)
+    face = applications.load_result(result, need_albedo=False)
     stop_cleanly_on_interrupt(None)
     applications.personal_model(face, template).save(out)
     say(f"{face.name}: personal model in {out}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
+from scan2albedo.core.point_light import LAMP_RADIUS_DEG
 
 if TYPE_CHECKING:
     from scan2albedo.applications import ProcessedFace, RelitFace
@@ -40,6 +41,28 @@ def relight(
         Path | None,
         typer.Option(help="Latitude-longitude picture that lights the face: .exr, .hdr or any other."),
     ] = None,
+    lamp_radius: Annotated[
+        float,
+        typer.Option(
+            help="Size of each lamp: angular radius in degrees as seen from the face, which makes edges "
+            "of shadows soft; 0 is a point.",
+            min=0,
+            max=89,
+        ),
+    ] = LAMP_RADIUS_DEG,
+    gloss: Annotated[
+        str,
+        typer.Option(
+            help="auto: the highlight that the estimate found, or skin's usual one where it found none; "
+            "found; none."
+        ),
+    ] = "auto",
+    keep_gaps: Annotated[
+        bool,
+        typer.Option(
+            "--keep-gaps", help="Leave places that were not seen, and hair before the ears, as they are."
+        ),
+    ] = False,
     ambient: Annotated[
         float | None, typer.Option(help="Light without direction; 1, or 0 with an environment.", min=0)
     ] = None,
@@ -64,7 +87,7 @@ def relight(
     json_summary: JsonOption = False,
 ) -> None:
     """Show a processed face under other light, with its shadows."""
-    lights = [_light(text) for text in light or ()]
+    lights = [_light(text, lamp_radius) for text in light or ()]
     camera_at = _angles("--view", view, 2, 2)
     extension = out.suffix.lower()
     _check_output(extension, sweep, texture)
@@ -78,6 +101,10 @@ def relight(
     from scan2albedo import applications
     from scan2albedo.io.images import read_image_linear
 
+    try:
+        options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise typer.BadParameter(f"--gloss: {error}") from None
     stop_cleanly_on_interrupt(None)
     face = applications.load_result(result)
     azimuth, elevation = (math.radians(angle) for angle in camera_at)
@@ -85,15 +112,20 @@ def relight(
         camera = applications.default_camera(face, (size, size), azimuth_rad=azimuth, elevation_rad=elevation)
     except ValueError as error:
         raise typer.BadParameter(f"--view {view}: {error}") from None
+    map_linear = None if environment is None else read_image_linear(environment)
+    relit = applications.relight(
+        face, lights, environment_linear=map_linear, ambient=ambient, options=options
+    )
+    for note in relit.notes:
+        say(f"{face.name}: {note}")
     if sweep is not None:
-        _write_sweep(face, lights, sweep, ambient, camera, size, exposure, out)
+        _write_sweep(relit.face, lights, sweep, lamp_radius, ambient, camera, size, exposure, out)
     else:
-        map_linear = None if environment is None else read_image_linear(environment)
-        relit = applications.relight(face, lights, environment_linear=map_linear, ambient=ambient)
         _write_relit(relit, camera, size, texture, exposure, out)
     say(f"{face.name}: relit; {out}")
     if json_summary:
-        echo_json({"face": face.name, "status": "done", "out": str(out), "lights": len(lights)})
+        summary = {"face": face.name, "status": "done", "out": str(out), "lights": len(lights)}
+        echo_json({**summary, "notes": list(relit.notes)})
 
 
 def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
@@ -121,6 +153,7 @@ def _write_sweep(
     face: ProcessedFace,
     others: list[PointLight],
     count: int,
+    lamp_radius: float,
     ambient: float | None,
     camera: Any,
     size: int,
@@ -129,9 +162,18 @@ def _write_sweep(
 ) -> None:
     from scan2albedo import applications
 
-    places = applications.light_arc(count, intensity=LAMP_INTENSITY)
+    places = applications.light_arc(count, intensity=LAMP_INTENSITY, radius_deg=lamp_radius)
+    as_prepared = applications.RelightOptions(gloss="found", fill_gaps=False)
     pictures = list(
-        applications.sweep(face, places, others=others, ambient=ambient, camera=camera, shape=(size, size))
+        applications.sweep(
+            face,
+            places,
+            others=others,
+            ambient=ambient,
+            camera=camera,
+            shape=(size, size),
+            options=as_prepared,
+        )
     )
     frames = applications.frames_srgb(pictures, exposure)
     if out.suffix.lower() == ANIMATED:
@@ -161,7 +203,7 @@ def _write_relit(
         write_image(out, picture.srgb(exposure))
 
 
-def _light(text: str) -> PointLight:
+def _light(text: str, radius_deg: float) -> PointLight:
     from scan2albedo.core import PointLight
 
     numbers = _angles("--light", text, 2, 4)
@@ -169,7 +211,9 @@ def _light(text: str) -> PointLight:
     distance = numbers[3] if len(numbers) > 3 else math.inf
     if intensity < 0 or distance <= 0:
         raise typer.BadParameter(f"--light {text}: intensity may not be negative, a distance is above 0")
-    return PointLight(math.radians(numbers[0]), math.radians(numbers[1]), distance, intensity)
+    return PointLight(
+        math.radians(numbers[0]), math.radians(numbers[1]), distance, intensity, radius_deg=radius_deg
+    )
 
 
 def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MEAN_TOLERANCE = 1e-6
+LAMP_RADIUS_DEG = 4.0
+"""Angular radius of a usual lamp for portraits: 30 cm across, two metres away."""
 
 
 @dataclass(frozen=True)

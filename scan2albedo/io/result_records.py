@@ -212,7 +212,9 @@ class ApplicationRecord(Record):
     casts_shadows: bool
     view_direction: tuple[float, float, float] = Field(description="Unit, toward the viewer.")
     shadow_offset_mm: float = Field(ge=0)
-    reflectance: Figures = Field(description="Under the names that result.json has for its parameters.")
+    reflectance: Figures = Field(
+        description="Under the names that result.json has for its parameters; empty for a shape alone."
+    )
     lights: tuple[LightRecord, ...] = ()
     environment: EnvironmentRecord | None = Field(None, description="As in result.json.")
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")

@@ -16,7 +16,8 @@ _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
 
 _DISC, _RIM = 16, 5
-"""Points that stand for a lamp of some size, and how many of them, the outermost, tell whether all count."""
+"""Points that stand for a lamp of some size, and how many of them at least, the outermost, tell whether all
+count: a sixth of more."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,16 @@ class ShadowMap:
         return result
 
     def reached(
-        self, direction: ArrayLike, distance_mm: float = math.inf, radius_deg: float = 0.0
+        self,
+        direction: ArrayLike,
+        distance_mm: float = math.inf,
+        radius_deg: float = 0.0,
+        points: int = _DISC,
     ) -> NDArray:
         """Return (N,) the part of a lamp that reaches each point: uint8 of a point, else float32 in [0, 1].
 
-        A lamp of an angular radius is a disc of `_DISC` points, each weighed by its cosine to the surface.
+        A lamp of an angular radius is a disc of so many `points`, each weighed by its cosine to the surface.
+        A shadow's edge has as many steps: pictures need about a hundred.
         """
         if radius_deg == 0:
             return self.visible(direction, distance_mm)
@@ -78,7 +84,8 @@ class ShadowMap:
         spread = radius / np.maximum(length - radius / 2, 1e-9)
         result = (cosine > self._above + spread).astype(np.float32)
         unsure = np.flatnonzero((result == 0) & (cosine > -spread))
-        result[unsure] = self._some(unsure)._parts(disc_directions(direction, radius_deg, _DISC), distance_mm)
+        disc = disc_directions(direction, radius_deg, points)
+        result[unsure] = self._some(unsure)._parts(disc, distance_mm)
         return result
 
     def _some(self, index: NDArray[np.intp]) -> ShadowMap:
@@ -88,10 +95,11 @@ class ShadowMap:
 
     def _parts(self, directions: FloatArray, distance_mm: float) -> FloatArray:
         """Return (N,) the part of the lamp's points in `directions` (K, 3), its rim last, that is seen."""
-        seen, facing = self._seen(directions[-_RIM:], distance_mm)
+        inner = len(directions) - max(_RIM, len(directions) // 6)
+        seen, facing = self._seen(directions[inner:], distance_mm)
         # Where the rim is hidden or seen as a whole, so is the rest.
         partly = np.flatnonzero((seen > 0) & (seen < facing))
-        more, most = self._some(partly)._seen(directions[:-_RIM], distance_mm)
+        more, most = self._some(partly)._seen(directions[:inner], distance_mm)
         seen[partly] += more
         facing[partly] += most
         return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0)

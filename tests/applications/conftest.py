@@ -37,7 +37,7 @@ def _person(seed=0, expression="neutral", size=SIZE):
         made.albedo_linear,
         reflectance=reflectance,
         lights=made.lights,
-        model_name="default",
+        model_name=s2a.AnnotatedFaceModel.default().name,
     )
 
 

@@ -17,7 +17,7 @@ def test_sizes_models_and_charts_must_agree(person, apply):
     a, b = person(0), person(1)
     with pytest.raises(ApplicationError, match=r"person0 and person1.*64 x 64 and 32 x 32.*--size"):
         apply(a, person(1, size=32))
-    with pytest.raises(ApplicationError, match="different models, 'default' and 'mine'"):
+    with pytest.raises(ApplicationError, match="different models, 'default annotated face model' and 'mine'"):
         apply(a, replace(b, model_name="mine"))
     with pytest.raises(ApplicationError, match="without a model"):
         apply(

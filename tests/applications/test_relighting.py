@@ -248,3 +248,49 @@ def test_inputs_stay_as_they_were(person):
     relight(face, [light_at(20, 20)]).picture(shape=(32, 32))
     np.testing.assert_array_equal(face.albedo_linear, albedo)
     np.testing.assert_array_equal(face.image.position, position)
+
+
+def test_a_face_without_a_highlight_gets_skins_usual_one_and_says_so(person):
+    matte = replace(person(0), reflectance=Reflectance("lambert"))
+    lamp = [light_at(20, 20)]
+    usual, found = (relight(matte, lamp, options=RelightOptions(gloss=how)) for how in ("auto", "found"))
+    assert usual.specular.max() > 0.05 * matte.level()
+    assert found.specular.max() == 0
+    assert ("usual" in usual.notes[0], found.notes) == (True, ())
+    np.testing.assert_allclose(usual.diffuse, found.diffuse)
+    glossy = person(0)
+    assert relight(glossy, lamp).face.reflectance == glossy.reflectance
+    assert relight(glossy, lamp, options=RelightOptions(gloss="none")).specular.max() == 0
+    thing = replace(matte, model_name="none")
+    assert relight(thing, lamp).specular.max() == 0
+    with pytest.raises(ValueError, match="gloss is 'much'"):
+        RelightOptions(gloss="much")
+
+
+def test_hair_has_no_gloss(person):
+    matte = replace(person(0), reflectance=Reflectance("lambert"))
+    hair = matte.mask & (np.arange(matte.mask.shape[0]) < 20)[:, None]
+    bald, haired = (
+        replace(matte, image=replace(matte.image, skin=np.where(matte.mask & ~there, 1.0, 0.0)))
+        for there in (np.zeros_like(hair), hair)
+    )
+    ours, theirs = (relight(face, [light_at(0, 60)]).specular[:14].max() for face in (haired, bald))
+    assert ours < 0.1 * theirs
+
+
+def test_the_edge_of_a_soft_shadow_has_no_steps():
+    """A square before a wall: the light changes by a few percent from texel to texel of its edge at most."""
+    from scan2albedo.geometry.rays import RayCaster
+    from scan2albedo.lighting.shadow_map import ShadowMap
+
+    square = np.array([[-50.0, -50, 40], [50, -50, 40], [50, 50, 40], [-50, 50, 40]])
+    caster = RayCaster(square, np.array([[0, 1, 2], [0, 2, 3]]))
+    x = np.linspace(40, 60, 400)
+    wall = np.stack([x, np.zeros(400), np.zeros(400)], 1)
+    shadows = ShadowMap(caster, wall, np.tile([0.0, 0, 1], (400, 1)))
+    coarse, fine = (shadows.reached(np.array([0.0, 0, 1]), np.inf, 8.0, points) for points in (16, 96))
+    # The part of a disc beyond a chord at distance d from its middle, all in radii.
+    d = np.clip((50 - x) / (40 * np.tan(np.deg2rad(8.0))), -1, 1)
+    true = (np.arccos(d) - d * np.sqrt(1 - d**2)) / np.pi
+    assert np.abs(fine - true).max() < 0.035
+    assert np.abs(np.diff(fine)).max() < 0.035 < np.abs(np.diff(coarse)).max()

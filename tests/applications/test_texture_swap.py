@@ -11,7 +11,7 @@ from scan2albedo.applications.texture_swap import trusted
 
 def test_the_shape_is_as_and_the_skin_bs(person):
     a, b = person(0), person(1)
-    made = swap_texture(a, b)
+    made = swap_texture(a, b, options=SwapOptions(match_color=False))
     np.testing.assert_array_equal(made.image.position, a.image.position)
     np.testing.assert_array_equal(made.image.normal, a.image.normal)
     assert made.lights == a.lights
@@ -94,10 +94,10 @@ def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
 
 def test_where_neither_was_seen_the_colour_is_continued(person):
     hole = np.zeros(person(0).mask.shape, bool)
-    hole[30:40, 30:40] = True
+    hole[38:48, 10:20] = True
     a, b = (with_hole(person(seed), hole) for seed in (0, 1))
     made = swap_texture(a, b)
-    assert np.abs(np.diff(np.log(made.albedo_linear[32:38, 32:38].max(-1)), axis=1)).max() < 0.3
+    assert np.abs(np.diff(np.log(made.albedo_linear[40:46, 12:18].max(-1)), axis=1)).max() < 0.3
     assert made.albedo_linear[hole].min() > 0.02
 
 

@@ -60,16 +60,19 @@ def test_relight_writes_a_picture_with_json_on_stdout(folders, tmp_path):
         "--json",
     )
     assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["lights"] == 2
+    summary = json.loads(done.stdout)
+    assert summary["lights"] == 2
+    assert "usual" in summary["notes"][0]
     assert np.asarray(Image.open(out)).shape == (64, 64, 3)
 
 
 def test_relight_in_linear_colour_is_what_the_library_does(folders, tmp_path):
     out = tmp_path / "relit.exr"
-    assert run("relight", folders / "b", "--light", "30,20,2", "--texture", "-o", out).exit_code == 0
+    lamp = ("--light", "30,20,2", "--lamp-radius", 8)
+    assert run("relight", folders / "b", *lamp, "--texture", "-o", out).exit_code == 0
     channels = read_exr_channels(out)
     made = load_result(folders / "b")
-    light = s2a.PointLight(np.radians(30), np.radians(20), intensity=2.0)
+    light = s2a.PointLight(np.radians(30), np.radians(20), intensity=2.0, radius_deg=8.0)
     expected = relight(made, [light]).texture_linear
     np.testing.assert_allclose(channels["G"], expected[..., 1], atol=1e-6)
     np.testing.assert_array_equal(channels["A"], made.mask)
@@ -101,6 +104,7 @@ def test_relight_writes_glb_and_sweeps(folders, tmp_path):
     ("command", "inputs", "options"),
     [
         ("swap", ("a", "b"), ()),
+        ("swap", ("a", "b"), ("--keep-color",)),
         ("blend", ("a", "b"), ("--weight", "0.3")),
         ("transfer-expression", ("a", "a_smiling", "b"), ("--strength", "0.8")),
     ],
@@ -138,6 +142,7 @@ def test_the_correspondence_used_is_told(folders, tmp_path):
         ((), "no light"),
         (("--sweep", "2"), "folder of frames"),
         (("--light", "0,0", "--exposure", "0"), "above 0"),
+        (("--light", "0,0", "--gloss", "much"), "expected one of"),
     ],
 )
 def test_wrong_options_are_usage_errors(folders, tmp_path, arguments, words):

@@ -12,7 +12,8 @@ from PIL import Image
 
 from scan2albedo import report
 from scan2albedo.applications import RelightOptions, default_camera, load_result, relight
-from scan2albedo.core import PointLight
+from scan2albedo.core import EnvironmentLight, PointLight
+from scan2albedo.io.result_records import EnvironmentRecord
 
 pytestmark = [
     pytest.mark.slow,
@@ -82,9 +83,8 @@ def test_the_picture_is_the_librarys(opened, face_folder, case):
     camera = default_camera(
         face, (SIZE, SIZE), azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation)
     )
-    picture = relight(face, lights, options=RelightOptions(shadows=shadows)).picture(
-        camera, shape=(SIZE, SIZE)
-    )
+    options = RelightOptions(shadows=shadows, gloss="found", fill_gaps=False)
+    picture = relight(face, lights, options=options).picture(camera, shape=(SIZE, SIZE))
     state = {
         "mode": "relit", "ambient": 1, "exposure": -1, "shadows": shadows,
         "view": {"azimuth": azimuth, "elevation": elevation, "zoom": 1},
@@ -178,6 +178,45 @@ def test_controls_change_the_light_and_the_presets_bring_it_back(opened):
         opened.run("document.querySelector('.light-detail button').click()")
     assert opened.run(f"{FIRST}.state.lights.length") == 0
     assert np.abs(pixels(opened) - scanned).mean() > 2
+
+
+def test_presets_expose_themselves_and_left_is_the_subjects(opened):
+    buttons = "[...document.querySelectorAll('.presets button')]"
+    labels = opened.run(f"{buttons}.map(button => button.textContent)")
+    assert labels[0] == "As scanned"
+    halves = {}
+    for k, label in enumerate(labels[1:], start=1):
+        opened.run(f"{buttons}[{k}].click()")
+        assert opened.run(f"{FIRST}.state.autoExposure")
+        drawn = pixels(opened)
+        inside, bright = drawn[..., 3] == 255, drawn[..., :3].max(-1)
+        # The exposure puts four fifths of a face of the mean albedo below 0.4 of white, 170 of 255.
+        assert 130 < np.percentile(bright[inside], 80) < 215, label
+        halves[label] = [bright[:, side][inside[:, side]].mean() for side in (slice(128), slice(128, None))]
+    # From the front the subject's left is on the right of the picture.
+    assert halves["Left"][1] > halves["Left"][0] + 20
+    assert halves["Right"][0] > halves["Right"][1] + 20
+    opened.run(f"{buttons}[0].click()")
+    assert not opened.run(f"{FIRST}.state.autoExposure")
+
+
+def test_soft_light_is_shown_with_what_the_face_hides_of_it(browser, write_scan, tmp_path):
+    coefficients = np.zeros((9, 3))
+    coefficients[0], coefficients[1, 0], coefficients[3, 2] = (0.8, 1.0, 1.2), 0.3, 0.3
+    soft = EnvironmentLight(coefficients)
+    folder = write_scan(tmp_path / "soft", size=128, lights=(), environment=EnvironmentRecord.of(soft))
+    browser.look(1400, 1000)
+    browser.open(report.write_report(folder).path)
+    browser.wait(f"{FIRST}.painter")
+    face, view = load_result(folder), {"azimuth": 0, "elevation": 0, "zoom": 1}
+    options = RelightOptions(gloss="found", fill_gaps=False)
+    picture = relight(face, environment=soft, options=options).picture(shape=(SIZE, SIZE))
+    drawn = pixels(browser, mode="relit", exposure=-1, view=view)
+    inside = (picture.alpha == 1) & (drawn[..., 3] == 255)
+    off = np.abs(drawn[..., :3] - picture.srgb(0.5))[inside].max(-1)
+    open_off = np.abs(pixels(browser, exposure=-1, view=view, shadows=False)[..., :3] - picture.srgb(0.5))
+    assert np.median(off) <= 3
+    assert off.mean() < 0.5 * open_off[inside].max(-1).mean()
 
 
 @pytest.mark.parametrize("width", [1400, 400])

@@ -1,5 +1,6 @@
 """One scan's page: whole, safe, and it says what the files say."""
 
+import base64
 import json
 import os
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 import scan2albedo as s2a
 from scan2albedo import report
+from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
 from scan2albedo.io.result_records import EnvironmentRecord, LightRecord
 from scan2albedo.lighting.environment_light import open_transfer
@@ -147,6 +149,12 @@ def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     np.testing.assert_allclose(shown, open_transfer(normal) @ soft.coefficients)
     assert "12° #ffd59c" in page.words()
     assert "soft light from around, which the face partly hides" in page.words()
+    # At each vertex, with what the surface hides.
+    light = np.frombuffer(base64.b64decode(face["soft"]["data"]), "<u2").reshape(-1, 3)
+    assert len(light) == len(base64.b64decode(face["positions"])) // 6
+    of_texels = relight(load_result(folder), environment=soft).diffuse
+    mean = of_texels[load_result(folder).mask].mean(0)
+    np.testing.assert_allclose(face["soft"]["scale"] * light.mean(0) / 65535, mean, rtol=0.1)
 
 
 def test_folders_without_results_and_damaged_ones_are_refused_with_their_names(write_scan, tmp_path):

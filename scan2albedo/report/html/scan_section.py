@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from scan2albedo.applications.files import load_result
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
@@ -25,7 +26,7 @@ from scan2albedo.report.html.texts import (
     unit_of,
     value_text,
 )
-from scan2albedo.report.html.viewer_data import Residual, residual_of_result, viewed_face, viewer_entry
+from scan2albedo.report.html.viewer_data import Residual, residual_of_result, viewer_entry
 
 _UNKNOWN = "–"
 UNCERTAIN_ALBEDO = 0.1
@@ -41,7 +42,7 @@ class SectionStyle:
     overview_quality: int
     """Of a JPEG."""
     residual: bool
-    """Whether the distance to the scan is measured again, which takes seconds."""
+    """Whether the distance to the scan is measured again and soft light shadowed, which takes seconds."""
 
 
 SINGLE = SectionStyle(TextureStyle(1024, None), 1800, 88, True)
@@ -165,9 +166,12 @@ def _viewer(
 ) -> tuple[Mapping[str, Any] | None, str, Residual]:
     unknown = Residual(None, "")
     try:
-        viewed = viewed_face(folder, record)
-        residual = residual_of_result(folder, record, viewed.face.mesh) if style.residual else unknown
-        return viewer_entry(viewed, record, topologies, style.texture, residual.distance_mm), "", residual
+        face = load_result(folder, need_albedo=False)
+        residual = residual_of_result(folder, record, face.mesh) if style.residual else unknown
+        entry = viewer_entry(
+            face, record, topologies, style.texture, residual.distance_mm, soft_shadows=style.residual
+        )
+        return entry, "", residual
     except Scan2AlbedoError as error:
         return None, one_line(error), unknown
 

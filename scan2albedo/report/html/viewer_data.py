@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scan2albedo.applications.files import fitted_mesh, load_result
 from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
-from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.errors import Scan2AlbedoError, one_line
-from scan2albedo.io.geometry_image_files import read_geometry_image
+from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
-from scan2albedo.lighting.environment_light import open_shading
-from scan2albedo.lighting.shadow_map import shadow_offset_mm
+from scan2albedo.lighting.environment_light import environment_light_on, open_shading
+from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 from scan2albedo.report.html.encoding import (
     TextureStyle,
     Topologies,
@@ -25,6 +25,7 @@ from scan2albedo.report.html.encoding import (
     encoded,
     gray_entry,
     mesh_entry,
+    quantized,
     texture_entry,
     thinned_chart,
 )
@@ -90,46 +91,28 @@ def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMes
     return residuals_mm(surface, mesh.vertices, mesh.faces, gate)
 
 
-@dataclass(frozen=True)
-class ViewedFace:
-    """A face from its files; `has_albedo` is False where they hold a shape alone."""
-
-    face: ProcessedFace
-    has_albedo: bool
-
-
-def viewed_face(folder: Path, record: ResultRecord) -> ViewedFace:
-    """Return a result's face, in grey without an albedo; Scan2AlbedoError names a missing or damaged file."""
-    if record.parameters:
-        return ViewedFace(load_result(folder), True)
-    image = read_geometry_image(folder / "geometry_image.npz")
-    model = str(record.options.get("model", NO_MODEL))
-    grey = np.full((*image.shape, 3), 0.5, np.float32)
-    face = ProcessedFace.of(record.name, image, grey, model_name=model)
-    if model == NO_MODEL:
-        return ViewedFace(face, False)
-    return ViewedFace(replace(face, mesh=fitted_mesh(folder, image)), False)
-
-
 def viewer_entry(
-    viewed: ViewedFace,
+    face: ProcessedFace,
     record: ResultRecord,
     topologies: Topologies,
     style: TextureStyle,
     residual_mm: FloatArray | None = None,
+    soft_shadows: bool = False,
 ) -> dict[str, Any]:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
-    `residual_mm` (V,) is that of the mesh's vertices, NaN where there is no scan.
+    `residual_mm` (V,) is that of the mesh's vertices, NaN where there is no scan. `soft_shadows` computes at
+    each vertex what the face hides from itself of the scan's soft light.
     """
-    face, image = viewed.face, viewed.face.image
+    image = face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
     skin = face.reflectance
     entry = {
         **mesh_entry(mesh, topologies),
-        "hasAlbedo": viewed.has_albedo,
+        "hasAlbedo": face.has_albedo,
         "albedo": texture_entry(face.albedo_linear, image.mask, style),
         "albedoExposure": preview_factor(face.albedo_linear, face.mask),
+        "albedoLevel": face.level(),
         "reflectance": {
             "brdf": skin.brdf,
             "roughness": skin.roughness,
@@ -149,11 +132,23 @@ def viewer_entry(
         entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
     if image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(image.specular_scale.astype(np.float64), image.mask, style)
+    if soft_shadows and face.environment is not None and face.environment.occluded:
+        entry["soft"] = _soft_light(face, face.environment, mesh)
     if residual_mm is not None:
         parts = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
         stored = np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(parts)).astype(np.uint8)
         entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": encoded(stored.tobytes())}
     return entry
+
+
+def _soft_light(face: ProcessedFace, environment: EnvironmentLight, mesh: ViewMesh) -> dict[str, Any]:
+    """Return the soft light on each vertex, red, green, blue as 16-bit parts of `scale`."""
+    caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
+    shadows = ShadowMap(caster, mesh.vertices, mesh.normals, face.shadow_offset_mm)
+    light = environment_light_on(environment, shadows)
+    scale = float(light.max()) or 1.0
+    data = quantized(light, np.zeros(3), np.full(3, scale))
+    return {"scale": scale, "data": encoded(data.tobytes())}
 
 
 def _light(light: Any) -> dict[str, Any]:

@@ -70,6 +70,7 @@ class FaceViewer {
       : [{ azimuth: -35, elevation: 25, distance: null, intensity: LAMP_INTENSITY, on: true }];
     this.state = {
       mode: "relit", lights: first, harmonic, ambient: 1, exposure: 0, shadows: face.castsShadows,
+      autoExposure: !(scanned.length || harmonic),
       view: { azimuth: 0, elevation: 0, zoom: 1 },
     };
     this.lights = new LightControls(face, this.state, () => { this.#light(); });
@@ -79,14 +80,26 @@ class FaceViewer {
       input: (v) => { this.state.exposure = v; this.request(); } });
     const shadows = element("input", { type: "checkbox", onchange: () => { this.state.shadows = shadows.checked; this.#light(); } });
     shadows.checked = this.state.shadows;
+    this.auto = element("input", { type: "checkbox", onchange: () => { this.state.autoExposure = this.auto.checked; this.request(); } });
+    this.soft = element("input", { type: "checkbox", onchange: () => { this.state.harmonic = this.soft.checked; this.#light(); } });
     this.lights.root.append(this.ambient.row,
+      ...(harmonic ? [element("label", { class: "check" }, this.soft, " soft light of the scan, in place of the ambient light")] : []),
       element("label", { class: "check" }, shadows, " cast shadows"));
     this.root.querySelector(".controls").replaceChildren(this.#modeChoice(), this.#scale(), this.lights.root,
       element("fieldset", {}, element("legend", {}, "Picture"), this.exposure.row,
+        element("label", { class: "check" }, this.auto, " expose each light by itself"),
         element("div", { class: "buttons" },
           element("button", { type: "button", onclick: () => this.resetView() }, "Reset view"),
-          element("button", { type: "button", onclick: () => this.turnTo(-45) }, "Right side"),
-          element("button", { type: "button", onclick: () => this.turnTo(45) }, "Left side"))));
+          element("button", { type: "button", title: "The subject's right", onclick: () => this.turnTo(-45) }, "Right side"),
+          element("button", { type: "button", title: "The subject's left", onclick: () => this.turnTo(45) }, "Left side"))));
+    this.#showState();
+  }
+
+  // Boxes and sliders whose values a preset changes.
+  #showState() {
+    this.ambient.set(this.state.ambient);
+    this.auto.checked = this.state.autoExposure;
+    this.soft.checked = this.state.harmonic;
   }
 
   #modeChoice() {
@@ -116,7 +129,7 @@ class FaceViewer {
   // A change of light is shown at once, whatever was shown before.
   #light() {
     if (this.state.mode !== "relit" && this.state.mode !== "light") this.setMode("relit");
-    this.ambient.set(this.state.ambient);
+    this.#showState();
     this.request();
   }
 

@@ -1,6 +1,8 @@
 // One face on one canvas: buffers, textures, shadow maps and a picture of a state.
 const MODES = { relit: 0, albedo: 1, scanned: 2, light: 3, normals: 4, residual: 5 };
 const SHADOW_CELLS = 2048;
+const SHOWN_LEVEL = 0.4, SHOWN_PART = 0.8; // sRGB 170 of 255 for four fifths of the face, of its mean albedo
+const SAMPLES = 1500;
 const INFERNO = [
   [0, 0, 4], [31, 12, 72], [85, 15, 109], [136, 34, 106], [186, 54, 85], [227, 89, 51], [249, 140, 10],
   [249, 201, 50], [252, 255, 164],
@@ -28,7 +30,7 @@ function programOf(gl, vertexSource, fragmentSource) {
       throw new Error(gl.getShaderInfoLog(shader));
     }
   }
-  ["a_position", "a_normal", "a_uv", "a_residual"].forEach((name, i) => gl.bindAttribLocation(program, i, name));
+  ["a_position", "a_normal", "a_uv", "a_residual", "a_soft"].forEach((name, i) => gl.bindAttribLocation(program, i, name));
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     throw new Error(gl.getProgramInfoLog(program));
@@ -38,6 +40,29 @@ function programOf(gl, vertexSource, fragmentSource) {
     if (!places.has(name)) places.set(name, gl.getUniformLocation(program, name));
     return places.get(name);
   } };
+}
+
+// Points and normals of some vertices that face the front.
+function vertexSamples(face) {
+  const places = new Uint16Array(bytesOf(face.positions).buffer), folded = new Int16Array(bytesOf(face.normals).buffer);
+  const samples = [], count = places.length / 3, step = Math.max(1, Math.floor(count / SAMPLES));
+  for (let i = 0; i < count; i += step) {
+    const x = folded[2 * i] / 32767, y = folded[2 * i + 1] / 32767;
+    const z = 1 - Math.abs(x) - Math.abs(y);
+    if (z <= 0) continue; // faces away
+    const point = face.low.map((low, k) => low + face.span[k] * places[3 * i + k] / 65535);
+    samples.push({ point, normal: unit3([x, y, z]) });
+  }
+  return samples;
+}
+
+// The mean over the channels of the soft light on a surface that nothing hides, as the shader has it.
+function harmonicLevel(rows, [x, y, z]) {
+  const values = [0.28209479, 0.48860251 * y, 0.48860251 * z, 0.48860251 * x, 1.09254843 * x * y, 1.09254843 * y * z,
+    0.31539157 * (3 * z * z - 1), 1.09254843 * x * z, 0.54627422 * (x * x - y * y)];
+  let sum = 0;
+  values.forEach((value, i) => { sum += value * (rows[3 * i] + rows[3 * i + 1] + rows[3 * i + 2]) / 3; });
+  return Math.max(sum, 0);
 }
 
 class FacePainter {
@@ -67,9 +92,12 @@ class FacePainter {
     const attributes = [
       [bytesOf(face.positions), 3, gl.UNSIGNED_SHORT], [bytesOf(face.normals), 2, gl.SHORT],
       [bytesOf(topology.uv), 2, gl.UNSIGNED_SHORT],
+      face.residual && [bytesOf(face.residual.data), 1, gl.UNSIGNED_BYTE],
+      face.soft && [bytesOf(face.soft.data), 3, gl.UNSIGNED_SHORT],
     ];
-    if (face.residual) attributes.push([bytesOf(face.residual.data), 1, gl.UNSIGNED_BYTE]);
-    attributes.forEach(([data, size, type], i) => {
+    attributes.forEach((attribute, i) => {
+      if (!attribute) return;
+      const [data, size, type] = attribute;
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(i);
@@ -161,13 +189,31 @@ class FacePainter {
     return { eye, matrix: product4(lens, lookAt(eye, middle)) };
   }
 
-  // The factor that suits what is shown: relit as the scan was, albedo as its preview, light below white.
+  // The factor that suits what is shown: relit as the scan was, or with its brighter parts at SHOWN_LEVEL; albedo
+  // as its preview, light below white.
   #shown(state, lights) {
     if (state.mode === "albedo") return this.face.albedoExposure;
+    if (state.mode === "relit" && state.autoExposure) return SHOWN_LEVEL / Math.max(this.#brightness(state, lights), 1e-6);
     if (state.mode !== "light") return 1;
     const near = (distance) => distance ? (distance / Math.max(distance - 0.6 * this.face.reach, 0.2 * distance)) ** 2 : 1;
     const brightest = Math.max(0, ...lights.map((light) => light.intensity * near(light.distance)));
     return 0.8 / Math.max((state.harmonic ? 1.5 : state.ambient) + brightest, 1e-3);
+  }
+
+  // What a face of its mean albedo shows to the front under some lights: a percentile over its vertices, without
+  // cast shadows.
+  #brightness(state, lights) {
+    this.samples ??= vertexSamples(this.face);
+    const levels = this.samples.map(({ point, normal }) => {
+      let sum = state.harmonic && this.face.harmonics ? harmonicLevel(this.face.harmonics, normal) : state.ambient;
+      for (const light of lights) {
+        const ray = minus3(directionOf(light.azimuth, light.elevation), point.map((value) => light.distance ? value / light.distance : 0));
+        const square = Math.max(dot3(ray, ray), 1e-6);
+        sum += light.intensity * Math.max(dot3(normal, ray), 0) / square ** 1.5;
+      }
+      return sum;
+    }).sort((a, b) => a - b);
+    return this.face.albedoLevel * (levels[Math.floor(SHOWN_PART * (levels.length - 1))] ?? 1);
   }
 
   draw(state) {
@@ -192,12 +238,13 @@ class FacePainter {
       u_albedo_scale: 1 / face.albedo.factor, u_gloss_scale: face.gloss ? face.gloss.scale : 1,
       u_roughness: face.reflectance.roughness, u_strength: face.reflectance.strength,
       u_exponent: face.reflectance.exponent, u_ambient: state.ambient, u_offset: face.shadowOffset,
+      u_soft_scale: face.soft ? face.soft.scale : 1,
       u_exposure: 2 ** state.exposure * this.#shown(state, lights),
     };
     const integers = {
       u_mode: MODES[state.mode], u_brdf: face.reflectance.brdf === "minnaert" ? 1 : 0, u_count: lights.length,
       u_albedo: 0, u_texture: 1, u_gloss: 2, u_shadows: 3, u_cast: cast ? 1 : 0,
-      u_harmonic: state.harmonic && face.harmonics ? 1 : 0,
+      u_harmonic: state.harmonic && face.harmonics ? 1 : 0, u_soft_known: face.soft && state.shadows ? 1 : 0,
     };
     for (const [name, value] of Object.entries(numbers)) gl.uniform1f(place(name), value);
     for (const [name, value] of Object.entries(integers)) gl.uniform1i(place(name), value);

@@ -1,8 +1,9 @@
-// The lights of a viewer: presets, one slider row a number, and a disc to drag them on.
+// The lights of a viewer: presets, one slider row a number, and a disc to drag them on. Left and right are the
+// subject's everywhere; from the front the left is on the right of the picture, and so are its buttons.
 const PRESETS = {
   Front: [{ azimuth: 0, elevation: 0 }],
-  Left: [{ azimuth: -60, elevation: 10 }],
-  Right: [{ azimuth: 60, elevation: 10 }],
+  Right: [{ azimuth: -60, elevation: 10 }],
+  Left: [{ azimuth: 60, elevation: 10 }],
   Above: [{ azimuth: 0, elevation: 65 }],
   Below: [{ azimuth: 0, elevation: -50 }],
 };
@@ -39,8 +40,9 @@ class LightControls {
   }
 
   #presetButtons() {
+    const whose = (label) => label === "Left" || label === "Right" ? `From the subject's ${label.toLowerCase()}` : false;
     const button = (label, lights, harmonic = false) => element("button", {
-      type: "button", "aria-pressed": "false",
+      type: "button", "aria-pressed": "false", title: whose(label),
       onclick: () => { this.setLights(lights().map((light) => ({ ...light, on: true })), harmonic, label); },
     }, label);
     const buttons = Object.entries(PRESETS).map(([label, lights]) => button(label,
@@ -53,6 +55,7 @@ class LightControls {
     this.state.lights = lights;
     this.state.harmonic = harmonic;
     this.state.ambient = 1;
+    this.state.autoExposure = preset !== SCANNED;
     this.chosen = 0;
     this.#announce(preset);
   }

@@ -6,11 +6,13 @@ in vec3 a_position;
 in vec2 a_normal;
 in vec2 a_uv;
 in float a_residual;
+in vec3 a_soft;
 uniform mat4 u_clip_from_model;
 uniform vec3 u_low, u_span;
 out vec3 v_position, v_normal;
 out vec2 v_uv;
 out float v_residual, v_known;
+out vec3 v_soft;
 
 vec3 unfolded(vec2 e) {
   vec3 n = vec3(e, 1.0 - abs(e.x) - abs(e.y));
@@ -23,6 +25,7 @@ void main() {
   v_normal = unfolded(a_normal);
   v_uv = vec2(a_uv.x, 1.0 - a_uv.y);
   v_known = a_residual < 0.999 ? 1.0 : 0.0;
+  v_soft = a_soft;
   v_residual = min(a_residual * 255.0 / 254.0, 1.0);
   gl_Position = u_clip_from_model * vec4(v_position, 1.0);
 }`;
@@ -33,16 +36,17 @@ precision highp sampler2DArrayShadow;
 in vec3 v_position, v_normal;
 in vec2 v_uv;
 in float v_residual, v_known;
+in vec3 v_soft;
 uniform int u_mode, u_brdf, u_count;
 uniform vec3 u_eye;
 uniform sampler2D u_albedo, u_texture, u_gloss;
 uniform float u_albedo_scale, u_gloss_scale, u_roughness, u_strength, u_exponent;
-uniform float u_ambient, u_exposure, u_offset;
+uniform float u_ambient, u_exposure, u_offset, u_soft_scale;
 uniform vec4 u_light[${MOST_LIGHTS}];
 uniform vec3 u_energy[${MOST_LIGHTS}];
 uniform float u_texel[${MOST_LIGHTS}];
 uniform mat4 u_shadow_from_model[${MOST_LIGHTS}];
-uniform bool u_cast, u_harmonic;
+uniform bool u_cast, u_harmonic, u_soft_known;
 uniform highp sampler2DArrayShadow u_shadows;
 uniform vec3 u_harmonics[9];
 uniform vec3 u_stops[9];
@@ -100,7 +104,8 @@ void main() {
   if (u_mode == 2) { color = vec4(encoded(u_exposure * texture(u_texture, v_uv).rgb), 1.0); return; }
   if (u_mode == 4) { color = vec4(0.5 * normal + 0.5, 1.0); return; }
   if (u_mode == 5) { color = vec4(v_known > 0.5 ? heat(v_residual / max(v_known, 1e-3)) : vec3(0.6), 1.0); return; }
-  vec3 light = u_harmonic ? harmonic_light(normal) : vec3(u_ambient);
+  vec3 light = vec3(u_ambient);
+  if (u_harmonic) light = u_soft_known ? u_soft_scale * v_soft : harmonic_light(normal);
   vec3 specular = vec3(0.0);
   float gloss = u_strength > 0.0 ? u_strength * u_gloss_scale * texture(u_gloss, v_uv).r : 0.0;
   for (int k = 0; k < ${MOST_LIGHTS}; k++) {

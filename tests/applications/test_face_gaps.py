@@ -1,0 +1,61 @@
+"""Unseen and dark places become skin like that beside them; eyes, lips and beards stay."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from scan2albedo.applications import RelightOptions, relight
+from scan2albedo.applications.face_features import feature_texels
+from scan2albedo.applications.face_gaps import dark_sides, without_gaps
+from scan2albedo.synthetic import light_at
+
+
+def with_sideburns(face):
+    """Return a face with black hair along the middle of its left rim, and where that is."""
+    hair = np.zeros(face.mask.shape, bool)
+    first = np.argmax(face.mask, axis=1)
+    for row in range(24, 34):
+        hair[row, first[row] : first[row] + 5] = True
+    albedo = np.where(hair[..., None], 0.02 * face.albedo_linear, face.albedo_linear)
+    skin = np.where(face.mask & ~hair, 1.0, 0.0)
+    return replace(face, albedo_linear=albedo, image=replace(face.image, skin=skin)), hair
+
+
+def test_a_black_side_is_filled_from_beside_it(person):
+    face, hair = with_sideburns(person(0))
+    assert dark_sides(face)[hair].all()
+    made = without_gaps(face)
+    true = person(0).albedo_linear[hair].max(-1)
+    assert np.abs(np.log(made.albedo_linear[hair].max(-1) / true)).mean() < 0.3
+    far = ~dark_sides(face)
+    np.testing.assert_array_equal(made.albedo_linear[far], face.albedo_linear[far])
+
+
+def test_a_dark_place_away_from_the_rim_stays(person):
+    face = person(0)
+    mole = np.zeros(face.mask.shape, bool)
+    mole[36:40, 14:17] = True
+    albedo = np.where(mole[..., None], 0.02 * face.albedo_linear, face.albedo_linear)
+    skin = np.where(face.mask & ~mole, 1.0, 0.0)
+    marked = replace(face, albedo_linear=albedo, image=replace(face.image, skin=skin))
+    assert without_gaps(marked) is marked
+
+
+def test_unseen_skin_is_filled_and_unseen_eyes_stay(person):
+    face = person(0)
+    eyes, hidden = feature_texels(face)["eyes"], np.zeros(face.mask.shape, bool)
+    hidden[40:46, 12:20] = True
+    spoilt = np.where((hidden | eyes)[..., None], 1e-4, face.albedo_linear)
+    image = replace(face.image, texture_valid=face.mask & ~hidden & ~eyes)
+    made = without_gaps(replace(face, albedo_linear=spoilt, image=image))
+    assert made.albedo_linear[hidden].max(-1).min() > 0.3 * face.level()
+    np.testing.assert_allclose(made.albedo_linear[eyes], 1e-4)
+
+
+def test_relighting_tells_what_it_filled_and_can_leave_it(person):
+    face, hair = with_sideburns(person(0))
+    filled = relight(face, [light_at(0)])
+    kept = relight(face, [light_at(0)], options=RelightOptions(fill_gaps=False))
+    assert filled.texture_linear[hair].mean() > 5 * kept.texture_linear[hair].mean()
+    assert "filled" in filled.notes[0]
+    assert kept.notes == ()

@@ -1,0 +1,64 @@
+"""Colours of two skins matched, and features of two albedos brought together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo.applications import SwapOptions, swap_texture
+from scan2albedo.applications.skin_match import displacement, skin_gains, warped
+
+
+def test_the_tint_of_the_light_is_matched_on_skin_alone(person):
+    face, tint = person(0), np.array([1.3, 1.0, 0.6])
+    tinted = replace(face, albedo_linear=face.albedo_linear * tint)
+    np.testing.assert_allclose(skin_gains(tinted, face), 1 / tint, rtol=1e-5)
+    # Hair on the other face does not count as skin.
+    hair = np.zeros(face.mask.shape, bool)
+    hair[10:15, 28:36] = True
+    dark = replace(
+        tinted,
+        albedo_linear=np.where(hair[..., None], 0.01, tinted.albedo_linear),
+        image=replace(face.image, skin=np.where(face.mask & ~hair, 1.0, 0.0)),
+    )
+    bare = face.mask & ~hair
+    made = swap_texture(face, dark)
+    np.testing.assert_allclose(made.albedo_linear[bare], face.albedo_linear[bare], rtol=2e-3)
+
+
+def test_the_colour_can_stay(person):
+    a, b = person(0), person(1)
+    b = replace(b, albedo_linear=b.albedo_linear * np.array([1.2, 1.0, 0.7]))
+    made = swap_texture(a, b, options=SwapOptions(match_color=False))
+    np.testing.assert_allclose(
+        made.albedo_linear[a.mask] / b.albedo_linear[a.mask], a.level() / b.level(), rtol=1e-4
+    )
+
+
+def test_black_albedos_are_not_scaled(person):
+    black = replace(person(0), albedo_linear=np.zeros_like(person(0).albedo_linear))
+    np.testing.assert_array_equal(skin_gains(black, person(1)), 1.0)
+
+
+def spots(shift):
+    row, column = np.indices((256, 256))
+    value = np.full((256, 256), 0.5)
+    for y, x in ((90, 80), (90, 170), (180, 128)):
+        value -= 0.35 * np.exp(-((row - y) ** 2 + ((column - x - shift) / 2) ** 2) / 60)
+    return np.repeat(value[..., None], 3, 2)
+
+
+def test_features_that_lie_apart_are_brought_together():
+    mask, a, b = np.ones((256, 256), bool), spots(0), spots(6)
+    beside = displacement(a, b, mask)
+    assert beside[90, 80, 0] == pytest.approx(6, abs=1)
+    assert np.abs(beside[90, 80, 1]) < 1
+    assert np.abs(beside[20, 20]).max() < 0.5
+    half = warped(a, -0.5 * beside), warped(b, 0.5 * beside)
+    assert np.abs(half[0] - half[1]).max() < 0.4 * np.abs(a - b).max()
+    # Once there, not twice as in a plain mean: the middle of the blend is as dark as the spots are.
+    assert (half[0] + half[1])[90, 83, 0] / 2 == pytest.approx(a[90, 80, 0], abs=0.03)
+
+
+def test_one_face_is_nowhere_beside_itself():
+    assert np.abs(displacement(spots(0), spots(0), np.ones((256, 256), bool))).max() < 0.05

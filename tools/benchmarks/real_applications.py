@@ -1,0 +1,228 @@
+"""Swaps, blends and relit pictures of scans of real people, as sheets to look at, with figures of seams."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+import scan2albedo as s2a
+from benchmarks.scan_files import face_data
+from scan2albedo.applications import (
+    ProcessedFace,
+    blend_faces,
+    default_camera,
+    load_result,
+    relight,
+    swap_texture,
+)
+from scan2albedo.applications.files import PORTRAIT_LIGHT
+from scan2albedo.applications.skin_match import displacement, local_contrast, warped
+from scan2albedo.applications.texture_swap import continued_skin
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.point_light import LAMP_RADIUS_DEG
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.pipeline.result import write_result
+
+SCANS = {
+    "james": "james.obj",
+    "fran": "fran.obj",
+    "p105_front": "traced/p105_front.obj",
+    "p106_gloss": "traced/p106_gloss.obj",
+    "p108_smile_m": "traced/p108_smile_m.obj",
+}
+PAIRS = (("james", "fran"), ("james", "p105_front"), ("p106_gloss", "p108_smile_m"))
+FEATURES = {
+    "left eye": ("left_eye",),
+    "right eye": ("right_eye",),
+    "left brow": ("left_brow",),
+    "right brow": ("right_brow",),
+    "mouth": ("upper_lip", "lower_lip", "between_lips"),
+}
+LAMPS = {"left": (60.0, 10.0), "right": (-60.0, 10.0), "above": (10.0, 60.0)}
+"""Azimuth and elevation in degrees, from the front toward the subject's left and up."""
+_SIZE, _CLOSE = 400, 2.4
+"""Pixels on a side of each picture, and by how much eyes and mouth are enlarged."""
+_TELLS = 0.02
+"""Difference of two faces' gradients of log V from which a texel tells whose it is."""
+_MIXED = 0.1
+"""From this part of a feature's texels on of either face it is a mixture."""
+_INVENTED = 0.1
+"""Gradient of log V beyond both faces' that counts as an edge of neither."""
+
+Pixels = NDArray[np.uint8]
+
+
+def real_faces(results: Path, names: Sequence[str]) -> dict[str, ProcessedFace]:
+    """Return processed scans by name; those whose folder is not in `results` yet are processed first."""
+    faces = {}
+    for name in names:
+        folder = results / name
+        if not (folder / "result.json").is_file():
+            print(f"{name}: is processed first", flush=True)
+            write_result(s2a.process(face_data(SCANS[name]), seed=0), results)
+        faces[name] = load_result(folder)
+    return faces
+
+
+@dataclass(frozen=True)
+class SeamFigures:
+    """How well the albedo of two faces became one."""
+
+    mixed: tuple[str, ...]
+    """Features of which a part is one face's and a part the other's."""
+    invented: float
+    """Percentage of texels with an edge that neither face has."""
+    tint: float
+    """Between the skin's median log R/G and log B/G of the result and those of who gave the shape."""
+
+    def __str__(self) -> str:
+        return (
+            f"mixed features: {', '.join(self.mixed) or 'none'}; "
+            f"edges of neither face: {self.invented:.2f} %; tint off by {self.tint:.3f}"
+        )
+
+
+def seam_figures(a: ProcessedFace, b: ProcessedFace, made: ProcessedFace) -> SeamFigures:
+    """Return the figures of a face made of A's shape and B's skin."""
+    slopes = [_slopes(face) for face in (a, b, made)]
+    to_a, to_b = (np.linalg.norm(slopes[2] - slope, axis=-1) for slope in slopes[:2])
+    apart = np.linalg.norm(slopes[0] - slopes[1], axis=-1)
+    tells = (apart > _TELLS) & (np.minimum(to_a, to_b) < apart / 3) & made.mask
+    mixed = []
+    for name, texels in feature_texels(a).items():
+        there = texels & tells
+        share = float(np.mean((to_b < to_a)[there])) if there.any() else 0.0
+        if _MIXED < share < 1 - _MIXED:
+            mixed.append(f"{name} ({100 * share:.0f} % of B)")
+    size = [np.linalg.norm(slope, axis=-1) for slope in slopes]
+    inner = made.mask & ~made.image.border
+    invented = size[2] > np.maximum(size[0], size[1]) + _INVENTED
+    tint = float(np.linalg.norm(_skin_tint(made) - _skin_tint(a)))
+    return SeamFigures(tuple(mixed), 100 * float(np.mean(invented[inner])), tint)
+
+
+def feature_texels(face: ProcessedFace) -> dict[str, BoolArray]:
+    """Return the (H, W) texels of each of `FEATURES` on the default model's chart."""
+    regions, texels = AnnotatedFaceModel.default().regions, face.region
+    assert texels is not None
+    return {name: np.isin(texels, [regions[r].index for r in parts]) for name, parts in FEATURES.items()}
+
+
+def _slopes(face: ProcessedFace) -> FloatArray:
+    """Return (H, W, 2) the gradient of log V; a texel beside none has 0."""
+    value = np.log(np.maximum(face.albedo_linear.max(-1), 1e-3 * max(face.level(), 1e-9)))
+    slopes = np.zeros((*value.shape, 2))
+    mask = face.mask
+    slopes[:, :-1, 0] = np.diff(value, axis=1) * (mask[:, 1:] & mask[:, :-1])
+    slopes[:-1, :, 1] = np.diff(value, axis=0) * (mask[1:] & mask[:-1])
+    return slopes
+
+
+def _skin_tint(face: ProcessedFace) -> FloatArray:
+    regions = AnnotatedFaceModel.default().regions
+    cheeks = np.isin(face.region, [regions[name].index for name in ("left_cheek", "right_cheek", "forehead")])
+    red, green, blue = np.log(np.maximum(np.median(face.albedo_linear[cheeks & face.mask], axis=0), 1e-6))
+    return np.array([red - green, blue - green])
+
+
+def portrait(face: ProcessedFace, lights: Sequence[PointLight] = (PORTRAIT_LIGHT,)) -> Pixels:
+    """Return the picture of a face, with eyes and mouth enlarged below it."""
+    relit = relight(face, lights)
+    whole = relit.picture(shape=(_SIZE, _SIZE))
+    exposure, parts = whole.auto_exposure(), [whole.srgb()]
+    for features, height in ((("left eye", "right eye"), 0.4), (("mouth",), 0.4)):
+        texels = np.logical_or.reduce([feature_texels(face)[name] for name in features]) & face.mask
+        camera = default_camera(face, (_SIZE, _SIZE))
+        middle = camera @ np.append(face.image.position[texels].mean(0), 1.0)
+        at = middle[:2] / middle[2]
+        closer = np.array(
+            [[_CLOSE, 0, _SIZE / 2 - _CLOSE * at[0]], [0, _CLOSE, height * _SIZE / 2 - _CLOSE * at[1]]]
+        )
+        camera = np.vstack([closer, [0, 0, 1]]) @ camera
+        parts.append(relit.picture(camera, shape=(int(height * _SIZE), _SIZE)).srgb(exposure))
+    return np.vstack(parts)
+
+
+def write_sheet(file: Path, rows: Sequence[Sequence[tuple[str, Pixels]]]) -> None:
+    """Write rows of titled pictures of one size as a PNG."""
+    height, width = rows[0][0][1].shape[:2]
+    sheet = Image.new("RGB", (max(map(len, rows)) * width, len(rows) * (height + 18)), "white")
+    drawing = ImageDraw.Draw(sheet)
+    for i, row in enumerate(rows):
+        for j, (title, picture) in enumerate(row):
+            drawing.text((j * width + 4, i * (height + 18) + 3), title, fill="black")
+            sheet.paste(Image.fromarray(picture), (j * width, i * (height + 18) + 18))
+    sheet.save(file)
+    print(f"{file}: {sheet.width} x {sheet.height}", flush=True)
+
+
+def bench_swap(results: Path, out: Path) -> None:
+    """Print the figures of swaps between real faces, and write swap.png."""
+    faces, rows = real_faces(results, _names(PAIRS)), []
+    for first, second in PAIRS:
+        row = [(name, portrait(faces[name])) for name in (first, second)]
+        for a, b in ((first, second), (second, first)):
+            made = swap_texture(faces[a], faces[b])
+            print(f"swap  {a} with the skin of {b}: {seam_figures(faces[a], faces[b], made)}", flush=True)
+            row.append((f"{a} with the skin of {b}", portrait(made)))
+        rows.append(row)
+    write_sheet(out / "swap.png", rows)
+
+
+def bench_blend(results: Path, out: Path) -> None:
+    """Print the figures of blends half way between real faces, and write blend.png."""
+    faces, rows = real_faces(results, _names(PAIRS)), []
+    for first, second in PAIRS:
+        a, b = faces[first], faces[second]
+        made = blend_faces(a, b, 0.5)
+        print(f"blend {first} and {second}: {agreement_text(a, b)}", flush=True)
+        rows.append([(first, portrait(a)), ("half way", portrait(made)), (second, portrait(b))])
+    write_sheet(out / "blend.png", rows)
+
+
+def agreement_text(a: ProcessedFace, b: ProcessedFace) -> str:
+    """Return how well the features of two skins lie on one another, as they are and as a blend moves them.
+
+    Correlation of the local contrast of log V: what lies elsewhere is in the blend twice.
+    """
+    whole = [continued_skin(a, b), continued_skin(b, a)]
+    beside, parts = displacement(whole[0], whole[1], a.mask & b.mask), []
+    skins = [*whole, warped(whole[0], -beside / 2), warped(whole[1], beside / 2)]
+    shown = [local_contrast(skin, a.mask & b.mask) for skin in skins]
+    for name, texels in feature_texels(a).items():
+        before, after = (np.corrcoef(shown[i][texels], shown[i + 1][texels])[0, 1] for i in (0, 2))
+        parts.append(f"{name} {before:.2f} to {after:.2f}")
+    return "features agree: " + ", ".join(parts)
+
+
+def bench_relit(results: Path, out: Path, names: Sequence[str] = ("james", "fran")) -> None:
+    """Write relit.png: real faces under one lamp from three directions."""
+    rows = []
+    for name, face in real_faces(results, names).items():
+        row = [(f"{name}, as scanned", _as_scanned(face))]
+        for where, (azimuth, elevation) in LAMPS.items():
+            lamp = PointLight(
+                np.deg2rad(azimuth), np.deg2rad(elevation), intensity=3.0, radius_deg=LAMP_RADIUS_DEG
+            )
+            row.append((f"lamp {where}", portrait(face, [lamp])))
+        rows.append(row)
+    write_sheet(out / "relit.png", rows)
+
+
+def _as_scanned(face: ProcessedFace) -> Pixels:
+    if face.environment is None:
+        return portrait(face, face.lights)
+    relit = relight(face, face.lights, environment=face.environment)
+    picture = relit.picture(shape=(_SIZE, _SIZE)).srgb()
+    blank = np.full((2 * int(0.4 * _SIZE), _SIZE, 3), 255, np.uint8)
+    return np.vstack([picture, blank])
+
+
+def _names(pairs: Sequence[tuple[str, str]]) -> list[str]:
+    return list(dict.fromkeys(name for pair in pairs for name in pair))
