@@ -66,8 +66,8 @@ class Evidence:
     """"details", or "person": the model's coefficients instead of its mean."""
     error_before: float
     error_after: float
-    """`error_before`, `error_after`: mean absolute logarithm of predicted over observed colours, less its mean
-    over the channels."""
+    """`error_before`, `error_after`: mean absolute logarithm of predicted over observed colours, less its
+    mean over the channels."""
     gain: float
     """Their difference, mean over blocks."""
     standard_error: float

@@ -126,49 +126,57 @@ def fit_photograph(
     or nothing is seen.
     """
     lighting = LightingModel.default() if lighting is None else lighting
-
-    def judged(vertices: FloatArray) -> tuple[ImageObservation, FaceFit]:
-        observation = observe(photograph, vertices, models.mean.faces)
+    faces = models.mean.faces
+    with _named(photograph):
+        vertices, geometry, trace = _shaped(photograph, models, lighting, budget, on_progress)
+        observation = observe(photograph, vertices, faces)
         with _unconverged_allowed():
             face = fit_face(
                 observation,
                 models.model,
                 vertices,
-                models.mean.faces,
+                faces,
                 lighting,
                 budget=budget,
                 on_progress=on_progress,
             )
-        return observation, face
+    return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
+
+def _shaped(
+    photograph: PhotographFiles,
+    models: ModelFolder,
+    lighting: LightingModel,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> tuple[FloatArray, GeometryFit | None, Trace]:
+    """Return the vertices (V, 3) of a photograph's mesh, or those that its landmarks and colours give."""
+    if photograph.vertices is not None:
+        return _checked_vertices(photograph, models), None, Trace()
+    shape = _shape_model(photograph, models)
+    first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
+    with _unconverged_allowed():
+        seen = observe(photograph, first.vertices, models.mean.faces)
+        skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
+    refined = _geometry(
+        photograph,
+        shape,
+        budget=budget,
+        on_progress=on_progress,
+        reflectance=skin.face.reflectance,
+        light=skin.light,
+        initial_scene_from_model=first.scene_from_model,
+        initial_identity=first.identity,
+        initial_expression=first.expression,
+    )
+    return refined.vertices, refined, first.trace + skin.trace + refined.trace
+
+
+@contextmanager
+def _named(photograph: PhotographFiles) -> Iterator[None]:
+    """Name the photograph in errors."""
     try:
-        if photograph.vertices is not None:
-            vertices = _checked_vertices(photograph, models)
-            observation, face = judged(vertices)
-            return FittedPhotograph(
-                photograph, vertices, models.mean.faces, observation, face, None, face.fit.trace
-            )
-        shape = _shape_model(photograph, models)
-        first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
-        with _unconverged_allowed():
-            seen = observe(photograph, first.vertices, models.mean.faces)
-            skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
-        refined = _geometry(
-            photograph,
-            shape,
-            budget=budget,
-            on_progress=on_progress,
-            reflectance=skin.face.reflectance,
-            light=skin.light,
-            initial_scene_from_model=first.scene_from_model,
-            initial_identity=first.identity,
-            initial_expression=first.expression,
-        )
-        observation, face = judged(refined.vertices)
-        trace = first.trace + skin.trace + refined.trace + face.fit.trace
-        return FittedPhotograph(
-            photograph, refined.vertices, models.mean.faces, observation, face, refined, trace
-        )
+        yield
     except ReflectanceError as error:
         raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
 
@@ -269,12 +277,9 @@ def tune_model(
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
         photograph = read_photograph(path)
-        if photograph.vertices is None:
-            return fit_photograph(photograph, models, lighting=lighting).observation
-        try:
-            return observe(photograph, _checked_vertices(photograph, models), models.mean.faces)
-        except ReflectanceError as error:
-            raise ReflectanceError(f"photograph {path}: {error}") from error
+        with _named(photograph):
+            vertices, _, _ = _shaped(photograph, models, lighting)
+            return observe(photograph, vertices, models.mean.faces)
 
     tuning = finetune(
         models.model,
