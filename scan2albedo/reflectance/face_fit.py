@@ -113,7 +113,7 @@ def fit_face(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FaceFit:
-    """Return the reflectance that predicts a photograph of an unknown face best, never worse than the mean.
+    """Return an unknown face's reflectance as far as its photograph proves it, the mean face otherwise.
 
     The face is divided into blocks. Without some of them, the light is fitted with the model's mean face, and
     with the person's coefficients (`fit_image`), each without and with details, a smooth field of residuals
@@ -142,12 +142,20 @@ def fit_face(
     Raises
     ------
     ReflectanceError
-        As `fit_image`, or when a vertex that is seen is not finite.
+        As `fit_image`, or when a vertex is not finite.
 
     Warns
     -----
     RuntimeWarning
         When the last fit stops without having converged.
+
+    Notes
+    -----
+    On 16 path-traced photographs of faces that share nothing with the fit, the albedo is @CHOSEN@ off, that of
+    the mean face @MEAN@ and that of `fit_image` @FIT@ (tools/bench_reflectance_model.py unknown). A photograph
+    without colour gives no evidence, and the mean face.
+
+    Cost: seven fits instead of one, those of the mean face being cheaper; about five times `fit_image`.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)
@@ -155,6 +163,9 @@ def fit_face(
         raise ReflectanceError(
             f"the mesh has {len(xyz)} vertices and the model {len(model.known)}; bring both to one topology"
         )
+    if not np.isfinite(xyz).all():
+        bad = int((~np.isfinite(xyz)).any(1).sum())
+        raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")
     trial = _Trials(observation, model, xyz, index, lighting, options, budget)
     details = trial.judged("details", "mean", "mean+details")
     ending = "+details" if details.accepted else ""
@@ -167,6 +178,8 @@ def fit_face(
         budget=budget,
         on_progress=on_progress,
     )
+    if not person.accepted:
+        fit = replace(fit, face=model.reconstruct(np.zeros(model.components)))
     reflectance, field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:

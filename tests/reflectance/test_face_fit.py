@@ -78,6 +78,7 @@ def test_the_mean_face_stays_where_nothing_is_better(model, lighting):
     found = fit_face(picture(mean, 4, noise=0.05), model, VERTICES, FACES, lighting)
     assert not found.beats_mean
     assert found.details is None
+    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
     np.testing.assert_array_equal(found.reflectance.diffuse_linear, mean.diffuse_linear)
     assert [step.ran for step in found.plan] == [False, False]
     assert all("do not predict" in step.reason and "blocks" in step.evidence for step in found.plan)
@@ -100,8 +101,11 @@ def test_too_little_of_a_face_gives_the_mean(model, lighting):
 
 
 def test_another_mesh_is_refused(model, lighting):
+    taken = picture(skin(np.zeros((len(NORMALS), 3))), 3)
     with pytest.raises(ReflectanceError, match="one topology"):
-        fit_face(picture(skin(np.zeros((len(NORMALS), 3))), 3), model, VERTICES[:9], [[0, 1, 2]], lighting)
+        fit_face(taken, model, VERTICES[:9], [[0, 1, 2]], lighting)
+    with pytest.raises(ReflectanceError, match="1 vertices of the mesh are NaN"):
+        fit_face(taken, model, np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES), FACES)
 
 
 @pytest.mark.parametrize("options", [{"block_mm": 0.0}, {"folds": 1}, {"margin": -1.0}])
