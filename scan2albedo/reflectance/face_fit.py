@@ -153,8 +153,8 @@ def fit_face(
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.135 off, that of the mean
     face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). Two of them show the
-    mean face itself; one of these, lit by a red wall, is taken for a person. A photograph without colour gives
-    no evidence, and so the mean face.
+    mean face itself; one of these, lit by a red wall, is taken for a person. A photograph without colour
+    gives no evidence, and so the mean face.
 
     Cost: seven fits instead of one, those of the mean face being cheaper; about five times `fit_image`.
     """
