@@ -76,6 +76,8 @@ class Evidence:
     accepted: bool
 
     def __str__(self) -> str:
+        if not np.isfinite(self.error_before):
+            return f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
         return (
             f"colour of left-out blocks {100 * self.error_before:.2f} -> {100 * self.error_after:.2f} %, "
             f"gain {100 * self.gain:.2f} +- {100 * self.standard_error:.2f} %, {self.blocks} blocks"
