@@ -289,9 +289,9 @@ class _Trials:
         if count < _LEAST_BLOCKS:
             return Evidence(step, np.nan, np.nan, 0.0, 0.0, count, False)
         gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
-        before, after = float(one[common].mean()), float(two[common].mean())
-        accepted = gain > max(self._options.margin * spread, self._options.least_gain * before)
-        return Evidence(step, before, after, gain, spread, count, accepted)
+        errors = float(one[common].mean()), float(two[common].mean())
+        accepted = gain > max(self._options.margin * spread, self._options.least_gain * errors[0])
+        return Evidence(step, *errors, gain, spread, count, accepted)
 
 
 def _blocks_of(vertices: FloatArray, used: BoolArray, edge_mm: float) -> IntArray:

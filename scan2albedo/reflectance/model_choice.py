@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
@@ -58,7 +58,7 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
 
 
 def _errors(
-    model: MorphableReflectanceModel, sample: VertexReflectance, given: FloatArray, counts: Sequence[int]
+    model: MorphableReflectanceModel, sample: VertexReflectance, given: BoolArray, counts: Sequence[int]
 ) -> FloatArray:
     """Return sums of squares where a face is not given, by number of directions."""
     both = model.known & sample.known

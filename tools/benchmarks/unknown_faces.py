@@ -177,7 +177,7 @@ def painted(one: Head, seed: int) -> FloatArray:
     ):
         log += strength * near(x, at, radius)[:, None] * red
     below = [marks[eye].mean(0) - [0, 9, 0] for eye in (slice(36, 42), slice(42, 48))]
-    log -= rng.uniform(0, 0.25) * sum(near(x, at, 9.0) for at in below)[:, None]
+    log -= rng.uniform(0, 0.25) * np.sum([near(x, at, 9.0) for at in below], axis=0)[:, None]
     if rng.uniform() < 0.5:
         log -= rng.uniform(0.1, 0.5) * stubble(x, marks, rng)[:, None] * [1.0, 0.9, 0.75]
     for _ in range(rng.integers(0, 3)):
@@ -296,7 +296,7 @@ def _traced(
     rig = next(rig for rig in rigs() if rig.name == face.light)
     pictures = [traced_picture(face, one, albedo, light, PATHS) for light in (rig, RELIT)]
     if file is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(file, linear=pictures[0].astype(np.float32), relit=pictures[1].astype(np.float32))
     return pictures[0], pictures[1]
 

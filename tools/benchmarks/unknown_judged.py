@@ -51,7 +51,8 @@ def judged(face: UnknownFace, model: MorphableReflectanceModel, folder: str | No
     """Fit a photograph, and compare with the truth."""
     taken = photographed(face, model.diffuse_mean, None if folder is None else Path(folder))
     image = observe_photograph(taken.image, taken.camera, taken.vertices, taken.faces, mask=taken.skin)
-    assert image.transfer is not None
+    transfer = image.transfer
+    assert transfer is not None
     start = time.process_time()
     plain = fit_image(image, model)
     between = time.process_time()
@@ -66,7 +67,7 @@ def judged(face: UnknownFace, model: MorphableReflectanceModel, folder: str | No
     other = _looked_up(taken.relit, taken.camera, taken.vertices)
 
     def relit(reflectance: VertexReflectance) -> float:
-        made = image.transfer.shade(reflectance, taken.relit_light).radiance_linear
+        made = transfer.shade(reflectance, taken.relit_light).radiance_linear
         return albedo_error(made, other, counted).relative_rmse
 
     chosen = fit.reflectance
