@@ -183,7 +183,7 @@ PLACES = {
     "fitting": ["FitOptions"],
     "recognition": ["SimilarityOptions", "TemplateOptions"],
     "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
-    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions"],
+    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions", "FaceFitOptions", "DetailOptions"],
     "registration": ["RegistrationOptions"],
     "geometry_image": ["LookupOptions"],
     "geometry_image.model_free": ["ModelFreeOptions"],

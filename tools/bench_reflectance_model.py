@@ -1,11 +1,15 @@
 """Morphable reflectance: lobes at oblique views, fits to images, shadows, speed.
 
-    python tools/bench_reflectance_model.py [lobes] [fit] [shadows] [photograph] [speed]
+    python tools/bench_reflectance_model.py [lobes] [fit] [shadows] [photograph] [speed] [unknown]
                                             [--picture fit.png] [--photographs faces.png]
+                                            [--cases 16] [--traced FOLDER] [--unknown faces.png]
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
 is generated; it casts shadows in `shadows` and `photograph` only, ray-traced as
 tools/benchmarks/shadowed_shots.py tells.
+`unknown` shares nothing with the fit: light-stage shapes of ../shared/data, skin painted in space, traced
+by Mitsuba (tools/benchmarks/unknown_faces.py). The model is that of 200 synthetic people, the mesh one fitted
+to the shape. Pictures, 25 s each, are kept in the folder that --traced names.
 Albedo errors are relative RMSE after the best single scale, over seen vertices; faces are such as the model
 was not learned from, unless said. Times are CPU seconds.
 """
@@ -44,12 +48,14 @@ from scan2albedo.reflectance import (
     MorphableReflectanceModel,
     PhotographOptions,
     VertexReflectance,
+    fit_face,
     fit_image,
     generated_environment,
     light_transfer,
     observe_photograph,
     shade_environment,
 )
+from scan2albedo.reflectance.app.model_run import synthetic_model
 
 
 def print_lobes() -> None:
@@ -158,6 +164,15 @@ class ShadowedCases:
         used = (time.process_time() - start) / len(fits)
         return f"{self.errors([fit.face.reflectance for fit in fits])}{used:8.2f} s"
 
+    def chosen(self) -> str:
+        """Return errors, CPU seconds and how often `fit_face` finds more than the mean face."""
+        s, model = surface(), learned(60, 40)
+        start = time.process_time()
+        found = [fit_face(self.picture(k, True), model, s.vertices, s.faces) for k in range(len(self.faces))]
+        used = (time.process_time() - start) / len(found)
+        better = sum(one.beats_mean for one in found)
+        return f"{self.errors([one.reflectance for one in found])}{used:8.2f} s, not the mean in {better}"
+
 
 def people_of_the_model(first: int) -> list[VertexReflectance]:
     model = learned(60, 40)
@@ -209,6 +224,7 @@ def print_shadows() -> None:
                 label = f"{name}, {'with' if with_transfer else 'no'} transfer, prior {prior:g}"
                 made = cases.fitted(with_transfer, ImageFitOptions(prior_weight=prior))
                 print(f"{label:44}{made}", flush=True)
+        print(f"{name + ', what fit_face chooses':44}{cases.chosen()}", flush=True)
 
 
 def photograph_of(cases: ShadowedCases, k: int, camera: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -275,12 +291,45 @@ def print_speed() -> None:
         print(f"{count}: learn 40 faces {learn:.2f} s, fit {used:.2f} s, {fit.iterations} steps")
 
 
+def print_unknown(count: int, folder: str | None, picture: str | None) -> None:
+    """Print errors of the mean face, of the fit alone and of `fit_face` on faces nobody here made."""
+    from benchmarks.unknown_faces import unknown_faces
+    from benchmarks.unknown_judged import judged, sheet
+
+    start = time.process_time()
+    model = synthetic_model(200).model
+    print(f"{model.components} directions of 200 people in {time.process_time() - start:.0f} s")
+    LightingModel.default()
+    found = []
+    print(
+        f"{'albedo, relative RMSE %':44}{'mean face':>10}{'fit':>8}{'chosen':>8}"
+        f"{'relit: mean':>12}{'chosen':>8}"
+    )
+    for case in unknown_faces(count):
+        one = judged(case, model, folder)
+        found.append(one)
+        print(one, flush=True)
+    errors = np.array([(*one.albedo, *one.relit, *one.seconds) for one in found])
+    mean = 100 * errors[:, :5].mean(0)
+    print(f"{'mean':44}{mean[0]:10.1f}{mean[1]:8.1f}{mean[2]:8.1f}{mean[3]:12.1f}{mean[4]:8.1f}")
+    right = [one.fit.beats_mean == (one.albedo[2] < one.albedo[0]) for one in found]
+    worse = sum(one.albedo[2] > one.albedo[0] for one in found)
+    fit_worse = sum(one.albedo[1] > one.albedo[0] for one in found)
+    print(
+        f"decisions right: {sum(right)} of {len(found)}; worse than the mean face: {worse} "
+        f"(fit alone {fit_worse})"
+    )
+    print(f"CPU: fit alone {errors[:, 5].mean():.1f} s, chosen {errors[:, 6].mean():.1f} s")
+    if picture:
+        write_png(picture, sheet(found[:6]))
+
+
 PARTS = {
     "lobes": print_lobes,
     "shadows": print_shadows,
     "speed": print_speed,
 }
-ORDER = ("lobes", "fit", "shadows", "photograph", "speed")
+ORDER = ("lobes", "fit", "shadows", "photograph", "speed", "unknown")
 
 
 def main() -> None:
@@ -290,6 +339,9 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", default="all", choices=[*ORDER, "all"])
     parser.add_argument("--picture", help="PNG of one fit: image, albedo, weights; truth above, fit below")
     parser.add_argument("--photographs", help="PNG of four photographs")
+    parser.add_argument("--cases", type=int, default=16, help="photographs of unknown faces")
+    parser.add_argument("--traced", help="folder that keeps the traced pictures of unknown faces")
+    parser.add_argument("--unknown", help="PNG of the first six unknown faces")
     arguments = parser.parse_args()
     for part in ORDER if "all" in arguments.parts else arguments.parts:
         print(f"\n{part}")
@@ -297,6 +349,8 @@ def main() -> None:
             print_fits(arguments.picture)
         elif part == "photograph":
             print_photographs(arguments.photographs)
+        elif part == "unknown":
+            print_unknown(arguments.cases, arguments.traced, arguments.unknown)
         else:
             PARTS[part]()
 

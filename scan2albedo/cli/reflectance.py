@@ -136,16 +136,24 @@ def fit(
 
 @app.command()
 def build(
+    out: OutFolder,
     samples: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             help="Folders of fits or of processed scans, or reflectances (.npz); one topology.",
-            metavar="SAMPLE...",
+            metavar="[SAMPLE...]",
         ),
-    ],
-    out: OutFolder,
+    ] = None,
+    synthetic: Annotated[
+        int | None,
+        typer.Option(help="Learn from so many synthetic people, in place of samples; 200 is good.", min=2),
+    ] = None,
     components: Annotated[
-        int | None, typer.Option(help="Directions to keep; all when omitted.", min=0)
+        int | None,
+        typer.Option(
+            help="Directions to keep; when omitted all, of synthetic people those that predict others best.",
+            min=0,
+        ),
     ] = None,
     least_support: Annotated[
         float, typer.Option(help="Share of the samples that must know a vertex, above 0 and up to 1.")
@@ -159,16 +167,22 @@ def build(
     """Learn a morphable model of reflectance from several faces."""
     if not 0 < least_support <= 1:
         raise typer.BadParameter(f"--least-support is {least_support}, expected above 0 and up to 1")
+    if bool(samples) == (synthetic is not None):
+        raise typer.BadParameter("give either samples or --synthetic with a number of people, as 200")
     with _work("build", out) as progress:
-        from scan2albedo.reflectance.app.model_run import build_model, write_model_folder
+        from scan2albedo.reflectance.app.model_run import build_model, synthetic_model, write_model_folder
 
-        built = build_model(
-            samples,
-            components=components,
-            least_support=least_support,
-            landmark_vertices=landmark_vertices,
-        )
-        figures = write_model_folder(built, out, {"components": components, "least_support": least_support})
+        if synthetic is not None:
+            built = synthetic_model(synthetic, components=components)
+        else:
+            built = build_model(
+                samples or (),
+                components=components,
+                least_support=least_support,
+                landmark_vertices=landmark_vertices,
+            )
+        options = {"components": components, "least_support": least_support, "synthetic": synthetic}
+        figures = write_model_folder(built, out, options)
         progress.say(
             f"build: {figures['components']} directions from {figures['samples']} faces, "
             f"{figures['known_vertices']} of {figures['vertices']} vertices; files in {out}"
@@ -203,19 +217,28 @@ def fit_image(
         typer.Argument(help="A photograph file: image, camera, mesh or landmarks.", metavar="PHOTOGRAPH"),
     ],
     out: OutFolder,
-    model: Annotated[Path, typer.Option(help="Folder that `reflectance build` or `finetune` wrote.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder that `reflectance build` or `finetune` wrote; when omitted, a model of 200 "
+            "synthetic people is learned first, as `build --synthetic 200` writes it."
+        ),
+    ] = None,
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
-    """Find the reflectance and the light of one photograph with a model."""
+    """Find the reflectance and the light of one photograph with a model, or say that it does not show."""
     spend = checked_budget(budget)
     with _work("fit-image", out) as progress:
         from scan2albedo.reflectance import read_photograph
         from scan2albedo.reflectance.app.image_run import fit_photograph, write_fitted_photograph
-        from scan2albedo.reflectance.app.model_run import read_model_folder
+        from scan2albedo.reflectance.app.model_run import ModelFolder, read_model_folder
 
-        models = read_model_folder(model)
-        done = fit_photograph(read_photograph(photograph), models, budget=spend, on_progress=progress.update)
+        taken = read_photograph(photograph)
+        if model is None:
+            progress.say("fit-image: learning a model of synthetic people; `build --synthetic` keeps one")
+        models = ModelFolder.of_synthetic_people() if model is None else read_model_folder(model)
+        done = fit_photograph(taken, models, budget=spend, on_progress=progress.update)
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
         _tell_notes(progress, "fit-image", out)
         progress.say(

@@ -4,9 +4,11 @@ After Y. Han, Z. Wang, F. Xu, "Learning a 3D Morphable Face Reflectance Model fr
 and its supplement, which the modules cite as Han, Wang, Xu.
 """
 
+from scan2albedo.reflectance.albedo_details import DetailOptions
 from scan2albedo.reflectance.capture_files import CaptureFiles, read_capture, write_capture
 from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
 from scan2albedo.reflectance.environment_shading import EnvironmentShading, LightResponse, shade_environment
+from scan2albedo.reflectance.face_fit import Evidence, FaceFit, FaceFitOptions, fit_face
 from scan2albedo.reflectance.finetune import FineTuneOptions, FineTuning, finetune
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
 from scan2albedo.reflectance.geometry_terms import GeometryFitOptions
@@ -39,7 +41,11 @@ __all__ = [
     "CaptureDiagnostic",
     "CaptureFiles",
     "CaptureRig",
+    "DetailOptions",
     "EnvironmentShading",
+    "Evidence",
+    "FaceFit",
+    "FaceFitOptions",
     "FineTuneOptions",
     "FineTuning",
     "GeometryFit",
@@ -68,6 +74,7 @@ __all__ = [
     "VertexSamples",
     "extract_olat",
     "finetune",
+    "fit_face",
     "fit_image",
     "fit_reflectance",
     "generated_environment",

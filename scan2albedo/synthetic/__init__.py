@@ -6,7 +6,7 @@ from scan2albedo.synthetic.flash_capture import FlashCapture, FlashCaptureOption
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
 from scan2albedo.synthetic.glossy_person import GlossyFace
-from scan2albedo.synthetic.population import PopulationOptions, population_scan
+from scan2albedo.synthetic.population import PopulationOptions, population_reflectance, population_scan
 from scan2albedo.synthetic.raw_like import RawLikeOptions, raw_like
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
@@ -50,6 +50,7 @@ __all__ = [
     "flash_capture",
     "hemisphere",
     "light_at",
+    "population_reflectance",
     "population_scan",
     "raw_like",
     "raw_scan",

@@ -55,6 +55,19 @@ def person(
     return transform_points(procrustes(shaped, rest), shaped)
 
 
+def expression_offsets(
+    model: AnnotatedFaceModel, rng: np.random.Generator, *, levels: int, each: int = 8
+) -> FloatArray:
+    """Return (E, V, 3) random expressions, `each` of a kind, less the face at rest; mm on the surface."""
+    to_surface = model.subdivision(levels).matrix
+    moved = [
+        person(model, rng, strength=0.0, expression=name) - model.control_vertices
+        for name in get_args(Expression)[1:]
+        for _ in range(each)
+    ]
+    return np.stack([to_surface @ offset for offset in moved])
+
+
 @dataclass(frozen=True)
 class FaceSurface:
     """The limit surface of a person, mm in the model's frame.
@@ -69,6 +82,12 @@ class FaceSurface:
     corner_uv: FloatArray
     region: NDArray[np.uint8]
     landmarks: FloatArray
+
+    def vertex_uv(self) -> FloatArray:
+        """Return (V, 2) chart coordinates of the vertices."""
+        uv = np.zeros((len(self.vertices), 2))
+        uv[self.faces.ravel()] = self.corner_uv.reshape(-1, 2)
+        return uv
 
 
 def face_surface(model: AnnotatedFaceModel, control_points: FloatArray, *, levels: int = 3) -> FaceSurface:
@@ -94,8 +113,7 @@ def with_relief(
 
     Its standard deviation is `height_mm`; about `bumps` bumps lie across the chart (40 are wrinkles of 5 mm).
     """
-    uv = np.zeros((len(surface.vertices), 2))
-    uv[surface.faces.ravel()] = surface.corner_uv.reshape(-1, 2)
+    uv = surface.vertex_uv()
     height = height_mm * smooth_noise(uv, (bumps, bumps), rng)
     vertices = surface.vertices + height[:, None] * surface.normals
     return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.synthetic.face_shape import FaceSurface
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, Sitter
 from scan2albedo.synthetic.textures import smooth_noise
@@ -73,12 +75,11 @@ class GlossyPerson:
         """Return the sitter with highlights drawn at random."""
         shown = np.flatnonzero(hair | (sitter.part != HAIR))
         face = sitter.face
-        uv = np.zeros((len(face.vertices), 2))
-        uv[face.faces.ravel()] = face.corner_uv.reshape(-1, 2)
+        uv = face.vertex_uv()
         return cls(
             sitter,
             sitter.face_albedo(uv),
-            _weights(sitter, uv),
+            gloss_weights(face, sitter.model, uv, sitter.seed),
             shown,
             RayScene(sitter.vertices, sitter.faces[shown]),
         )
@@ -160,14 +161,13 @@ class GlossyPerson:
         return diffuse, weights
 
 
-def _weights(sitter: Sitter, uv: FloatArray) -> FloatArray:
+def gloss_weights(face: FaceSurface, model: AnnotatedFaceModel, uv: FloatArray, seed: int) -> FloatArray:
     """Return (V, 3): the person's own means, patches of more and less shine, more on lips and nose."""
-    rng = np.random.default_rng([sitter.seed, 20])
+    rng = np.random.default_rng([seed, 20])
     mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
     patches = np.exp(0.25 * np.stack([smooth_noise(uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
-    face = sitter.face
     scale, touching = np.zeros(len(uv)), np.zeros(len(uv))
-    of_face = sitter.model.region_values("specular_scale")[face.region]
+    of_face = model.region_values("specular_scale")[face.region]
     np.add.at(scale, face.faces.ravel(), np.repeat(of_face, 3))
     np.add.at(touching, face.faces.ravel(), 1.0)
     return mean * patches * (scale / np.maximum(touching, 1))[:, None]

@@ -13,7 +13,9 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
-from scan2albedo.synthetic.face_shape import Expression
+from scan2albedo.synthetic.face_shape import Expression, face_surface
+from scan2albedo.synthetic.face_shape import person as sculpted
+from scan2albedo.synthetic.glossy_person import GlossyFace, gloss_weights
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.room_light import random_colors, random_room
@@ -98,9 +100,7 @@ def population_scan(
         The default model when omitted; it needs landmarks.
     """
     template = model or AnnotatedFaceModel.default()
-    own = np.random.default_rng([seed, person, 11])
-    shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*options.tones))
-    paint = _painter(template, own, tone, options, [seed, 12])
+    shape_seed, tone, paint = _individual(person, seed, options, template)
     now = np.random.default_rng([seed, person, session, 13])
     room = random_room(now, options.lamp_colors) if options.light == "room" else None
     lights = _random_lights(now, options)
@@ -118,6 +118,55 @@ def population_scan(
     if colors is not None and room is not None:
         colors[0] = 1.0  # the room has colours of its own
     return scan_of(sitter, lights, material, options.capture, now, name, colors, room)
+
+
+def population_reflectance(
+    person: int,
+    *,
+    seed: int = 0,
+    options: PopulationOptions = PopulationOptions(individuality=1.0, tones=(0.0, 1.0)),
+    levels: int = 1,
+    model: AnnotatedFaceModel | None = None,
+) -> GlossyFace:
+    """Return the true reflectance of one person of a population, without any photograph of it.
+
+    Shape and paint are those of `population_scan` with the same arguments, at rest and without fine relief;
+    by default people differ all they can, of any skin tone. The lobes are drawn as for `flash_capture`.
+
+    Parameters
+    ----------
+    person, seed, options, model
+        As in `population_scan`; `options` gives how alike people are and their tones.
+    levels : int
+        Refinements of the model's surface.
+
+    Returns
+    -------
+    GlossyFace
+        Vertices of all people correspond.
+    """
+    template = model or AnnotatedFaceModel.default()
+    shape_seed, _, paint = _individual(person, seed, options, template)
+    points = sculpted(template, np.random.default_rng([shape_seed, 2]))
+    face = face_surface(template, points, levels=levels)
+    uv = face.vertex_uv()
+    return GlossyFace(
+        face.vertices,
+        face.normals,
+        face.faces,
+        face.landmarks,
+        paint(uv),
+        gloss_weights(face, template, uv, shape_seed),
+    )
+
+
+def _individual(
+    person: int, seed: int, options: PopulationOptions, model: AnnotatedFaceModel
+) -> tuple[int, float, Callable[[FloatArray], FloatArray]]:
+    """Return the seed of a person's shape, the skin's tone, and the paint."""
+    own = np.random.default_rng([seed, person, 11])
+    shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*options.tones))
+    return shape_seed, tone, _painter(model, own, tone, options, [seed, 12])
 
 
 def _painter(
@@ -139,6 +188,8 @@ def _painter(
 
     def paint(uv: FloatArray) -> FloatArray:
         mine = paint_face(uv, model, np.random.default_rng(paint_seed), tone=tone, features=features)
+        if options.individuality == 1:
+            return mine
         shared = paint_face(
             uv, model, np.random.default_rng(common_seed), tone=sum(options.tones) / 2, marks=False
         )

@@ -141,6 +141,27 @@ def test_fit_image_from_landmarks(model, photographs, tmp_path):
     assert "reflectance.image" in trace
 
 
+def test_fit_image_without_a_model_learns_one_and_says_what_it_believes(photographs, tmp_path):
+    done = run("fit-image", photographs[2], "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    assert [step["stage"].split(".")[-1] for step in figures["plan"]] == ["details", "person"]
+    assert figures["beats_mean"] == any(step["ran"] for step in figures["plan"])
+    record = read_record(tmp_path / "out" / "reflectance.json", ReflectanceRecord)
+    assert record.inputs == (str(photographs[2]),)
+    assert figures["beats_mean"] != any("mean face" in note for note in record.notes)
+    assert "learning a model of synthetic people" in done.stderr
+
+
+def test_build_from_synthetic_people(tmp_path):
+    done = run("build", "--synthetic", 12, "-o", tmp_path / "model", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["samples"] == 12
+    assert (tmp_path / "model" / "shape_model.npz").is_file()
+    refused = run("build", "--synthetic", 12, tmp_path / "model", "-o", tmp_path / "other")
+    assert "either samples or --synthetic" in refused.output
+
+
 def test_landmarks_without_a_shape_model_are_refused(people, model, photographs, tmp_path):
     run("build", people / "fit_0", people / "fit_1", "-o", tmp_path / "flat")
     done = run("fit-image", photographs[2], "--model", tmp_path / "flat", "-o", tmp_path / "out")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from scan2albedo.core import Budget, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
+    FaceFit,
     FineTuning,
     GeometryFit,
     ImageFit,
@@ -25,6 +27,7 @@ from scan2albedo.reflectance import (
     PhotographFiles,
     PhotographOptions,
     finetune,
+    fit_face,
     fit_image,
     observe_photograph,
     read_photograph,
@@ -50,28 +53,42 @@ class FittedPhotograph:
     vertices: FloatArray
     faces: IntArray
     observation: ImageObservation
-    fit: ImageFit
+    face: FaceFit
     geometry: GeometryFit | None
     """Where landmarks gave the shape."""
     trace: Trace
     """Of all fits, one after the other; each begins at 0 seconds."""
 
+    @property
+    def fit(self) -> ImageFit:
+        """Light and coefficients."""
+        return self.face.fit
+
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
         parts = {"shape": self.geometry, "reflectance and light": self.fit}
-        return tuple(
+        notes = [
             f"the fit of {name} stopped before it had converged"
             for name, part in parts.items()
             if part is not None and not part.converged
-        )
+        ]
+        if not self.face.beats_mean:
+            notes.append(
+                "the reflectance is that of the model's mean face, scaled: nothing found in this photograph "
+                "predicts parts of it that were left out any better"
+            )
+        return tuple(notes)
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
-        fit, geometry = self.fit, self.geometry
+        face, fit, geometry = self.face, self.fit, self.geometry
         figures: dict[str, Any] = {
             "vertices": len(self.vertices),
             "seen_vertices": int(np.asarray(self.observation.seen).sum()),
-            "relative_rmse": fit.relative_rmse,
+            "beats_mean": face.beats_mean,
+            "details": face.details is not None,
+            "plan": [vars(step) for step in face.plan],
+            "relative_rmse": face.relative_rmse,
             "objective": fit.objective,
             "converged": fit.converged,
             "iterations": fit.iterations,
@@ -104,46 +121,72 @@ def fit_photograph(
     """Fit reflectance and light to a photograph and, where it has no mesh, the shape.
 
     The shape is found from the landmarks, reflectance and light with that shape, the shape again from
-    landmarks and colours, and reflectance and light once more; each of these fits gets the whole budget.
+    landmarks and colours. `fit_face` comes last; each of these fits gets the whole budget.
     Raises `ReflectanceError` when mesh and model have other vertices, there is no shape model for landmarks,
     or nothing is seen.
     """
     lighting = LightingModel.default() if lighting is None else lighting
-
-    def fitted(vertices: FloatArray) -> tuple[ImageObservation, ImageFit]:
-        observation = observe(photograph, vertices, models.mean.faces)
-        with warnings.catch_warnings():
-            # `FittedPhotograph.notes` says so.
-            warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
-            fit = fit_image(observation, models.model, lighting, budget=budget, on_progress=on_progress)
-        return observation, fit
-
-    try:
-        if photograph.vertices is not None:
-            vertices = _checked_vertices(photograph, models)
-            observation, fit = fitted(vertices)
-            return FittedPhotograph(
-                photograph, vertices, models.mean.faces, observation, fit, None, fit.trace
+    faces = models.mean.faces
+    with _named(photograph):
+        vertices, geometry, trace = _shaped(photograph, models, lighting, budget, on_progress)
+        observation = observe(photograph, vertices, faces)
+        with _unconverged_allowed():
+            face = fit_face(
+                observation,
+                models.model,
+                vertices,
+                faces,
+                lighting,
+                budget=budget,
+                on_progress=on_progress,
             )
-        shape = _shape_model(photograph, models)
-        first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
-        _, skin = fitted(first.vertices)
-        refined = _geometry(
-            photograph,
-            shape,
-            budget=budget,
-            on_progress=on_progress,
-            reflectance=skin.face.reflectance,
-            light=skin.light,
-            initial_scene_from_model=first.scene_from_model,
-            initial_identity=first.identity,
-            initial_expression=first.expression,
-        )
-        last = fitted(refined.vertices)
-        trace = first.trace + skin.trace + refined.trace + last[1].trace
-        return FittedPhotograph(photograph, refined.vertices, models.mean.faces, *last, refined, trace)
+    return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
+
+
+def _shaped(
+    photograph: PhotographFiles,
+    models: ModelFolder,
+    lighting: LightingModel,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> tuple[FloatArray, GeometryFit | None, Trace]:
+    """Return the vertices (V, 3) of a photograph's mesh, or those that its landmarks and colours give."""
+    if photograph.vertices is not None:
+        return _checked_vertices(photograph, models), None, Trace()
+    shape = _shape_model(photograph, models)
+    first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
+    with _unconverged_allowed():
+        seen = observe(photograph, first.vertices, models.mean.faces)
+        skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
+    refined = _geometry(
+        photograph,
+        shape,
+        budget=budget,
+        on_progress=on_progress,
+        reflectance=skin.face.reflectance,
+        light=skin.light,
+        initial_scene_from_model=first.scene_from_model,
+        initial_identity=first.identity,
+        initial_expression=first.expression,
+    )
+    return refined.vertices, refined, first.trace + skin.trace + refined.trace
+
+
+@contextmanager
+def _named(photograph: PhotographFiles) -> Iterator[None]:
+    """Name the photograph in errors."""
+    try:
+        yield
     except ReflectanceError as error:
         raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
+
+
+@contextmanager
+def _unconverged_allowed() -> Iterator[None]:
+    """Leave out the warning of a fit that stopped early, which `FittedPhotograph.notes` tells."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+        yield
 
 
 def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) -> ImageObservation:
@@ -160,23 +203,36 @@ def write_fitted_photograph(
 ) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
     figures = done.metrics()
-    mesh = MeshReflectance(done.vertices, done.faces, done.fit.face.reflectance)
-    upright = MeshReflectance(models.mean.vertices, done.faces, done.fit.face.reflectance)
-    with folder_of_results(out, "fit-image", (done.photograph.path, models.folder)) as results:
+    mesh = MeshReflectance(done.vertices, done.faces, done.face.reflectance)
+    upright = MeshReflectance(models.mean.vertices, done.faces, done.face.reflectance)
+    inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
+    with folder_of_results(out, "fit-image", inputs) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh)
         write_colored_mesh(results.folder / "face.ply", mesh)
         done.trace.to_csv(results.folder / "trace.csv")
         results.figure("error_vs_time.png", done.trace.plot())
         linear = _linear(done.photograph)
         made, shown = draw_in_camera(
-            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, done.fit.radiance_linear
+            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, done.face.radiance_linear
         )
         valid = np.isfinite(linear)
         panels = relit_panels("face", np.nan_to_num(linear), made, shown, valid)
-        title = f"relative RMSE {100 * done.fit.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
+        title = (
+            f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
+        )
+        title += f"\n{told_by(done.face)}"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
         results.write_record(figures, options=options, notes=done.notes())
     return figures
+
+
+def told_by(face: FaceFit) -> str:
+    """Return in words what of a face's reflectance the photograph decides."""
+    if not face.beats_mean:
+        return "the model's mean face: nothing found predicts parts left out any better"
+    found = [one.step for one in face.evidence if one.accepted]
+    names = {"person": "the person's coefficients", "details": "details"}
+    return f"{' and '.join(names[step] for step in found)} predict parts left out better than the mean face"
 
 
 @dataclass(frozen=True)
@@ -221,12 +277,9 @@ def tune_model(
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
         photograph = read_photograph(path)
-        if photograph.vertices is None:
-            return fit_photograph(photograph, models, lighting=lighting).observation
-        try:
-            return observe(photograph, _checked_vertices(photograph, models), models.mean.faces)
-        except ReflectanceError as error:
-            raise ReflectanceError(f"photograph {path}: {error}") from error
+        with _named(photograph):
+            vertices, _, _ = _shaped(photograph, models, lighting)
+            return observe(photograph, vertices, models.mean.faces)
 
     tuning = finetune(
         models.model,
@@ -249,6 +302,7 @@ def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> d
     """Write the model's folder anew; return figures as in `reflectance.json`."""
     figures = done.metrics()
     models = done.models
+    assert models.folder is not None  # models that are tuned come from files
     with folder_of_results(out, "finetune", (models.folder, *done.photographs, *done.held_out)) as results:
         models.model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, models.mean)
@@ -281,13 +335,13 @@ def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> Float
     assert photograph.vertices is not None
     if len(photograph.vertices) != len(models.mean.vertices):
         raise ReflectanceError(
-            f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and the model in "
-            f"{models.folder} {len(models.mean.vertices)}; give a mesh in the model's topology"
+            f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and "
+            f"{models} {len(models.mean.vertices)}; give a mesh in the model's topology"
         )
     faces = photograph.faces
     if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
         raise ReflectanceError(
-            f"its mesh {photograph.content.mesh} has other triangles than the model in {models.folder}, so "
+            f"its mesh {photograph.content.mesh} has other triangles than {models}, so "
             "that vertices do not correspond; give a mesh in the model's topology"
         )
     return photograph.vertices
@@ -304,8 +358,7 @@ def _shape_model(photograph: PhotographFiles, models: ModelFolder) -> MorphableS
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
     assert photograph.landmarks_px is not None
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+    with _unconverged_allowed():
         return refine_geometry(
             _linear(photograph),
             photograph.camera,

@@ -1,0 +1,58 @@
+"""Details of the albedo: what is shared with the light, and what is not said."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.reflectance import DetailOptions
+from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field
+
+SIDE = 41
+X, Y = (axis.ravel() for axis in np.meshgrid(3.0 * np.arange(SIDE), 3.0 * np.arange(SIDE)))
+VERTICES = np.stack([X, Y, np.zeros(SIDE**2)], 1)
+CORNER = (np.arange(SIDE - 1)[:, None] * SIDE + np.arange(SIDE - 1)).ravel()
+FACES = np.concatenate(
+    [
+        np.stack([CORNER, CORNER + 1, CORNER + SIDE], 1),
+        np.stack([CORNER + 1, CORNER + SIDE + 1, CORNER + SIDE], 1),
+    ]
+)
+TOLD = np.ones(SIDE**2, bool)
+
+
+def ripple(length_mm):
+    return np.sin(2 * np.pi * X / length_mm) * np.sin(2 * np.pi * Y / length_mm)
+
+
+def kept(length_mm, color, size):
+    residual = size * ripple(length_mm)[:, None] * color
+    found = detail_field(ShadingDivided(residual, TOLD), VERTICES, FACES)
+    return np.sum(found * residual) / np.sum(residual**2)
+
+
+def test_strong_colour_is_albedo_and_what_is_weak_and_grey_is_light():
+    assert kept(30.0, np.array([0.3, 1.0, 0.9]), 0.3) > 0.7
+    assert kept(30.0, np.ones(3), 0.01) < 0.2
+    assert kept(30.0, np.array([1.0, -1.0, 0.0]), 0.05) > kept(30.0, np.ones(3), 0.05) + 0.2
+
+
+def test_wide_fields_stay_with_the_light():
+    slope = 0.3 * (X - X.mean())[:, None] / 60 * np.ones(3)
+    found = detail_field(ShadingDivided(slope, TOLD), VERTICES, FACES)
+    middle = np.hypot(X - 60, Y - 60) < 20
+    assert np.abs(found[middle]).max() < 0.5 * np.abs(slope[middle]).max()
+    assert kept(30.0, np.ones(3), 0.3) > 0.6
+
+
+def test_nothing_is_said_far_from_what_tells():
+    told = X < 30
+    residual = np.where(told[:, None], 0.3 * ripple(30.0)[:, None] * [0.3, 1.0, 0.9], 9.0)
+    found = detail_field(ShadingDivided(residual, told), VERTICES, FACES)
+    assert np.abs(found).max() < 0.5
+    assert np.abs(found[X > 60]).max() < 1e-3
+    assert not detail_field(ShadingDivided(residual, np.zeros_like(told)), VERTICES, FACES).any()
+
+
+@pytest.mark.parametrize("options", [{"widths_mm": (4.0, 2.0)}, {"light_error": (0.1,)}, {"grey": 1.0}])
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        DetailOptions(**options)

@@ -1,0 +1,114 @@
+"""An unknown face from one photograph: what parts left out decide, and what stays the mean face."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.harmonics import harmonics, project_environment
+from scan2albedo.reflectance import (
+    FaceFitOptions,
+    ImageObservation,
+    MorphableReflectanceModel,
+    VertexReflectance,
+    fit_face,
+    generated_environment,
+    shade_environment,
+)
+
+DIRECTIONS = distant_directions(1600)
+NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]
+VERTICES = 80 * NORMALS
+FACES = Delaunay(NORMALS[:, :2] / (1 + NORMALS[:, 2:])).simplices
+VIEW = np.tile([0.0, 0.0, 1.0], (len(NORMALS), 1))
+SEEN = NORMALS[:, 2] > 0.15
+SKIN = np.array([0.55, 0.38, 0.30])
+PIGMENT = np.array([0.3, 1.0, 0.9])
+WAVES = harmonics(NORMALS, 8).T
+
+
+def waves(seed, orders, size):
+    """Return (V,) a smooth random field of harmonics of some orders."""
+    rows = slice(orders[0] ** 2, (orders[1] + 1) ** 2)
+    field = np.random.default_rng(seed).normal(size=81)[rows] @ WAVES[rows]
+    return size * field / field.std()
+
+
+def skin(log_albedo):
+    diffuse = SKIN * np.exp(log_albedo)
+    return VertexReflectance(diffuse, np.full((len(NORMALS), 3), 0.02), np.ones(len(NORMALS), bool))
+
+
+@pytest.fixture(scope="module")
+def model():
+    people = [skin(waves(seed, (1, 2), 0.1)[:, None] * PIGMENT) for seed in range(20)]
+    return MorphableReflectanceModel.from_samples(people, components=6)
+
+
+def picture(face, seed, noise=0.01):
+    light = project_environment(generated_environment(seed))
+    color = shade_environment(face, NORMALS, VIEW, light).radiance_linear
+    color = color * (1 + noise * np.random.default_rng(seed).normal(size=color.shape))
+    return ImageObservation(color, NORMALS, VIEW, SEEN)
+
+
+def error(found, truth):
+    a, b = found.diffuse_linear[SEEN], truth.diffuse_linear[SEEN]
+    return np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b) / np.linalg.norm(b)
+
+
+def test_details_that_no_model_knows_are_found(model, lighting):
+    blotches = waves(50, (7, 8), 0.25)[:, None] * PIGMENT
+    truth = skin(blotches)
+    found = fit_face(picture(truth, 3), model, VERTICES, FACES, lighting)
+    assert found.beats_mean
+    assert found.plan.ran("reflectance.image.details")
+    assert found.details is not None
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    assert error(found.reflectance, truth) < 0.6 * error(mean, truth)
+    assert error(found.fit.face.reflectance, truth) > 0.9 * error(mean, truth)
+    assert found.relative_rmse < 0.5 * found.fit.relative_rmse
+
+
+def test_the_mean_face_stays_where_nothing_is_better(model, lighting):
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    found = fit_face(picture(mean, 4, noise=0.05), model, VERTICES, FACES, lighting)
+    assert not found.beats_mean
+    assert found.details is None
+    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
+    np.testing.assert_array_equal(found.reflectance.diffuse_linear, mean.diffuse_linear)
+    assert [step.ran for step in found.plan] == [False, False]
+    assert all("do not predict" in step.reason and "blocks" in step.evidence for step in found.plan)
+
+
+def test_grey_shade_is_not_taken_for_skin(model, lighting):
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    taken = picture(mean, 5)
+    shaded = taken.observed_linear * np.exp(waves(51, (7, 8), 0.15))[:, None]
+    found = fit_face(dataclasses.replace(taken, observed_linear=shaded), model, VERTICES, FACES, lighting)
+    assert not found.plan.ran("reflectance.image.details")
+
+
+def test_too_little_of_a_face_gives_the_mean(model, lighting):
+    near = SEEN & (np.linalg.norm(VERTICES - [0, 0, 80], axis=1) < 15)
+    taken = dataclasses.replace(picture(skin(np.zeros((len(NORMALS), 3))), 3), seen=near)
+    found = fit_face(taken, model, VERTICES, FACES, lighting, options=FaceFitOptions(block_mm=20.0))
+    assert not found.beats_mean
+    assert all("too little of the face" in step.reason for step in found.plan)
+
+
+def test_another_mesh_is_refused(model, lighting):
+    taken = picture(skin(np.zeros((len(NORMALS), 3))), 3)
+    with pytest.raises(ReflectanceError, match="one topology"):
+        fit_face(taken, model, VERTICES[:9], [[0, 1, 2]], lighting)
+    with pytest.raises(ReflectanceError, match="1 vertices of the mesh are NaN"):
+        fit_face(taken, model, np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES), FACES)
+
+
+@pytest.mark.parametrize("options", [{"block_mm": 0.0}, {"folds": 1}, {"margin": -1.0}])
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        FaceFitOptions(**options)

@@ -1,0 +1,363 @@
+"""Photographs of faces that no model here knows, made by code that shares nothing with the fit.
+
+Shapes are those of ../shared/data/ict_faces.npz; albedo is painted here in space, around their landmarks, or
+looked up in the pictures of ../shared/data/traced. Mitsuba traces rough plastic skin with occlusion and
+bounces under the lights of `traced_lights`; the picture gets a sensor's noise and 8 bits. The mesh is what
+`scan2albedo.fit` finds on the shape, so that vertices do not correspond exactly either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.spatial import cKDTree
+
+import scan2albedo as s2a
+from benchmarks.mitsuba_bake import textured_mesh
+from benchmarks.scan_files import face_data
+from benchmarks.traced_lights import ENVIRONMENTS, Environment, Part, Rig, rigs
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.io.images import read_image_linear
+from scan2albedo.lighting.harmonics import project_environment
+
+LEVEL = 1
+SIZE, PATHS, DEPTH = 320, 48, 5
+CAMERA_MM, FOCAL_PX = 900.0, 1100.0
+GAMMA, WHITE, SATURATION = 1.2, 0.85, 0.98
+RELIT = Rig("relit", "another light", (Part(Environment("overcast"), 1.0),))
+_TEXTURE = (1024, 2048)
+_NOISE, BLUR_PX = 0.006, 1.0
+_FARTHEST_MM = 2.0
+_TONES = np.array(
+    [[0.62, 0.42, 0.33], [0.52, 0.33, 0.25], [0.42, 0.26, 0.18], [0.30, 0.18, 0.115], [0.15, 0.085, 0.06]]
+)
+_LIP, _HAIR = np.array([0.85, 0.55, 0.58]), np.array([0.06, 0.045, 0.035])
+SHAPES = ("person1", "person2", "person3", "person4", "generic_neutral")
+TRACED = ("p105_front", "p106_gloss", "p108_smile_m")
+LIGHTS = ("softbox_side", "sky", "lamp_room", "window", "softboxes2", "sun", "dome", "flash")
+
+
+@dataclass(frozen=True)
+class UnknownFace:
+    """One case: whose shape, whose skin, which light, from where.
+
+    The skin is "paint-N", a traced scan's name, or "mean", the model's own mean, where nothing is better.
+    """
+
+    shape: str
+    skin: str
+    light: str
+    azimuth_deg: float
+    alpha: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.shape}_{self.skin}_{self.light}"
+
+
+def unknown_faces(count: int) -> list[UnknownFace]:
+    """Return as many cases; of eight, three have the skin of a traced scan and one the model's mean."""
+    cases = []
+    for k in range(count):
+        rng = np.random.default_rng([k, 77])
+        skin = TRACED[(k // 3) % 3] if k % 8 in (1, 4, 7) else f"paint-{k}"
+        skin = "mean" if k % 8 == 6 else skin
+        azimuth, alpha = float(rng.uniform(-25, 25)), float(rng.uniform(0.25, 0.4))
+        cases.append(UnknownFace(SHAPES[k % 5], skin, LIGHTS[(3 * k + k // 8) % 8], azimuth, alpha))
+    return cases
+
+
+@dataclass(frozen=True)
+class Head:
+    """A shape, refined, with (68, 3) landmarks; `on_face` (F,) are the triangles of the face."""
+
+    vertices: FloatArray
+    faces: IntArray
+    normals: FloatArray
+    landmarks: FloatArray
+    coarse_corners: IntArray
+    """(V, 2): the coarse vertices that each vertex is the middle of, twice the same one for their own."""
+    on_face: BoolArray
+    corner_uv: FloatArray
+    """(F, 3, 2): within the unit square, v upward."""
+
+
+@cache
+def head(shape: str) -> Head:
+    """Return a shape of the set, its triangles divided once into four."""
+    data = np.load(face_data("ict_faces.npz"))
+    coarse, triangles = data[f"shape_{shape}"].astype(float), data["faces"].astype(np.int64)
+    landmarks = coarse[data["landmarks68"]]
+    coarse, landmarks = coarse - landmarks[27:36].mean(0), landmarks - landmarks[27:36].mean(0)
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    ends, edge_of = np.unique(edges, axis=0, return_inverse=True)
+    (a, b, c), (ab, bc, ca) = triangles.T, (len(coarse) + edge_of.reshape(-1, 3)).T
+    faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1).reshape(-1, 3)
+    vertices = np.concatenate([coarse, coarse[ends].mean(1)])
+    own = np.repeat(np.arange(len(coarse))[:, None], 2, axis=1)
+    on_face = np.arange(len(faces)) < 4 * int(data["face_area_faces"])
+    normals = vertex_normals(vertices, faces)
+    # The chart has two tiles beside each other.
+    corner_uv = _quartered(data["uv"].astype(float)[data["uv_faces"]] * [0.5, 1.0])
+    return Head(vertices, faces, normals, landmarks, np.concatenate([own, ends]), on_face, corner_uv)
+
+
+def _quartered(corners: FloatArray) -> FloatArray:
+    """Return values (4 F, 3, K) of the corners after each triangle is divided into four."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    return np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1).reshape(-1, 3, corners.shape[2])
+
+
+@cache
+def fitted_vertices(shape: str) -> tuple[FloatArray, IntArray]:
+    """Return vertices (V, 3) and triangles of the default model's surface as fitted to a shape."""
+    model, one = s2a.AnnotatedFaceModel.default(), head(shape)
+    scan = s2a.RawScan(one.vertices, one.faces[one.on_face])
+    fitted = s2a.fit(scan, model, s2a.register(scan, model))
+    subdivision = model.subdivision(LEVEL)
+    in_model = subdivision.matrix @ fitted.control_points
+    scan_from_model = np.linalg.inv(np.asarray(fitted.model_from_scan))
+    return in_model @ scan_from_model[:3, :3].T + scan_from_model[:3, 3], subdivision.faces
+
+
+def albedo_of(face: UnknownFace, mean: FloatArray) -> FloatArray:
+    """Return the linear albedo (V, 3) of the head's vertices; `mean` is the model's, at its own ones."""
+    one = head(face.shape)
+    if face.skin == "mean":
+        vertices, faces = fitted_vertices(face.shape)
+        nearest = ClosestPointQuery(vertices, faces).query(one.vertices)
+        return np.einsum("nk,nkc->nc", nearest.barycentric, mean[faces[nearest.face]])
+    if face.skin.startswith("paint"):
+        return painted(one, int(face.skin.split("-")[1]))
+    return traced_albedo(face.skin)[one.coarse_corners].mean(1)
+
+
+def traced_albedo(name: str) -> FloatArray:
+    """Return (V, 3) of the coarse vertices, from the albedo picture of a traced scan."""
+    with np.load(face_data(f"traced/{name}_truth.npz")) as truth:
+        uv, faces = truth["uv_corners"].astype(float), truth["faces"].astype(np.int64)
+        count = len(truth["vertices_mm"])
+    picture = read_image_linear(face_data(f"traced/{name}_albedo.png")).astype(float)
+    height, width = picture.shape[:2]
+    row = np.clip(((1 - uv[..., 1]) * height).astype(int), 0, height - 1)
+    column = np.clip((uv[..., 0] * width).astype(int), 0, width - 1)
+    albedo = np.zeros((count, 3))
+    albedo[faces.ravel()] = picture[row, column].reshape(-1, 3)
+    return np.maximum(albedo, 0.01)
+
+
+def painted(one: Head, seed: int) -> FloatArray:
+    """Return (V, 3) of a person painted in space: tone, zones, blotches, brows, lips, stubble, marks."""
+    rng = np.random.default_rng([seed, 78])
+    x, marks = one.vertices, one.landmarks
+    mix = rng.uniform(0, len(_TONES) - 1)
+    tone = np.array([np.interp(mix, np.arange(len(_TONES)), c) for c in _TONES.T])
+    log = np.log(tone) + 0.06 * rng.normal(size=3) + np.zeros((len(x), 1))
+    red, brown = np.array([-0.15, -1.0, -0.8]), np.array([-0.6, -0.9, -1.1])
+    for wave_mm, size in ((70.0, 0.06), (25.0, 0.05), (9.0, 0.035)):
+        log += size * waves(x, wave_mm, rng)[:, None] * red
+        log += 0.8 * size * waves(x, wave_mm, rng)[:, None] * brown
+    for at, radius, strength in (
+        (marks[[31, 41, 48, 2]].mean(0), 17.0, rng.uniform(0, 0.35)),
+        (marks[[35, 46, 54, 14]].mean(0), 17.0, rng.uniform(0, 0.35)),
+        (marks[30], 12.0, rng.uniform(0, 0.3)),
+        (marks[8], 16.0, rng.uniform(0, 0.15)),
+    ):
+        log += strength * near(x, at, radius)[:, None] * red
+    below = [marks[eye].mean(0) - [0, 9, 0] for eye in (slice(36, 42), slice(42, 48))]
+    log -= rng.uniform(0, 0.25) * np.sum([near(x, at, 9.0) for at in below], axis=0)[:, None]
+    if rng.uniform() < 0.5:
+        log -= rng.uniform(0.1, 0.5) * stubble(x, marks, rng)[:, None] * [1.0, 0.9, 0.75]
+    for _ in range(rng.integers(0, 3)):
+        spot = x[one.faces[rng.choice(np.flatnonzero(one.on_face)), 0]]
+        strength, radius = rng.uniform(0.2, 0.6), rng.uniform(3, 12)
+        log += strength * near(x, spot, radius)[:, None] * (red, brown)[rng.integers(2)]
+    albedo = np.exp(log)
+    lips = inside(x, marks[48:60], 2.0)[:, None] * (x[:, 2] > marks[48, 2] - 15)[:, None]
+    albedo *= 1 - rng.uniform(0.5, 1.0) * lips * (1 - _LIP)
+    density = rng.uniform(0.35, 0.9)
+    for brow in (marks[17:22], marks[22:27]):
+        line = np.stack([np.interp(np.linspace(0, 4, 60), np.arange(5), c) for c in brow.T], 1)
+        reach, _ = cKDTree(line).query(x)
+        hair = density * np.exp(-((reach / rng.uniform(3.0, 5.0)) ** 4))[:, None]
+        albedo += hair * (_HAIR * rng.uniform(0.6, 2.5) - albedo)
+    return np.clip(albedo, 0.01, 0.9)
+
+
+def waves(x: FloatArray, length_mm: float, rng: np.random.Generator) -> FloatArray:
+    """Return (N,) smooth noise of unit variance in space."""
+    k = rng.normal(size=(40, 3)) * (2 * np.pi / length_mm) / np.sqrt(3)
+    return np.sqrt(2 / 40) * np.cos(x @ k.T + rng.uniform(0, 2 * np.pi, 40)).sum(1)
+
+
+def near(x: FloatArray, at: FloatArray, radius_mm: float) -> FloatArray:
+    """Return (N,) 1 at a point, falling off around it."""
+    return np.exp(-np.sum((x - at) ** 2, 1) / (2 * radius_mm**2))
+
+
+def inside(x: FloatArray, outline: FloatArray, soft_mm: float) -> FloatArray:
+    """Return (N,) 1 inside an outline (K, 3) as seen from the front."""
+    turns = np.linspace(0, len(outline), 200)
+    closed = np.concatenate([outline, outline[:1]])[:, :2]
+    rim = np.stack([np.interp(turns, np.arange(len(closed)), c) for c in closed.T], 1)
+    middle = outline[:, :2].mean(0)
+    fill = np.concatenate([middle + scale * (rim - middle) for scale in np.linspace(0, 1, 12)])
+    reach, _ = cKDTree(fill).query(x[:, :2])
+    return np.clip(1.3 - reach / soft_mm, 0, 1)
+
+
+def stubble(x: FloatArray, marks: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return (N,) density of shaven hair below nose and cheeks."""
+    low = 1 / (1 + np.exp((x[:, 1] - marks[33, 1] + 6 + 0.15 * np.abs(x[:, 0])) / 3))
+    return low * (1 - inside(x, marks[48:60], 3.0)) * np.clip(0.8 + 0.2 * waves(x, 8.0, rng), 0, 1.3)
+
+
+@dataclass(frozen=True)
+class UnknownPhotograph:
+    """A picture (H, W, 3), its camera (3, 4) and skin, the fitted mesh, and the truth at its vertices."""
+
+    face: UnknownFace
+    image: NDArray[np.uint8]
+    skin: BoolArray
+    camera: FloatArray
+    vertices: FloatArray
+    faces: IntArray
+    albedo: FloatArray
+    """(V, 3); NaN where the mesh is too far from the shape."""
+    relit: FloatArray
+    """(H, W, 3): linear light of the same face in another light."""
+    relit_light: FloatArray
+    """(81, 3): of that light."""
+
+
+def photographed(face: UnknownFace, mean: FloatArray, folder: Path | None = None) -> UnknownPhotograph:
+    """Return a photograph, from `folder` if it has been made before; `mean` as in `albedo_of`."""
+    one, albedo = head(face.shape), albedo_of(face, mean)
+    vertices, faces = fitted_vertices(face.shape)
+    camera = camera_of(face)
+    pixels = pixel_directions(camera, pixel_grid((SIZE, SIZE)))
+    center = camera_centers(camera[None])[0]
+    hits = RayCaster(one.vertices, one.faces).first_hit(np.broadcast_to(center, pixels.shape), pixels)
+    skin = ((hits.face >= 0) & one.on_face[np.maximum(hits.face, 0)]).reshape(SIZE, SIZE)
+    linear, relit = _traced(face, one, albedo, folder)
+    rng = np.random.default_rng([int(1e4 * face.alpha), 79])
+    linear = gaussian_filter(linear, (BLUR_PX, BLUR_PX, 0))
+    exposed = linear * WHITE / np.quantile(linear[skin].max(1), 0.995)
+    exposed = exposed + _NOISE * np.sqrt(np.clip(exposed, 0.01, 1)) * rng.normal(size=exposed.shape)
+    image = np.round(255 * np.clip(exposed, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
+    found = ClosestPointQuery(one.vertices, one.faces).query(vertices)
+    truth = np.einsum("nk,nkc->nc", found.barycentric, albedo[one.faces[found.face]])
+    truth[(found.distance > _FARTHEST_MM) | ~one.on_face[found.face]] = np.nan
+    light = project_environment(_map_of(RELIT))
+    return UnknownPhotograph(face, image, skin, camera, vertices, faces, truth, relit, light)
+
+
+def camera_of(face: UnknownFace) -> FloatArray:
+    """Return the projection matrix (3, 4)."""
+    angle = np.deg2rad(face.azimuth_deg)
+    position = CAMERA_MM * np.array([np.sin(angle), 0.05, np.cos(angle)])
+    return np.asarray(look_at(position, np.zeros(3), focal_px=FOCAL_PX, shape=(SIZE, SIZE)))
+
+
+def _map_of(rig: Rig) -> FloatArray:
+    """Return the map of a rig's environment as `project_environment` wants it: azimuth from +z to +x."""
+    rows = 64
+    polar = (np.arange(rows)[:, None] + 0.5) * np.pi / rows
+    azimuth = ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5) * 2 * np.pi
+    toward = np.stack(
+        np.broadcast_arrays(np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)),
+        -1,
+    )
+    emitter = rig.parts[0].emitter
+    assert isinstance(emitter, Environment)
+    return ENVIRONMENTS[emitter.kind](toward.reshape(-1, 3)).reshape(rows, 2 * rows, 3)
+
+
+def _traced(
+    face: UnknownFace, one: Head, albedo: FloatArray, folder: Path | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the pictures (H, W, 3) in the face's light and in the other one."""
+    file = None if folder is None else folder / f"{face.name}.npz"
+    if file is not None and file.exists():
+        with np.load(file) as stored:
+            return stored["linear"].astype(float), stored["relit"].astype(float)
+    rig = next(rig for rig in rigs() if rig.name == face.light)
+    pictures = [traced_picture(face, one, albedo, light, PATHS) for light in (rig, RELIT)]
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(file, linear=pictures[0].astype(np.float32), relit=pictures[1].astype(np.float32))
+    return pictures[0], pictures[1]
+
+
+def traced_picture(face: UnknownFace, one: Head, albedo: FloatArray, rig: Rig, paths: int) -> FloatArray:
+    """Return the linear picture (H, W, 3) of a head of rough plastic under the parts of a rig."""
+    import mitsuba
+
+    mitsuba.set_variant("scalar_rgb")
+    data = mitsuba.TensorXf(_picture_of(one, albedo))
+    bsdf = {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": face.alpha,
+        "int_ior": 1.4,
+        "nonlinear": False,
+        "diffuse_reflectance": {"type": "bitmap", "data": data, "raw": True},
+    }
+    mesh = _mesh(mitsuba, one, bsdf)
+    total = np.zeros((SIZE, SIZE, 3))
+    for number, part in enumerate(rig.parts):
+        scene = mitsuba.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "path", "max_depth": DEPTH},
+                "sensor": _sensor(mitsuba, face, paths, number),
+                "head": mesh,
+                **part.emitter.plugins(mitsuba),
+            }
+        )
+        total += part.linear * np.array(mitsuba.render(scene))[..., :3]
+    return total
+
+
+def _picture_of(one: Head, albedo: FloatArray) -> NDArray[np.float32]:
+    """Return the albedo (V, 3) as a picture on the shape's chart."""
+    corners = np.arange(3 * len(one.faces)).reshape(-1, 3)
+    raster = rasterize_uv(one.corner_uv.reshape(-1, 2), corners, _TEXTURE)
+    picture = interpolate(raster, one.faces, albedo)
+    row, column = distance_transform_edt(raster.face < 0, return_distances=False, return_indices=True)
+    return np.ascontiguousarray(picture[row, column], np.float32)
+
+
+def _mesh(mitsuba: Any, one: Head, bsdf: dict[str, Any]) -> Any:
+    properties = mitsuba.Properties()
+    properties["bsdf"] = mitsuba.load_dict(bsdf)
+    corners = one.faces.ravel()
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    uv = one.corner_uv.reshape(-1, 2) * [1, -1] + [0, 1]
+    return textured_mesh(mitsuba, one.vertices[corners], one.normals[corners], faces, uv, properties, "head")
+
+
+def _sensor(mitsuba: Any, face: UnknownFace, paths: int, number: int) -> dict[str, Any]:
+    position = camera_centers(camera_of(face)[None])[0].tolist()
+    transform = mitsuba.ScalarTransform4f
+    return {
+        "type": "perspective",
+        "fov": float(np.rad2deg(2 * np.arctan(SIZE / 2 / FOCAL_PX))),
+        "near_clip": 10.0,
+        "far_clip": 1e5,
+        "to_world": transform().look_at(origin=position, target=[0, 0, 0], up=[0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}},
+        "sampler": {"type": "independent", "sample_count": paths, "seed": number},
+    }
