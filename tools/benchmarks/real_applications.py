@@ -109,9 +109,13 @@ def seam_figures(a: ProcessedFace, b: ProcessedFace, made: ProcessedFace) -> Sea
 
 def feature_texels(face: ProcessedFace) -> dict[str, BoolArray]:
     """Return the (H, W) texels of each of `FEATURES` on the default model's chart."""
-    regions, texels = AnnotatedFaceModel.default().regions, face.region
-    assert texels is not None
-    return {name: np.isin(texels, [regions[r].index for r in parts]) for name, parts in FEATURES.items()}
+    return {name: _region_texels(face, parts) for name, parts in FEATURES.items()}
+
+
+def _region_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
+    assert face.region is not None
+    regions = AnnotatedFaceModel.default().regions
+    return np.isin(face.region, [regions[name].index for name in names])
 
 
 def _slopes(face: ProcessedFace) -> FloatArray:
@@ -125,8 +129,7 @@ def _slopes(face: ProcessedFace) -> FloatArray:
 
 
 def _skin_tint(face: ProcessedFace) -> FloatArray:
-    regions = AnnotatedFaceModel.default().regions
-    cheeks = np.isin(face.region, [regions[name].index for name in ("left_cheek", "right_cheek", "forehead")])
+    cheeks = _region_texels(face, ("left_cheek", "right_cheek", "forehead"))
     red, green, blue = np.log(np.maximum(np.median(face.albedo_linear[cheeks & face.mask], axis=0), 1e-6))
     return np.array([red - green, blue - green])
 
