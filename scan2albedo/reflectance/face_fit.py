@@ -173,6 +173,10 @@ def fit_face(
     details = trial.judged("details", "mean", "mean+details")
     ending = "+details" if details.accepted else ""
     person = trial.judged("person", f"mean{ending}", f"person{ending}")
+    if person.accepted and details.accepted:
+        # The person may explain all that the details did.
+        again = trial.judged("details", "person", "person+details")
+        details = replace(again, accepted=again.gain > options.margin * again.standard_error)
     fit = fit_image(
         observation,
         model if person.accepted else mean_only(model),
