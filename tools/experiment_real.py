@@ -5,12 +5,12 @@
         [--make traced|population] [--persons 14] [--seed 0]
 
 MANIFEST is a CSV file with the columns person, session, scan, and any others that name a condition of a scan
-(light, expression, ...). Every scan goes through the pipeline into OUT/scans; a run that was stopped goes on
-where it was. Then each probe is compared with the gallery, which is each person's first scan or the one of
---gallery SESSION: by the texture as it was scanned, equalised, by retinex, by red over green, by the albedo
-of each reflectance, by shape, and by shape and albedo. Rank 1, verification and their intervals come for all
-probes and for each value of each condition: OUT/table.txt, table.csv, real.json, cmc.png, roc.png and
-conditions.png.
+(light, expression, ...). Every scan goes through the pipeline into OUT/scans, into a folder of its own name,
+or PERSON-SESSION-NAME where several files have one name; a run that was stopped goes on where it was. Then
+each probe is compared with the gallery, which is each person's first scan or the one of --gallery SESSION: by
+the texture as it was scanned, equalised, by retinex, by red over green, by the albedo of each reflectance, by
+shape, and by shape and albedo. Rank 1, verification and their intervals come for all probes and for each
+value of each condition: OUT/table.txt, table.csv, real.json, cmc.png, roc.png and conditions.png.
 
 --make writes the scans and MANIFEST itself first: `traced`, path-traced people on shapes of ICT-FaceKit from
 ../shared/data with procedural skin, in four sessions (needs Mitsuba, and a recent libLLVM that
@@ -32,6 +32,7 @@ from recognition_experiment.real_report import figures_of, table, write_real_rep
 
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.batch import ProcessOptions
+from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.records import plain_json
 
@@ -110,4 +111,7 @@ def main(words: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except Scan2AlbedoError as error:
+        sys.exit(f"{Path(sys.argv[0]).name}: {error}")

@@ -144,7 +144,18 @@ class ProcessedFace:
 
     @classmethod
     def shape_alone(cls, name: str, image: GeometryImage, mesh: FaceMesh, model_name: str) -> ProcessedFace:
-        """Return a face without colour, in grey."""
+        """Return a face without colour, in grey.
+
+        Parameters
+        ----------
+        name : str
+        image : GeometryImage
+            (H, W) texels, mm.
+        mesh : FaceMesh
+            What is drawn.
+        model_name : str
+            On whose chart the image lies.
+        """
         grey = np.full((*image.shape, 3), 0.5, np.float32)
         return cls(name, image, grey, Reflectance("lambert"), (), mesh, model_name, has_albedo=False)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,7 +76,9 @@ class BatchManifest:
         return (self.path if self.path.is_dir() else self.path.parent).absolute()
 
 
-def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchManifest:
+def read_manifest(
+    path: str | Path, *, leave_out: Path | None = None, name_columns: tuple[str, ...] = ()
+) -> BatchManifest:
     """Return the scans of a manifest: of a table, a list of paths, or a folder.
 
     - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
@@ -91,6 +94,8 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     path : path
     leave_out : path, optional
         Folder to skip: that of the results.
+    name_columns : tuple of str
+        Columns of a table whose cells stand before the name of results that would have one name.
 
     Raises
     ------
@@ -108,7 +113,7 @@ def read_manifest(path: str | Path, *, leave_out: Path | None = None) -> BatchMa
     advice = f"give a CSV file with a column {SCAN!r}, a list of paths or a folder"
     text = read_text(source, what=f"manifest {source}", advice=advice, error=BatchError)
     if source.suffix.lower() in _TABLES:
-        return _checked(_of_table(source, text))
+        return _checked(_of_table(source, text, name_columns))
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
     wanted = [(number, line) for number, line in lines if line and not line.startswith("#")]
     folder = source.parent.absolute()
@@ -134,7 +139,7 @@ def _scans_below(folder: Path, leave_out: Path | None) -> Iterator[Path]:
                 yield Path(place, file)
 
 
-def _of_table(file: Path, text: str) -> BatchManifest:
+def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchManifest:
     rows = table_rows(text, file, BatchError)
     header = _header(file, rows[0][1] if rows else [])
     extra = tuple(name for name in header if name not in (SCAN, "name", *OWN_OPTIONS))
@@ -148,7 +153,16 @@ def _of_table(file: Path, text: str) -> BatchManifest:
         kept = {name: printable(cells[name]) for name in extra}
         name = cells.get("name", "").strip()
         scans.append(_scan(source, file.parent.absolute(), where=where, name=name, own=own, extra=kept))
-    return BatchManifest(file, tuple(scans), extra)
+    return BatchManifest(file, tuple(_told_apart(scans, name_columns)), extra)
+
+
+def _told_apart(scans: list[ManifestScan], columns: tuple[str, ...]) -> Iterator[ManifestScan]:
+    """Give the scans, those of one name with their cells of some columns before it."""
+    count = Counter(scan.name.casefold() for scan in scans)
+    for scan in scans:
+        cells = [text.strip() for column, text in scan.extra.items() if column.casefold() in columns]
+        twice = count[scan.name.casefold()] > 1
+        yield replace(scan, name="-".join((*cells, scan.name))) if twice else scan
 
 
 def _header(file: Path, cells: list[str]) -> list[str]:

@@ -132,10 +132,9 @@ def _kinds(use: str) -> tuple[Kind, ...]:
 
 
 def _summary(record: IdentificationRecord) -> str:
-    text = (
-        f"{len(record.results)} probes, {len(record.persons)} persons on {record.gallery_images} images, by "
-        f"{' and '.join(record.use)}"
-    )
+    counts = (len(record.results), "probe"), (len(record.persons), "person"), (record.gallery_images, "image")
+    probes, persons, images = (f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts)
+    text = f"{probes}, {persons} on {images}, by {' and '.join(record.use)}"
     rates = record.rates
     if rates is None:
         return text

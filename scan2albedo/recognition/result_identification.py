@@ -95,12 +95,19 @@ def identify_results(
     known, shown, scores, apart = _compared(known, shown, similarity)
     total, gallery_names = fused(scores), [person or "" for person in known.persons]
     unlike = np.isnan(total)
-    shown, strangers = _without_strangers(known, shown)
-    matches = match_probes(np.where(unlike, 0.0, total), gallery_names, shown.persons, combine=combine)
+    persons, strangers = _known_persons(known, shown)
+    matches = match_probes(np.where(unlike, 0.0, total), gallery_names, persons, combine=combine)
     by_kind = {
         kind: similarities_by_person(values, gallery_names, combine)[1] for kind, values in scores.items()
     }
-    notes = (*known.notes, *shown.notes, *strangers, *_zeros(apart, unlike), *_copies(known, shown))
+    notes = (
+        *known.notes,
+        *shown.notes,
+        *_by_one_kind(known, scores),
+        *strangers,
+        *_zeros(apart, unlike),
+        *_copies(known, shown),
+    )
     return ResultIdentification(known, shown, matches, by_kind, combine, notes)
 
 
@@ -151,26 +158,55 @@ def _compared(
 def _with_windows(
     labelled: LabelledTemplates, kinds: Sequence[Kind], options: SimilarityOptions
 ) -> LabelledTemplates:
-    usable = np.zeros(len(labelled), bool)
+    usable, lacking = np.zeros(len(labelled), bool), np.ones(len(labelled), bool)
     for kind in kinds:
         usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], options)
+        lacking[labelled.rows[kind]] = False
     if usable.all():
         return labelled
-    left = [labelled.labels[k] for k in np.flatnonzero(~usable)]
-    told = (
-        f"{labelled.source}: {', '.join(left[:5])}{', ...' if len(left) > 5 else ''}: no window of "
-        f"{options.window} x {options.window} coefficients lies inside the mask"
+    window = f"{options.window} x {options.window}"
+    reasons = (
+        (lacking, f"no {' or '.join(kinds)}, which is all that both sides can be compared by"),
+        (~usable & ~lacking, f"no window of {window} coefficients lies inside the mask"),
     )
+    told = [
+        f"{labelled.source}: {_few([labelled.labels[k] for k in np.flatnonzero(which)])}: {reason}"
+        for which, reason in reasons
+        if which.any()
+    ]
     if not usable.any():
-        raise RecognitionError(f"{told}, and no result is left; scan more of the faces")
+        raise RecognitionError(f"{'; '.join(told)}, and no result is left; scan more of the faces")
     kept = labelled.select(np.flatnonzero(usable))
-    return replace(kept, notes=(*kept.notes, f"left out: {told}"))
+    return replace(kept, notes=(*kept.notes, *(f"left out: {one}" for one in told)))
 
 
-def _without_strangers(
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+
+
+def _by_one_kind(gallery: LabelledTemplates, scores: Mapping[Kind, FloatArray]) -> Iterator[str]:
+    """Give a note for probes that are compared by one of two kinds alone, see `fused`."""
+    if len(scores) < 2:
+        return
+    whole = {kind: np.isfinite(values).all(1) for kind, values in scores.items()}
+    albedo, shape = get_args(Kind)
+    for kind, other in ((albedo, shape), (shape, albedo)):
+        alone = np.asarray(whole[other] & ~whole[kind])
+        if not alone.any():
+            continue
+        lacking = sorted(set(range(len(gallery))) - set(gallery.rows[kind].tolist()))
+        images = _few([gallery.labels[k] for k in lacking])
+        reason = f"; of the gallery {images} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
+        yield (
+            f"{alone.sum()} of {alone.size} probes are compared by {other} alone, for {kind} counts where "
+            f"the probe and all images of the gallery have it{reason}"
+        )
+
+
+def _known_persons(
     gallery: LabelledTemplates, probes: LabelledTemplates
-) -> tuple[LabelledTemplates, list[str]]:
-    """Return the probes, persons of whom the gallery has no image unknown, and notes about these."""
+) -> tuple[tuple[str | None, ...], list[str]]:
+    """Return the probes' persons, None for those of whom the gallery has no image, and notes about these."""
     known = set(gallery.persons)
     strangers = [
         f"{label} ({person})"
@@ -178,12 +214,12 @@ def _without_strangers(
         if person is not None and person not in known
     ]
     if not strangers:
-        return probes, []
+        return probes.persons, []
     note = (
-        f"{gallery.source} has no image of the persons on {len(strangers)} probes: {', '.join(strangers[:5])}"
-        f"{', ...' if len(strangers) > 5 else ''}; they are identified, but count in no rate"
+        f"{gallery.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
+        "they are identified, but count in no rate"
     )
-    return replace(probes, persons=tuple(p if p in known else None for p in probes.persons)), [note]
+    return tuple(p if p in known else None for p in probes.persons), [note]
 
 
 def _zeros(apart: BoolArray, unlike: BoolArray) -> Iterator[str]:
@@ -210,6 +246,6 @@ def _copies(gallery: LabelledTemplates, probes: LabelledTemplates) -> Iterator[s
     ]
     if same:
         yield (
-            f"{len(same)} of {len(probes.labels)} probes are in the gallery themselves ({', '.join(same[:5])}"
-            f"{', ...' if len(same) > 5 else ''}): that they are recognised means nothing"
+            f"{len(same)} of {len(probes.labels)} probes are in the gallery themselves ({_few(same)}): that "
+            "they are recognised means nothing"
         )

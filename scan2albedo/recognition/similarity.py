@@ -59,8 +59,8 @@ def cw_ssim(
 
     Notes
     -----
-    Only the coarsest scale counts, as in the templates. A shift by 2 pixels costs 0.02 to 0.03 of images of
-    128 pixels whose amplitude falls with frequency.
+    Only the coarsest scale counts, as in the templates. A shift by 2 pixels costs 0.03 of images of 128
+    pixels whose amplitude falls with frequency; unrelated ones have 0.6, with windows of 7 x 7 it is 0.4.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def cw_ssim(
     >>> image = 2 + np.sin(30 * rows) * np.cos(40 * columns)
     >>> round(cw_ssim(image, image), 6)
     1.0
-    >>> cw_ssim(image, np.roll(image, 1, axis=1)) > 0.95 > 0.5 > cw_ssim(image, image.T)
+    >>> cw_ssim(image, np.roll(image, 1, axis=1)) > 0.95 > 0.6 > cw_ssim(image, image.T)
     True
     """
     if np.shape(a)[:2] != np.shape(b)[:2]:

@@ -46,7 +46,9 @@ class FaceFitOptions:
     least_gain: float = 0.07
     """And be this share of the error; light that skin reflects onto skin is coloured, and gains a little."""
     image: ImageFitOptions = ImageFitOptions()
+    """Of each fit."""
     details: DetailOptions = DetailOptions()
+    """How much of the residuals is albedo."""
 
     def __post_init__(self) -> None:
         if not (0 < self.block_mm < np.inf):
@@ -73,7 +75,9 @@ class Evidence:
     standard_error: float
     """Of the gain, over blocks."""
     blocks: int
+    """That were judged."""
     accepted: bool
+    """Whether the step is believed."""
 
     def __str__(self) -> str:
         if not np.isfinite(self.error_before):
@@ -101,7 +105,9 @@ class FaceFit:
     details: FloatArray | None
     """(V, 3): logarithms of the factors on the albedo; None where they were not accepted."""
     evidence: tuple[Evidence, ...]
+    """For details and for the person."""
     plan: Plan
+    """What was believed, and why."""
 
 
 def fit_face(

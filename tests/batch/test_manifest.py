@@ -36,6 +36,15 @@ def test_a_table_with_options_and_columns_of_its_own(tmp_path):
     assert second.options(batch, manifest.folder) == batch
 
 
+def test_columns_tell_scans_of_one_name_apart(tmp_path):
+    rows = ["scan,name,Person", "a/scan.obj,,ann", "b/scan.obj,,bob", "c/scan.obj,own,cy", "d/two.obj,,dan"]
+    file = write(tmp_path / "list.csv", "\n".join(rows))
+    names = [scan.name for scan in read_manifest(file, name_columns=("person",)).scans]
+    assert names == ["ann-scan", "bob-scan", "own", "two"]
+    with pytest.raises(BatchError, match="both results would be named scan"):
+        read_manifest(file)
+
+
 def test_a_list_of_paths(tmp_path):
     file = write(tmp_path / "list.txt", "# of today\none.ply\n\n sub/two.obj \n")
     assert [scan.name for scan in read_manifest(file).scans] == ["one", "two"]

@@ -136,6 +136,7 @@ def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
     found = identify_results(gallery, strangers, options=OPTIONS)
     assert found.matches.predicted() == ("ann", "bob")
     assert found.matches.named.probe_names == ("bob",)
+    assert found.probes.persons == ("zoe", "bob")
     assert "no image of the persons on 1 probes: " in found.notes[0]
     assert "ann-2 (zoe); they are identified, but count in no rate" in found.notes[0]
 
@@ -200,6 +201,15 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     assert np.isnan(found.by_kind["albedo"][0]).all()
     assert found.notes[0].startswith("compared without albedo: ")
     assert "the scan has no colour" in found.notes[0]
+    assert found.notes[1].startswith("1 of 2 probes are compared by shape alone, ")
+    mixed = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy")], "mixed.csv")
+    found = identify_results(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"), options=OPTIONS)
+    assert "1 of 1 probes are compared by shape alone" in found.notes[1]
+    assert found.notes[1].endswith("of the gallery gray lacks it")
+    write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
+    images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
+    found = identify_results(images, probes, options=OPTIONS)
+    assert "probes.csv: gray: no albedo, which is all that both sides can be compared by" in found.notes[-2]
     found = identify_results(gallery, probes, use=["albedo"], options=OPTIONS)
     assert (found.probes.labels, found.matches.predicted()) == ((str(people / "cy-2"),), ("cy",))
     assert found.notes[0].startswith("left out: ")

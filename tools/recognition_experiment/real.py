@@ -92,7 +92,8 @@ def processed(
     Parameters
     ----------
     manifest : Path
-        CSV file with the columns person, session, scan and any conditions.
+        CSV file with the columns person, session, scan and any conditions. Results are named after their
+        scans, or the column name; those of one name after person, session and scan.
     out : Path
         Gets a folder for each scan.
     options : ProcessOptions
@@ -103,7 +104,7 @@ def processed(
     say : callable
         Called with lines for the user.
     """
-    listed = read_manifest(manifest, leave_out=out)
+    listed = read_manifest(manifest, leave_out=out, name_columns=(PERSON, SESSION))
     scans = listed_scans(listed)
 
     def told(progress: object) -> None:

@@ -152,7 +152,7 @@ def _probes(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
     alone = {kind: np.take_along_axis(v, first, 1)[:, 0].tolist() for kind, v in found.by_kind.items()}
     columns = zip(
         found.probes.labels,
-        matches.probe_persons,
+        found.probes.persons,
         matches.predicted(),
         matches.similarity().tolist(),
         alone.get("albedo", nobody),
