@@ -97,8 +97,9 @@ vec3 heat(float part) {
 
 void main() {
   vec3 normal = normalize(v_normal), view = normalize(u_eye - v_position);
-  float n_v = dot(normal, view);
-  if (n_v <= 0.0) { color = vec4(0.0); return; } // the inside of an open shell is nothing to see
+  // The inside of an open shell is nothing to see. Smooth normals may face away where the surface does not.
+  if (!gl_FrontFacing) { color = vec4(0.0); return; }
+  float n_v = max(dot(normal, view), 0.0);
   vec3 albedo = texture(u_albedo, v_uv).rgb * u_albedo_scale;
   if (u_mode == 1) { color = vec4(encoded(u_exposure * albedo), 1.0); return; }
   if (u_mode == 2) { color = vec4(encoded(u_exposure * texture(u_texture, v_uv).rgb), 1.0); return; }
