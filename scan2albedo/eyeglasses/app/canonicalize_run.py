@@ -50,7 +50,7 @@ class CanonicalFiles:
     result: CanonicalSet
     failures: tuple[FailedFrameRecord, ...]
     notes: tuple[str, ...] = ()
-    """Frames that are unlike the others."""
+    """Frames that are unlike the others, and those whose sides cannot be checked."""
     options: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -101,7 +101,10 @@ def canonicalize_frames(
     return CanonicalFiles(
         frames=tuple(frames[i] for i in result.numbers),
         result=result,
-        notes=tuple(f"{frames[i].name} is unlike the others: {why}" for i, why in result.outliers.items()),
+        notes=(
+            *(f"{frames[i].name} is unlike the others: {why}" for i, why in result.outliers.items()),
+            *_notes_on_sides([frames[i] for i in result.numbers]),
+        ),
         failures=(*failures, *lost),
         options={
             "mode": mode,
@@ -113,6 +116,11 @@ def canonicalize_frames(
         },
         seconds=time.perf_counter() - begun,
     )
+
+
+def _notes_on_sides(frames: Sequence[GlassesFrame]) -> list[str]:
+    bare = [frame.name for frame in frames if not frame.has_temples]
+    return [f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"] if bare else []
 
 
 def _mean_mm(path: Path) -> FloatArray:

@@ -53,6 +53,12 @@ class GlassesFrame:
         rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
         return tuple(name for name, point in rows if not np.isfinite(point).all())
 
+    @property
+    def has_temples(self) -> bool:
+        """Whether a key point behind the hinges is known."""
+        behind = [name for name in KEY_POINT_NAMES if "temple" in name or "ear" in name]
+        return not set(behind) <= set(self.missing_key_points)
+
 
 def keypoints_beside(mesh: Path) -> Path:
     """Return where a mesh's key points are looked for: ``<stem>.keypoints.json`` beside it."""

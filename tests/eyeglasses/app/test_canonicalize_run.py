@@ -218,7 +218,10 @@ def test_a_dense_screw_does_not_decide_the_unit(tmp_path):
 
 def test_a_front_without_temples_has_a_size_too(tmp_path):
     path, _ = save(tmp_path, unit="cm", marks="unknown", keep=[0, 1, *range(2, 8), *range(11, 17)])
-    assert read_frame(path).mm_per_unit == 10.0
+    frame = read_frame(path)
+    assert frame.mm_per_unit == 10.0
+    done = canonicalize_frames([frame, read_frame(save(tmp_path, "whole")[0])], budget=0.1)
+    assert done.notes == ("frame: without temples, left and right cannot be checked reliably",)
 
 
 def test_sizes_of_no_glasses_are_told(tmp_path):
