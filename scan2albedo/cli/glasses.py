@@ -124,7 +124,7 @@ def canonicalize(
     check_writable(out)
     figures: dict[str, dict[str, Any]] = {}
     with ProgressLines("glasses") as progress:
-        frames, failures = read_frames(meshes, keypoints, unit)
+        frames, failures = read_frames(meshes, keypoints, unit, limits)
         for frame in frames:
             for note in frame.scan.notes:
                 progress.say(f"{frame.name}: {note}")

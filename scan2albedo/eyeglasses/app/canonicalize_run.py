@@ -56,13 +56,16 @@ class CanonicalFiles:
 
 
 def read_frames(
-    meshes: Sequence[Path], keypoints: Sequence[Path] | None = None, unit: str = "auto"
+    meshes: Sequence[Path],
+    keypoints: Sequence[Path] | None = None,
+    unit: str = "auto",
+    widths_mm: tuple[float, float] = WIDTHS_MM,
 ) -> tuple[list[GlassesFrame], list[FailedFrameRecord]]:
     """Read meshes and their key points, as `read_frame` does, and return what cannot be read and why."""
     frames, failures = [], []
     for i, mesh in enumerate(meshes):
         try:
-            frames.append(read_frame(mesh, None if keypoints is None else keypoints[i], unit))
+            frames.append(read_frame(mesh, None if keypoints is None else keypoints[i], unit, widths_mm))
         except Scan2AlbedoError as error:
             failures.append(FailedFrameRecord(file=str(mesh), reason=str(error)))
     return frames, failures

@@ -242,6 +242,22 @@ def test_sizes_of_no_glasses_are_told(tmp_path):
         read_frame(path, unit="inch")
 
 
+def test_other_widths_admit_small_frames(tmp_path):
+    path, _ = save(tmp_path)
+    mesh = trimesh.load(path, process=False)
+    trimesh.Trimesh(mesh.vertices / 5, mesh.faces, process=False).export(path)
+    marks = read_keypoints(keypoints_beside(path)) / 5
+    for unit in ("mm", "unknown"):
+        write_keypoints(keypoints_beside(path), marks, unit=unit)
+        with pytest.raises(ScanError, match=r"glasses canonicalize` admits other sizes with --widths"):
+            read_frame(path, unit="mm")
+        frame = read_frame(path, unit="mm", widths_mm=(25, 60))
+        np.testing.assert_allclose(frame.keypoints, marks)
+    assert read_frame(path, widths_mm=(25, 60)).mm_per_unit == 1.0
+    with pytest.raises(ScanError, match="may be in mm or cm"):
+        read_frame(path, widths_mm=(25, 400))
+
+
 def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
     folder, _, _ = done
     first, out = folder / "first.ply", tmp_path / "out"
