@@ -207,7 +207,8 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         for f, c in zip(done.frames, result.frames, strict=True)
     ]
     panels = glasses_panels(drawn)
-    title = f"{len(drawn)} frames" if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {len(drawn)} frames"
+    count = f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
+    title = count if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {count}"
     overview_figure(title, panels, CANONICAL_COLUMNS).savefig(folder / "overview.png")
     files = sorted(path.name for path in folder.iterdir() if path.is_file())
     record = CanonicalSetRecord(
