@@ -40,19 +40,20 @@ def key_points(
     ] = None,
 ) -> None:
     """Say where the 20 key points of a frame go; with -o, show it in a labelled picture."""
+    from scan2albedo.errors import OutputError
+    from scan2albedo.io.atomic import atomic_path, check_writable
     from scan2albedo.report.key_point_chart import key_point_chart, key_point_table
 
-    typer.echo(key_point_table())
-    if out is not None:
-        from scan2albedo.errors import OutputError
-        from scan2albedo.io.atomic import atomic_path
-
-        try:
+    try:
+        if out is not None:
+            check_writable(out.parent)
+        typer.echo(key_point_table())
+        if out is not None:
             with atomic_path(out) as staging:
                 key_point_chart().savefig(staging, format="png")
-        except OutputError as error:
-            typer.echo(f"scan2albedo: error: {one_line(error)}", err=True)
-            raise typer.Exit(USAGE_ERROR) from None
+    except OutputError as error:
+        typer.echo(f"scan2albedo: error: {one_line(error)}", err=True)
+        raise typer.Exit(USAGE_ERROR) from None
 
 
 @app.command()
@@ -124,7 +125,7 @@ def canonicalize(
     check_writable(out)
     figures: dict[str, dict[str, Any]] = {}
     with ProgressLines("glasses") as progress:
-        frames, failures = read_frames(meshes, keypoints, unit)
+        frames, failures = read_frames(meshes, keypoints, unit, limits)
         for frame in frames:
             for note in frame.scan.notes:
                 progress.say(f"{frame.name}: {note}")

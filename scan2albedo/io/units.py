@@ -81,7 +81,12 @@ def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: flo
     return note
 
 
-def glasses_millimetres_per_unit(keypoints: NDArray[np.float64], unit: str, name: str) -> tuple[float, str]:
+def glasses_millimetres_per_unit(
+    keypoints: NDArray[np.float64],
+    unit: str,
+    name: str,
+    sizes_mm: tuple[float, float] = PLAUSIBLE_GLASSES_MM,
+) -> tuple[float, str]:
     """Return (factor to millimetres, note on unit and size) of a pair of glasses with key points (K, 3).
 
     Key points, NaN for missing ones, give the size: a screw may hold most of a mesh's vertices. Raises
@@ -91,13 +96,14 @@ def glasses_millimetres_per_unit(keypoints: NDArray[np.float64], unit: str, name
     known = keypoints[np.isfinite(keypoints).all(axis=1)]
     apart = np.linalg.norm(known[:, None] - known, axis=2)
     extent = float(apart.max(initial=0.0))
-    low, high = PLAUSIBLE_GLASSES_MM
+    low, high = sizes_mm
     if unit in MM_PER_UNIT and not low <= extent * MM_PER_UNIT[unit] < high:
         raise ScanError(
-            f"{name}: the glasses are {extent:.4g} {unit} long, but glasses measure {low:g} to {high:g} mm; "
-            "say what a unit is with unit='mm', 'cm' or 'm'"
+            f"{name}: the glasses are {extent:.4g} {unit} long, but glasses measure {low:.3g} to "
+            f"{high:.3g} mm; correct the unit (that of the key-point file, or unit='mm', 'cm' or 'm', "
+            "in the shell --unit); `scan2albedo glasses canonicalize` admits other sizes with --widths"
         )
-    return _decided(extent, unit, name, "glasses", "pair of glasses", PLAUSIBLE_GLASSES_MM)
+    return _decided(extent, unit, name, "glasses", "pair of glasses", sizes_mm)
 
 
 def _decided(
@@ -111,7 +117,12 @@ def _decided(
             verb = "are" if thing.endswith("s") else "is"
             raise UnitError(
                 f"{name}: the {thing} {verb} {extent:.4g} units long, which is no {kind} in mm, cm or m "
-                f"(expected {low:g} to {high:g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
+                f"(expected {low:.3g} to {high:.3g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
+            )
+        if len(fitting) > 1:
+            raise UnitError(
+                f"{name}: the {thing}, {extent:.4g} units long, may be in {' or '.join(fitting)}; say what a "
+                "unit is with unit='mm', 'cm' or 'm'"
             )
         return MM_PER_UNIT[fitting[0]], _note(fitting[0], extent, "decided from the size")
     check_unit(unit)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from typer.testing import CliRunner
 
+from scan2albedo.cli.commands import app
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import MIRROR, SKELETON, key_point_rows, typical_key_points
@@ -149,3 +151,14 @@ def test_bent_frames_wires_and_rough_key_points_are_not_called_exchanged(tmp_pat
         rough = frame.keypoints + np.random.default_rng(seed).normal(0, 1, (20, 3))
         write_keypoints(tmp_path / "a.json", posed(rough, seed))
         read_keypoints(tmp_path / "a.json")
+
+
+def test_the_command_makes_the_pictures_folder_or_refuses_at_once(tmp_path):
+    picture = tmp_path / "new" / "chart.png"
+    answer = CliRunner().invoke(app, ["glasses", "key-points", "-o", str(picture)])
+    assert answer.exit_code == 0, answer.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    refused = CliRunner().invoke(app, ["glasses", "key-points", "-o", str(picture / "chart.png")])
+    assert refused.exit_code == 2
+    assert "cannot create the folder" in refused.stderr
+    assert refused.stdout == ""

@@ -50,19 +50,22 @@ class CanonicalFiles:
     result: CanonicalSet
     failures: tuple[FailedFrameRecord, ...]
     notes: tuple[str, ...] = ()
-    """Frames that are unlike the others."""
+    """Frames that are unlike the others, and those whose sides cannot be checked."""
     options: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
 
 
 def read_frames(
-    meshes: Sequence[Path], keypoints: Sequence[Path] | None = None, unit: str = "auto"
+    meshes: Sequence[Path],
+    keypoints: Sequence[Path] | None = None,
+    unit: str = "auto",
+    widths_mm: tuple[float, float] = WIDTHS_MM,
 ) -> tuple[list[GlassesFrame], list[FailedFrameRecord]]:
     """Read meshes and their key points, as `read_frame` does, and return what cannot be read and why."""
     frames, failures = [], []
     for i, mesh in enumerate(meshes):
         try:
-            frames.append(read_frame(mesh, None if keypoints is None else keypoints[i], unit))
+            frames.append(read_frame(mesh, None if keypoints is None else keypoints[i], unit, widths_mm))
         except Scan2AlbedoError as error:
             failures.append(FailedFrameRecord(file=str(mesh), reason=str(error)))
     return frames, failures
@@ -101,7 +104,10 @@ def canonicalize_frames(
     return CanonicalFiles(
         frames=tuple(frames[i] for i in result.numbers),
         result=result,
-        notes=tuple(f"{frames[i].name} is unlike the others: {why}" for i, why in result.outliers.items()),
+        notes=(
+            *(f"{frames[i].name} is unlike the others: {why}" for i, why in result.outliers.items()),
+            *_notes_on_sides([frames[i] for i in result.numbers]),
+        ),
         failures=(*failures, *lost),
         options={
             "mode": mode,
@@ -113,6 +119,11 @@ def canonicalize_frames(
         },
         seconds=time.perf_counter() - begun,
     )
+
+
+def _notes_on_sides(frames: Sequence[GlassesFrame]) -> list[str]:
+    bare = [frame.name for frame in frames if not frame.has_temples]
+    return [f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"] if bare else []
 
 
 def _mean_mm(path: Path) -> FloatArray:
@@ -196,7 +207,8 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         for f, c in zip(done.frames, result.frames, strict=True)
     ]
     panels = glasses_panels(drawn)
-    title = f"{len(drawn)} frames" if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {len(drawn)} frames"
+    count = f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
+    title = count if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {count}"
     overview_figure(title, panels, CANONICAL_COLUMNS).savefig(folder / "overview.png")
     files = sorted(path.name for path in folder.iterdir() if path.is_file())
     record = CanonicalSetRecord(

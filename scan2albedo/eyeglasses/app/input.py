@@ -10,12 +10,18 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.canonical.sizes import WIDTHS_MM
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan_with
-from scan2albedo.io.units import MM_PER_UNIT, check_unit, glasses_millimetres_per_unit
+from scan2albedo.io.units import (
+    MM_PER_UNIT,
+    PLAUSIBLE_GLASSES_MM,
+    check_unit,
+    glasses_millimetres_per_unit,
+)
 
 if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
@@ -53,28 +59,41 @@ class GlassesFrame:
         rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
         return tuple(name for name, point in rows if not np.isfinite(point).all())
 
+    @property
+    def has_temples(self) -> bool:
+        """Whether a key point behind the hinges is known."""
+        behind = [name for name in KEY_POINT_NAMES if "temple" in name or "ear" in name]
+        return not set(behind) <= set(self.missing_key_points)
+
 
 def keypoints_beside(mesh: Path) -> Path:
     """Return where a mesh's key points are looked for: ``<stem>.keypoints.json`` beside it."""
     return mesh.with_name(mesh.stem + KEY_POINTS_SUFFIX)
 
 
-def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") -> GlassesFrame:
+def read_frame(
+    mesh: Path,
+    keypoints: Path | None = None,
+    unit: str = "auto",
+    widths_mm: tuple[float, float] = WIDTHS_MM,
+) -> GlassesFrame:
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 
     The unit is the mesh's. "auto" is the one in which the key points lie on the mesh, when their file states
-    its own unit; otherwise both are in one unit, which the size of glasses decides. Raises EyeglassesError or
-    ScanError, naming the file, when one cannot be read or the size is that of no glasses; ValueError for an
-    unknown unit.
+    its own unit; otherwise both are in one unit, which the size of glasses decides. Other `widths_mm` of
+    fronts admit other sizes in proportion. Raises EyeglassesError or ScanError, naming the file, when one
+    cannot be read or the size is that of no glasses; ValueError for an unknown unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
     marks = read_keypoints_with_unit(marks_file)
+    low, high = np.array(PLAUSIBLE_GLASSES_MM) * widths_mm / WIDTHS_MM
+    sizes_mm = float(low), float(high)
     mm_per_unit = 0.0
 
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal mm_per_unit
-        mm_per_unit, note = _unit_of(parsed, marks, unit, mesh.name, marks_file.name)
+        mm_per_unit, note = _unit_of(parsed, marks, unit, (mesh.name, marks_file.name), sizes_mm)
         return mm_per_unit, note
 
     scan = load_scan_with(mesh, decide)
@@ -91,12 +110,16 @@ def read_frame(mesh: Path, keypoints: Path | None = None, unit: str = "auto") ->
 
 
 def _unit_of(
-    mesh: ParsedMesh, marks: KeyPoints, unit: str, mesh_name: str, marks_name: str
+    mesh: ParsedMesh, marks: KeyPoints, unit: str, names: tuple[str, str], sizes_mm: tuple[float, float]
 ) -> tuple[float, str]:
-    """Return the factor to millimetres of a mesh, and the note that states its unit."""
+    """Return the factor to millimetres of a mesh, and the note that states its unit.
+
+    `names` are those of the files of mesh and key points.
+    """
+    mesh_name, marks_name = names
     if marks.unit == "unknown":
-        return glasses_millimetres_per_unit(marks.points, unit, mesh_name)
-    _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_name)
+        return glasses_millimetres_per_unit(marks.points, unit, mesh_name, sizes_mm)
+    _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_name, sizes_mm)
     if unit != "auto":
         return MM_PER_UNIT[unit], f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
     return _unit_on_which_key_points_lie(mesh, marks, mesh_name)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
 from scan2albedo.geometry.mesh import normalized
@@ -22,6 +22,11 @@ _TOLERANCE = 1e-13
 """Change of the mean, as a part of its size, at which it has settled: rounding."""
 _ROUNDS = 200
 """Most rounds of the mean."""
+_TOPS, _BOTTOMS = (
+    np.array([k for k, name in enumerate(KEY_POINT_NAMES) if name.endswith(end)])
+    for end in ("_top", "_bottom")
+)
+"""Numbers of the highest and the lowest key points of bridge and rims, in one order."""
 
 
 @dataclass(frozen=True)
@@ -105,19 +110,30 @@ def key_point_size(points: FloatArray) -> float:
 
 
 def in_own_axes(points: FloatArray) -> FloatArray:
-    """Return key points (20, 3) turned to the glasses' own axes, as far as those that are known fix them."""
+    """Return key points (20, 3) turned to the glasses' own axes, as far as those that are known fix them.
+
+    Front is where temples come from; without temples it is across left and up, which the front tells.
+    """
     across = points - points[list(MIRROR)]
     left = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
-    back = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
-    known = np.isfinite(points).all(1)
+    known = np.asarray(np.isfinite(points).all(1))
     pairs = left & np.isfinite(across).all(1)
-    if not pairs.any() or not (back & known).any() or not (~back & known).any():
+    if not pairs.any():
         return points
     x = normalized(across[pairs].mean(0))
-    forward = points[~back & known].mean(0) - points[back & known].mean(0)
+    forward = _forward(points, known, x)
     z = forward - (forward @ x) * x
     if not np.linalg.norm(z) > _FLAT * np.linalg.norm(forward):
         return points
     z = normalized(z)
     turned = (points - points[known].mean(0)) @ np.stack([x, np.cross(z, x), z]).T
     return np.asarray(turned)
+
+
+def _forward(points: FloatArray, known: BoolArray, x: FloatArray) -> FloatArray:
+    """Return about where key points (20, 3) look, `x` being their left; 0 where they do not tell."""
+    back = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
+    if (back & known).any() and (~back & known).any():
+        return np.asarray(points[~back & known].mean(0) - points[back & known].mean(0))
+    heights = points[_TOPS] - points[_BOTTOMS]
+    return np.cross(x, heights[np.isfinite(heights).all(1)].sum(0))

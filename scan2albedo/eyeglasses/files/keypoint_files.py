@@ -99,7 +99,12 @@ def read_keypoints(path: str | Path) -> FloatArray:
 def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
     """Return what `read_keypoints` does, and the unit that the file states."""
     entry = read_json(
-        path, KeyPointsFile, "key points", writer="write_keypoints", schema="eyeglasses_keypoints"
+        path,
+        KeyPointsFile,
+        "key points",
+        writer="write_keypoints",
+        schema="eyeglasses_keypoints",
+        hint="`scan2albedo glasses key-points` says which key points to place, and where",
     )
     nothing = (np.nan, np.nan, np.nan)
     points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)

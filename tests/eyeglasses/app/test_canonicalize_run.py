@@ -218,7 +218,10 @@ def test_a_dense_screw_does_not_decide_the_unit(tmp_path):
 
 def test_a_front_without_temples_has_a_size_too(tmp_path):
     path, _ = save(tmp_path, unit="cm", marks="unknown", keep=[0, 1, *range(2, 8), *range(11, 17)])
-    assert read_frame(path).mm_per_unit == 10.0
+    frame = read_frame(path)
+    assert frame.mm_per_unit == 10.0
+    done = canonicalize_frames([frame, read_frame(save(tmp_path, "whole")[0])], budget=0.1)
+    assert done.notes == ("frame: without temples, left and right cannot be checked reliably",)
 
 
 def test_sizes_of_no_glasses_are_told(tmp_path):
@@ -237,6 +240,22 @@ def test_sizes_of_no_glasses_are_told(tmp_path):
         read_frame(path)
     with pytest.raises(ValueError, match="expected 'auto', 'mm', 'cm' or 'm'"):
         read_frame(path, unit="inch")
+
+
+def test_other_widths_admit_small_frames(tmp_path):
+    path, _ = save(tmp_path)
+    mesh = trimesh.load(path, process=False)
+    trimesh.Trimesh(mesh.vertices / 5, mesh.faces, process=False).export(path)
+    marks = read_keypoints(keypoints_beside(path)) / 5
+    for unit in ("mm", "unknown"):
+        write_keypoints(keypoints_beside(path), marks, unit=unit)
+        with pytest.raises(ScanError, match=r"glasses canonicalize` admits other sizes with --widths"):
+            read_frame(path, unit="mm")
+        frame = read_frame(path, unit="mm", widths_mm=(25, 60))
+        np.testing.assert_allclose(frame.keypoints, marks)
+    assert read_frame(path, widths_mm=(25, 60)).mm_per_unit == 1.0
+    with pytest.raises(ScanError, match="may be in mm or cm"):
+        read_frame(path, widths_mm=(25, 400))
 
 
 def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
@@ -260,6 +279,7 @@ def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
     assert answer.exit_code == 2
     assert [row["status"] for row in json.loads(answer.stdout)] == ["failed", "failed"]
     assert answer.stderr.count("error:") == 2
+    assert "`scan2albedo glasses key-points` says which key points to place" in answer.stderr
     assert "no frame" not in answer.stderr
     assert list(out.iterdir()) == []
     missing = run(monkeypatch, first, "-o", out, "--mean", tmp_path / "none.json")

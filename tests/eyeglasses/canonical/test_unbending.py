@@ -5,12 +5,19 @@ import pytest
 
 from scan2albedo.eyeglasses import CanonicalizationOptions, bounded_biharmonic_weights, canonicalize
 from scan2albedo.eyeglasses.canonical.unbending import front_halves
-from scan2albedo.eyeglasses.keypoints import MIRROR
-from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.geometry.rigid import (
+    compose,
+    procrustes,
+    random_rotation,
+    rotation_angle_rad,
+    transform_points,
+)
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 
 ROUND = GlassesShape(lens_width=44, lens_height=44, squareness=2)
 FLAT = GlassesShape(lens_width=54, lens_height=28, squareness=6)
+TEMPLES = [k for k, name in enumerate(KEY_POINT_NAMES) if "temple" in name or "ear" in name]
 
 
 def dropped(points, turn_deg=4.0, drop_mm=3.0):
@@ -103,6 +110,28 @@ def test_one_half_alone_is_only_posed():
     step = next(s for s in found.plan if s.stage == "eyeglasses.unbend")
     assert not step.ran
     assert laid_on(found.frames[0].vertices, glasses.vertices).max() < 1e-9
+
+
+@pytest.mark.parametrize("mode", ["unbend", "mean"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_front_without_temples_comes_out_upright(mode, count):
+    meshes, marks, rests, weights = [], [], [], []
+    for seed in range(count):
+        glasses, rng = eyeglasses(seed), np.random.default_rng(seed + 5)
+        pose = compose(random_rotation(rng), rng.normal(0, 200, 3))
+        points = transform_points(pose, glasses.keypoints)
+        points[TEMPLES] = np.nan
+        meshes.append((transform_points(pose, glasses.vertices), glasses.faces))
+        marks.append(points)
+        rests.append(glasses.rest_vertices)
+        known = np.isfinite(points).all(1)
+        weights.append(np.where(known, 1 / known.sum(), 0.0) * np.ones((len(glasses.vertices), 1)))
+    found = canonicalize(meshes, marks, weights=weights, options=CanonicalizationOptions(mode=mode))
+    for frame, rest in zip(found.frames, rests, strict=True):
+        turn = procrustes(rest, frame.vertices)[:3, :3]
+        assert np.rad2deg(rotation_angle_rad(turn)) < 5
+        height = frame.keypoints[[0, 2, 11]] - frame.keypoints[[1, 5, 14]]
+        assert (height[:, 1] > 0).all()
 
 
 def test_shifts_alone_do_not_unbend():
