@@ -288,7 +288,10 @@ def test_overexposed_pairs_do_not_judge_a_fit(people, tmp_path):
     file = spoiled(people, tmp_path, overexpose([5]))  # the one that would be held out
     done = run("fit", file, "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["held_out"]["relative_rmse"] < 0.3
+    figures = json.loads(done.stdout)
+    assert figures["held_out"]["relative_rmse"] < 0.3
+    assert (figures["pairs"], figures["pairs_of_capture"]) == (11, 12)
+    assert "from 11 pairs, 1 left out" in done.stderr
 
 
 def test_saturation_everywhere_is_told(people, tmp_path):

@@ -68,7 +68,8 @@ class FittedCapture:
         known = fit.reflectance.known
         identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
         figures: dict[str, Any] = {
-            "pairs": len(self.samples.light),
+            "pairs": int(np.asarray(self.samples.valid).any((1, 2)).sum()),
+            "pairs_of_capture": len(self.samples.light),
             "vertices": len(known),
             "known_vertices": int(known.sum()),
             "pictures_per_vertex_median": float(np.median(fit.pair_count)),
