@@ -34,7 +34,7 @@ from scan2albedo.reflectance import (
     refine_geometry,
     write_reflectance,
 )
-from scan2albedo.reflectance.app.capture_run import write_colored_mesh
+from scan2albedo.reflectance.app.capture_run import gamma_note, write_colored_mesh
 from scan2albedo.reflectance.app.model_run import MEAN_FILE, MODEL_FILE, SHAPE_FILE, ModelFolder
 from scan2albedo.reflectance.app.output import folder_of_results
 from scan2albedo.reflectance.picture_samples import linear_values, picture_values
@@ -67,7 +67,8 @@ class FittedPhotograph:
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
         parts = {"shape": self.geometry, "reflectance and light": self.fit}
-        notes = [
+        notes = [*notes_of_file(self.photograph)]
+        notes += [
             f"the fit of {name} stopped before it had converged"
             for name, part in parts.items()
             if part is not None and not part.converged
@@ -226,6 +227,13 @@ def write_fitted_photograph(
     return figures
 
 
+def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
+    """Return the caveats of what a photograph file does not say."""
+    if photograph.gamma_given:
+        return ()
+    return (gamma_note(photograph.path, photograph.content.gamma),)
+
+
 def told_by(face: FaceFit) -> str:
     """Return in words what of a face's reflectance the photograph decides."""
     if not face.beats_mean:
@@ -243,6 +251,8 @@ class TunedModel:
     tuning: FineTuning
     photographs: tuple[Path, ...]
     held_out: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+    """Caveats of the photograph files."""
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
@@ -273,10 +283,12 @@ def tune_model(
     """
     tuned_with, tested_on = _parted(list(photographs), list(held_out))
     lighting = LightingModel.default()
+    notes: list[str] = []
 
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
         photograph = read_photograph(path)
+        notes.extend(notes_of_file(photograph))
         with _named(photograph):
             vertices, _, _ = _shaped(photograph, models, lighting)
             return observe(photograph, vertices, models.mean.faces)
@@ -295,7 +307,7 @@ def tune_model(
     better = replace(
         models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
     )
-    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on))
+    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on), tuple(notes))
 
 
 def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -311,7 +323,7 @@ def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> d
         done.tuning.trace.to_csv(results.folder / "trace.csv")
         results.figure("error_vs_time.png", done.tuning.trace.plot())
         ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
-        results.write_record(figures, options=options, notes=ended)
+        results.write_record(figures, options=options, notes=(*done.notes, *ended))
     return figures
 
 
