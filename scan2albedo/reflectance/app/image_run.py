@@ -43,6 +43,8 @@ from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_pan
 
 _ONE_HELD_OUT_OF = 3
 """Photographs, when none is given to be held out."""
+_LARGE_RMSE = 0.25
+"""Relative RMSE from which on a note is due; what is not explained is then larger than albedos differ."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,12 @@ class FittedPhotograph:
             for name, part in parts.items()
             if part is not None and not part.converged
         ]
+        # Details may hide what light and coefficients leave unexplained.
+        if (rmse := self.fit.relative_rmse) > _LARGE_RMSE:
+            notes.append(
+                f"light and model explain the photograph badly: relative RMSE {100 * rmse:.1f} %; trust "
+                "neither the reflectance nor the light, and check mesh, landmarks, gamma and mask"
+            )
         if not self.face.beats_mean:
             notes.append(
                 "the reflectance is that of the model's mean face, scaled: nothing found in this photograph "
