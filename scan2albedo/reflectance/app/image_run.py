@@ -66,6 +66,11 @@ class FittedPhotograph:
         """Light and coefficients."""
         return self.face.fit
 
+    @property
+    def badly_explained(self) -> bool:
+        """Whether light and coefficients leave much unexplained; details, which may hide it, do not count."""
+        return self.fit.relative_rmse > _LARGE_RMSE
+
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
         parts = {"shape": self.geometry, "reflectance and light": self.fit}
@@ -75,11 +80,11 @@ class FittedPhotograph:
             for name, part in parts.items()
             if part is not None and not part.converged
         ]
-        # Details may hide what light and coefficients leave unexplained.
-        if (rmse := self.fit.relative_rmse) > _LARGE_RMSE:
+        if self.badly_explained:
             notes.append(
-                f"light and model explain the photograph badly: relative RMSE {100 * rmse:.1f} %; trust "
-                "neither the reflectance nor the light, and check mesh, landmarks, gamma and mask"
+                "light and model explain the photograph badly: relative RMSE "
+                f"{100 * self.fit.relative_rmse:.1f} %; trust neither the reflectance nor the light, and "
+                "check mesh, landmarks, gamma and mask"
             )
         if not self.face.beats_mean:
             notes.append(
@@ -230,6 +235,8 @@ def write_fitted_photograph(
             f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         )
         title += f"\n{told_by(done.face)}"
+        if done.badly_explained:
+            title += "; light and model explain the photograph badly"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
         results.write_record(figures, options=options, notes=done.notes())
     return figures
