@@ -128,6 +128,8 @@ def fit(
         _tell_notes(progress, "fit", out)
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
         text = f"fit: {known} from {figures['pairs']} pairs"
+        if left_out := figures["pairs_of_capture"] - figures["pairs"]:
+            text += f", {left_out} left out"
         if "held_out" in figures:
             text += f"; pictures left out are predicted to {100 * figures['held_out']['relative_rmse']:.1f} %"
         progress.say(f"{text}; files in {out}")

@@ -78,14 +78,26 @@ class Evidence:
     """That were judged."""
     accepted: bool
     """Whether the step is believed."""
+    objective_before: float = np.nan
+    objective_after: float = np.nan
+    """`objective_before`, `objective_after`: of the fits to all blocks with the mean face and with the
+    person; NaN where colour has decided already."""
 
     def __str__(self) -> str:
         if not np.isfinite(self.error_before):
             return f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
-        return (
+        text = (
             f"colour of left-out blocks {100 * self.error_before:.2f} -> {100 * self.error_after:.2f} %, "
             f"gain {100 * self.gain:.2f} +- {100 * self.standard_error:.2f} %, {self.blocks} blocks"
         )
+        if np.isfinite(self.objective_after):
+            text += f"; objective of all blocks {self.objective_before:.4g} -> {self.objective_after:.4g}"
+        return text
+
+    @property
+    def missed_mean(self) -> bool:
+        """Whether the person explains all blocks worse than the mean face, which its fit could have found."""
+        return self.objective_after > self.objective_before
 
 
 @dataclass(frozen=True)
@@ -129,7 +141,8 @@ def fit_face(
     channels: errors of the light are nearly grey, and a person can imitate them. Details must predict better
     than the mean face does under a light of its own, and the person better than the mean, by `margin`
     standard errors and `least_gain`. Otherwise they are left out; if both are, the mean face is returned, and
-    `plan` says so. The last fit is to all blocks.
+    `plan` says so. The last fits are to all blocks; a person whose objective is then above the mean face's,
+    which the model contains, is left out as well.
 
     Parameters
     ----------
@@ -164,7 +177,8 @@ def fit_face(
     mean face itself; one of these, lit by a red wall, is taken for a person. A photograph without colour
     gives no evidence, and so the mean face.
 
-    Cost: seven fits instead of one, those of the mean face being cheaper; about five times `fit_image`.
+    Cost: seven or eight fits instead of one, those of the mean face being cheaper; about five times
+    `fit_image`.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)
@@ -179,20 +193,24 @@ def fit_face(
     details = trial.judged("details", "mean", "mean+details")
     ending = "+details" if details.accepted else ""
     person = trial.judged("person", f"mean{ending}", f"person{ending}")
+
+    def to_all(one: MorphableReflectanceModel) -> ImageFit:
+        return fit_image(
+            observation, one, lighting, options=options.image, budget=budget, on_progress=on_progress
+        )
+
+    fit = to_all(mean_only(model))
+    fit = replace(fit, face=model.reconstruct(np.zeros(model.components)))
+    if person.accepted:
+        found = to_all(model)
+        person = replace(person, objective_before=fit.objective, objective_after=found.objective)
+        # The model contains the mean face, so a larger objective is a search gone astray.
+        person = replace(person, accepted=not person.missed_mean)
+        fit = found if person.accepted else fit
     if person.accepted and details.accepted:
         # The person may explain all that the details did.
         again = trial.judged("details", "person", "person+details")
         details = replace(again, accepted=again.gain > options.margin * again.standard_error)
-    fit = fit_image(
-        observation,
-        model if person.accepted else mean_only(model),
-        lighting,
-        options=options.image,
-        budget=budget,
-        on_progress=on_progress,
-    )
-    if not person.accepted:
-        fit = replace(fit, face=model.reconstruct(np.zeros(model.components)))
     reflectance, field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:
@@ -238,6 +256,8 @@ def _step(one: Evidence) -> PlanStep:
     what = {"person": "the person's coefficients", "details": "details of the albedo"}[one.step]
     if one.blocks < _LEAST_BLOCKS:
         reason = f"too little of the face is seen to test {what}"
+    elif one.missed_mean:
+        reason = f"{what} explain the whole photograph worse than the mean face does"
     elif one.accepted:
         reason = f"{what} predict parts of the photograph that were left out"
     else:

@@ -78,6 +78,11 @@ class PhotographFiles:
     landmarks_px: FloatArray | None
     """(68, 2): NaN for hidden ones."""
 
+    @property
+    def gamma_given(self) -> bool:
+        """Whether the file says what gamma is, which is a guess otherwise."""
+        return "gamma" in self.content.model_fields_set
+
 
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Return what a photograph file says, with its image, mask and mesh.

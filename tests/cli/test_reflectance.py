@@ -162,6 +162,20 @@ def test_build_from_synthetic_people(tmp_path):
     assert "either samples or --synthetic" in refused.output
 
 
+def test_a_photograph_without_gamma_is_told(model, photographs, tmp_path):
+    shutil.copytree(photographs[0].parent, tmp_path / "raw")
+    file = tmp_path / "raw" / "photograph.json"
+    given = json.loads(file.read_text())
+    given.pop("gamma")
+    file.write_text(json.dumps(given))
+    assert run("fit-image", file, "--model", model, "-o", tmp_path / "out").exit_code == 0
+    tuned = run("finetune", model, file, "--held-out", photographs[1], "-o", tmp_path / "tuned")
+    assert tuned.exit_code == 0, tuned.output
+    for out in ("out", "tuned"):
+        record = read_record(tmp_path / out / "reflectance.json", ReflectanceRecord)
+        assert sum("photograph.json gives no gamma" in note for note in record.notes) == 1
+
+
 def test_landmarks_without_a_shape_model_are_refused(people, model, photographs, tmp_path):
     run("build", people / "fit_0", people / "fit_1", "-o", tmp_path / "flat")
     done = run("fit-image", photographs[2], "--model", tmp_path / "flat", "-o", tmp_path / "out")
@@ -288,7 +302,10 @@ def test_overexposed_pairs_do_not_judge_a_fit(people, tmp_path):
     file = spoiled(people, tmp_path, overexpose([5]))  # the one that would be held out
     done = run("fit", file, "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["held_out"]["relative_rmse"] < 0.3
+    figures = json.loads(done.stdout)
+    assert figures["held_out"]["relative_rmse"] < 0.3
+    assert (figures["pairs"], figures["pairs_of_capture"]) == (11, 12)
+    assert "from 11 pairs, 1 left out" in done.stderr
 
 
 def test_saturation_everywhere_is_told(people, tmp_path):

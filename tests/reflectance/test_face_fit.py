@@ -15,6 +15,7 @@ from scan2albedo.reflectance import (
     MorphableReflectanceModel,
     VertexReflectance,
     fit_face,
+    fit_image,
     generated_environment,
     shade_environment,
 )
@@ -90,6 +91,23 @@ def test_grey_shade_is_not_taken_for_skin(model, lighting):
     shaded = taken.observed_linear * np.exp(waves(51, (7, 8), 0.15))[:, None]
     found = fit_face(dataclasses.replace(taken, observed_linear=shaded), model, VERTICES, FACES, lighting)
     assert not found.plan.ran("reflectance.image.details")
+
+
+def test_a_person_that_explains_less_than_the_mean_face_is_left_out(model, lighting, monkeypatch):
+    def astray(observation, one, *rest, **options):
+        found = fit_image(observation, one, *rest, **options)
+        worse = one.components > 0 and observation.seen.sum() == SEEN.sum()
+        return dataclasses.replace(found, objective=1e3) if worse else found
+
+    person = model.reconstruct(1.5 * np.ones(model.components)).reflectance
+    assert fit_face(picture(person, 3), model, VERTICES, FACES, lighting).plan.ran("reflectance.image.person")
+    monkeypatch.setattr("scan2albedo.reflectance.face_fit.fit_image", astray)
+    found = fit_face(picture(person, 3), model, VERTICES, FACES, lighting)
+    step = next(one for one in found.plan if one.stage == "reflectance.image.person")
+    assert not step.ran
+    assert "worse than the mean face" in step.reason
+    assert "-> 1000" in step.evidence
+    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
 
 
 def test_too_little_of_a_face_gives_the_mean(model, lighting):

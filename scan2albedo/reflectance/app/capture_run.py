@@ -68,7 +68,8 @@ class FittedCapture:
         known = fit.reflectance.known
         identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
         figures: dict[str, Any] = {
-            "pairs": len(self.samples.light),
+            "pairs": int(np.asarray(self.samples.valid).any((1, 2)).sum()),
+            "pairs_of_capture": len(self.samples.light),
             "vertices": len(known),
             "known_vertices": int(known.sum()),
             "pictures_per_vertex_median": float(np.median(fit.pair_count)),
@@ -233,11 +234,14 @@ def _held_out(usable: BoolArray, every: int) -> BoolArray:
 
 
 def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
-    if capture.gamma_given:
-        return ()
+    return () if capture.gamma_given else (gamma_note(capture.path, capture.content.gamma),)
+
+
+def gamma_note(path: Path, gamma: float) -> str:
+    """Return the caveat of a file that gives no gamma."""
     return (
-        f"{capture.path.name} gives no gamma: light is taken as value^{capture.content.gamma:g}; say "
-        '"gamma": 1 for linear pictures, about 2.2 for ordinary sRGB pictures',
+        f"{path.name} gives no gamma: light is taken as value^{gamma:g}; say "
+        '"gamma": 1 for linear pictures, about 2.2 for ordinary sRGB pictures'
     )
 
 

@@ -34,7 +34,7 @@ from scan2albedo.reflectance import (
     refine_geometry,
     write_reflectance,
 )
-from scan2albedo.reflectance.app.capture_run import write_colored_mesh
+from scan2albedo.reflectance.app.capture_run import gamma_note, write_colored_mesh
 from scan2albedo.reflectance.app.model_run import MEAN_FILE, MODEL_FILE, SHAPE_FILE, ModelFolder
 from scan2albedo.reflectance.app.output import folder_of_results
 from scan2albedo.reflectance.picture_samples import linear_values, picture_values
@@ -43,6 +43,8 @@ from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_pan
 
 _ONE_HELD_OUT_OF = 3
 """Photographs, when none is given to be held out."""
+_LARGE_RMSE = 0.25
+"""Relative RMSE from which on a note is due; what is not explained is then larger than albedos differ."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,26 @@ class FittedPhotograph:
         """Light and coefficients."""
         return self.face.fit
 
+    @property
+    def badly_explained(self) -> bool:
+        """Whether light and coefficients leave much unexplained; details, which may hide it, do not count."""
+        return self.fit.relative_rmse > _LARGE_RMSE
+
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
         parts = {"shape": self.geometry, "reflectance and light": self.fit}
-        notes = [
+        notes = [*notes_of_file(self.photograph)]
+        notes += [
             f"the fit of {name} stopped before it had converged"
             for name, part in parts.items()
             if part is not None and not part.converged
         ]
+        if self.badly_explained:
+            notes.append(
+                "light and model explain the photograph badly: relative RMSE "
+                f"{100 * self.fit.relative_rmse:.1f} %; trust neither the reflectance nor the light, and "
+                "check mesh, landmarks, gamma and mask"
+            )
         if not self.face.beats_mean:
             notes.append(
                 "the reflectance is that of the model's mean face, scaled: nothing found in this photograph "
@@ -221,9 +235,18 @@ def write_fitted_photograph(
             f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         )
         title += f"\n{told_by(done.face)}"
+        if done.badly_explained:
+            title += "; light and model explain the photograph badly"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
         results.write_record(figures, options=options, notes=done.notes())
     return figures
+
+
+def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
+    """Return the caveats of what a photograph file does not say."""
+    if photograph.gamma_given:
+        return ()
+    return (gamma_note(photograph.path, photograph.content.gamma),)
 
 
 def told_by(face: FaceFit) -> str:
@@ -243,6 +266,8 @@ class TunedModel:
     tuning: FineTuning
     photographs: tuple[Path, ...]
     held_out: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+    """Caveats of the photograph files."""
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures for `reflectance.json`."""
@@ -273,10 +298,12 @@ def tune_model(
     """
     tuned_with, tested_on = _parted(list(photographs), list(held_out))
     lighting = LightingModel.default()
+    notes: list[str] = []
 
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
         photograph = read_photograph(path)
+        notes.extend(notes_of_file(photograph))
         with _named(photograph):
             vertices, _, _ = _shaped(photograph, models, lighting)
             return observe(photograph, vertices, models.mean.faces)
@@ -295,7 +322,7 @@ def tune_model(
     better = replace(
         models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
     )
-    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on))
+    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on), tuple(notes))
 
 
 def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -311,7 +338,7 @@ def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> d
         done.tuning.trace.to_csv(results.folder / "trace.csv")
         results.figure("error_vs_time.png", done.tuning.trace.plot())
         ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
-        results.write_record(figures, options=options, notes=ended)
+        results.write_record(figures, options=options, notes=(*done.notes, *ended))
     return figures
 
 
