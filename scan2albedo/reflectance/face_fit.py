@@ -209,8 +209,7 @@ def fit_face(
         fit = found if person.accepted else fit
     if person.accepted and details.accepted:
         # The person may explain all that the details did.
-        again = trial.judged("details", "person", "person+details")
-        details = replace(again, accepted=again.gain > options.margin * again.standard_error)
+        details = trial.judged("details", "person", "person+details")
     reflectance, field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:
