@@ -94,8 +94,7 @@ def test_labels_are_green_and_outliers_red(frame, views):
 
 
 def test_what_is_not_observed_is_red(frame, views):
-    observed = frame.observed.copy()
-    observed[frame.vertices[:, 0] > 0] = False
+    observed = frame.vertices[:, 0] <= 0
     panel = registration_panels(replace(frame, observed=observed), views)[3]
     assert "not observed" in panel.title
     red = (panel.picture[:, :, 0] > 60) & (panel.picture[:, :, 1] < 0.3 * panel.picture[:, :, 0])
