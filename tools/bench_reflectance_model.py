@@ -9,7 +9,8 @@ is generated; it casts shadows in `shadows` and `photograph` only, ray-traced as
 tools/benchmarks/shadowed_shots.py tells.
 `unknown` shares nothing with the fit: light-stage shapes of ../shared/data, skin painted in space, traced
 by Mitsuba (tools/benchmarks/unknown_faces.py). The model is that of 200 synthetic people, the mesh one fitted
-to the shape. Pictures, 25 s each, are kept in the folder that --traced names.
+to the shape. Pictures, 25 s each, are kept in the folder that --traced names. "left" is what light and
+coefficients, without details, leave of the photograph.
 Albedo errors are relative RMSE after the best single scale, over seen vertices; faces are such as the model
 was not learned from, unless said. Times are CPU seconds.
 """
@@ -303,7 +304,7 @@ def print_unknown(count: int, folder: str | None, picture: str | None) -> None:
     found = []
     print(
         f"{'albedo, relative RMSE %':44}{'mean face':>10}{'fit':>8}{'chosen':>8}"
-        f"{'relit: mean':>12}{'chosen':>8}"
+        f"{'relit: mean':>12}{'chosen':>8}{'left':>8}"
     )
     for case in unknown_faces(count):
         one = judged(case, model, folder)

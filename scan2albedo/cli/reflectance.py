@@ -269,8 +269,8 @@ def finetune(
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
     spend = checked_budget(budget)
     with _work("finetune", out) as progress:
-        from scan2albedo.reflectance.app.image_run import tune_model, write_tuned_model
         from scan2albedo.reflectance.app.model_run import read_model_folder
+        from scan2albedo.reflectance.app.tuning_run import tune_model, write_tuned_model
 
         done = tune_model(
             read_model_folder(model),

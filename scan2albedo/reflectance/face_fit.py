@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +46,8 @@ class FaceFitOptions:
     """A gain must exceed so many of its standard errors over the blocks."""
     least_gain: float = 0.07
     """And be this share of the error; light that skin reflects onto skin is coloured, and gains a little."""
+    most_unexplained: float = 0.25
+    """Where the last fit's relative RMSE is larger, nothing is believed."""
     image: ImageFitOptions = ImageFitOptions()
     """Of each fit."""
     details: DetailOptions = DetailOptions()
@@ -55,7 +58,7 @@ class FaceFitOptions:
             raise ValueError(f"block_mm is {self.block_mm}, expected above 0 and finite")
         if self.folds < 2:
             raise ValueError(f"folds is {self.folds}, expected 2 or more")
-        for name in ("margin", "least_gain"):
+        for name in ("margin", "least_gain", "most_unexplained"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
 
@@ -78,6 +81,8 @@ class Evidence:
     """That were judged."""
     accepted: bool
     """Whether the step is believed."""
+    unexplained: float = 0.0
+    """Relative RMSE of the fit to all blocks, where it is too large to believe anything."""
     objective_before: float = np.nan
     objective_after: float = np.nan
     """`objective_before`, `objective_after`: of the fits to all blocks with the mean face and with the
@@ -92,6 +97,8 @@ class Evidence:
         )
         if np.isfinite(self.objective_after):
             text += f"; objective of all blocks {self.objective_before:.4g} -> {self.objective_after:.4g}"
+        if self.unexplained:
+            text += f"; relative RMSE of all blocks {100 * self.unexplained:.1f} %"
         return text
 
     @property
@@ -114,6 +121,8 @@ class FaceFit:
     """Root mean square of the differences over that of the image, at the vertices used."""
     beats_mean: bool
     """False when the reflectance is the model's mean."""
+    badly_explained: bool
+    """Whether light and coefficients leave so much of the photograph unexplained that nothing is believed."""
     details: FloatArray | None
     """(V, 3): logarithms of the factors on the albedo; None where they were not accepted."""
     evidence: tuple[Evidence, ...]
@@ -142,7 +151,8 @@ def fit_face(
     than the mean face does under a light of its own, and the person better than the mean, by `margin`
     standard errors and `least_gain`. Otherwise they are left out; if both are, the mean face is returned, and
     `plan` says so. The last fits are to all blocks; a person whose objective is then above the mean face's,
-    which the model contains, is left out as well.
+    which the model contains, is left out as well. If these leave more than `most_unexplained`, light or shape
+    are wrong, and both are left out.
 
     Parameters
     ----------
@@ -199,17 +209,17 @@ def fit_face(
             observation, one, lighting, options=options.image, budget=budget, on_progress=on_progress
         )
 
-    fit = to_all(mean_only(model))
-    fit = replace(fit, face=model.reconstruct(np.zeros(model.components)))
-    if person.accepted:
-        found = to_all(model)
-        person = replace(person, objective_before=fit.objective, objective_after=found.objective)
-        # The model contains the mean face, so a larger objective is a search gone astray.
-        person = replace(person, accepted=not person.missed_mean)
-        fit = found if person.accepted else fit
+    mean = to_all(mean_only(model))
+    mean = replace(mean, face=model.reconstruct(np.zeros(model.components)))
+    fit, person = _with_person(person, mean, lambda: to_all(model))
     if person.accepted and details.accepted:
         # The person may explain all that the details did.
         details = trial.judged("details", "person", "person+details")
+    rmse = fit.relative_rmse
+    badly_explained = rmse > options.most_unexplained
+    if badly_explained:
+        fit = mean
+        details, person = (replace(one, accepted=False, unexplained=rmse) for one in (details, person))
     reflectance, field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:
@@ -220,7 +230,21 @@ def fit_face(
     evidence = (details, person)
     better = person.accepted or details.accepted
     plan = Plan(tuple(_step(one) for one in evidence))
-    return FaceFit(reflectance, fit, radiance, rmse, better, field, evidence, plan)
+    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, field, evidence, plan)
+
+
+def _with_person(
+    person: Evidence, mean: ImageFit, fit_person: Callable[[], ImageFit]
+) -> tuple[ImageFit, Evidence]:
+    """Return the last fit, the person's only where it is believed and explains no less than the mean face's.
+
+    The model contains the mean face, so a larger objective is a search gone astray.
+    """
+    if not person.accepted:
+        return mean, person
+    found = fit_person()
+    person = replace(person, objective_before=mean.objective, objective_after=found.objective)
+    return (mean, replace(person, accepted=False)) if person.missed_mean else (found, person)
 
 
 def _shaded(
@@ -257,6 +281,8 @@ def _step(one: Evidence) -> PlanStep:
         reason = f"too little of the face is seen to test {what}"
     elif one.missed_mean:
         reason = f"{what} explain the whole photograph worse than the mean face does"
+    elif one.unexplained:
+        reason = f"light and model explain the photograph too badly to believe {what}"
     elif one.accepted:
         reason = f"{what} predict parts of the photograph that were left out"
     else:

@@ -110,6 +110,20 @@ def test_a_person_that_explains_less_than_the_mean_face_is_left_out(model, light
     assert (found.fit.face.coefficients == np.zeros(model.components)).all()
 
 
+def test_nothing_is_believed_where_the_photograph_stays_unexplained(model, lighting):
+    taken = picture(model.reconstruct(1.5 * np.ones(model.components)).reflectance, 3)
+    options = FaceFitOptions(most_unexplained=0.001)
+    found = fit_face(taken, model, VERTICES, FACES, lighting, options=options)
+    person = found.evidence[1]
+    assert person.objective_after < person.objective_before
+    assert found.badly_explained
+    assert not found.beats_mean
+    assert found.details is None
+    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
+    assert all("too badly to believe" in step.reason and not step.ran for step in found.plan)
+    assert all("relative RMSE of all blocks" in step.evidence for step in found.plan)
+
+
 def test_too_little_of_a_face_gives_the_mean(model, lighting):
     near = SEEN & (np.linalg.norm(VERTICES - [0, 0, 80], axis=1) < 15)
     taken = dataclasses.replace(picture(skin(np.zeros((len(NORMALS), 3))), 3), seen=near)

@@ -44,7 +44,8 @@ class JudgedFace:
         mean, fit, chosen, *relit = (100 * value for value in (*self.albedo, *self.relit))
         steps = ", ".join(one.step for one in self.fit.evidence if one.accepted) or "mean face"
         row = f"{self.photograph.face.name:44}{mean:10.1f}{fit:8.1f}{chosen:8.1f}"
-        return f"{row}{relit[0]:12.1f}{relit[1]:8.1f}  {steps}"
+        left = 100 * self.fit.fit.relative_rmse
+        return f"{row}{relit[0]:12.1f}{relit[1]:8.1f}{left:8.1f}  {steps}"
 
 
 def judged(face: UnknownFace, model: MorphableReflectanceModel, folder: str | None) -> JudgedFace:

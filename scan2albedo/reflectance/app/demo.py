@@ -30,9 +30,7 @@ from scan2albedo.reflectance.app.capture_run import fit_capture, write_fit, writ
 from scan2albedo.reflectance.app.image_run import (
     FittedPhotograph,
     fit_photograph,
-    tune_model,
     write_fitted_photograph,
-    write_tuned_model,
 )
 from scan2albedo.reflectance.app.model_run import (
     ModelFolder,
@@ -41,6 +39,7 @@ from scan2albedo.reflectance.app.model_run import (
     write_model_folder,
     write_samples,
 )
+from scan2albedo.reflectance.app.tuning_run import tune_model, write_tuned_model
 from scan2albedo.reflectance.capture_files import FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.reflectance.photograph_files import FacePhotographFile
 from scan2albedo.synthetic import (

@@ -1,12 +1,11 @@
-"""From photographs in any light to reflectance and light, to finer models, and their files."""
+"""From photographs in any light to reflectance and light, and their files."""
 
 from __future__ import annotations
 
-import shutil
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
     FaceFit,
-    FineTuning,
     GeometryFit,
     ImageFit,
     ImageObservation,
@@ -26,25 +24,18 @@ from scan2albedo.reflectance import (
     MorphableShapeModel,
     PhotographFiles,
     PhotographOptions,
-    finetune,
     fit_face,
     fit_image,
     observe_photograph,
-    read_photograph,
     refine_geometry,
     write_reflectance,
 )
 from scan2albedo.reflectance.app.capture_run import gamma_note, write_colored_mesh
-from scan2albedo.reflectance.app.model_run import MEAN_FILE, MODEL_FILE, SHAPE_FILE, ModelFolder
+from scan2albedo.reflectance.app.model_run import SHAPE_FILE, ModelFolder
 from scan2albedo.reflectance.app.output import folder_of_results
 from scan2albedo.reflectance.picture_samples import linear_values, picture_values
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
-
-_ONE_HELD_OUT_OF = 3
-"""Photographs, when none is given to be held out."""
-_LARGE_RMSE = 0.25
-"""Relative RMSE from which on a note is due; what is not explained is then larger than albedos differ."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +57,6 @@ class FittedPhotograph:
         """Light and coefficients."""
         return self.face.fit
 
-    @property
-    def badly_explained(self) -> bool:
-        """Whether light and coefficients leave much unexplained; details, which may hide it, do not count."""
-        return self.fit.relative_rmse > _LARGE_RMSE
-
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
         parts = {"shape": self.geometry, "reflectance and light": self.fit}
@@ -80,13 +66,13 @@ class FittedPhotograph:
             for name, part in parts.items()
             if part is not None and not part.converged
         ]
-        if self.badly_explained:
+        if self.face.badly_explained:
             notes.append(
                 "light and model explain the photograph badly: relative RMSE "
-                f"{100 * self.fit.relative_rmse:.1f} %; trust neither the reflectance nor the light, and "
-                "check mesh, landmarks, gamma and mask"
+                f"{100 * self.fit.relative_rmse:.1f} %; the reflectance is that of the model's mean face, "
+                "scaled; do not trust the light, and check mesh, landmarks, gamma and mask"
             )
-        if not self.face.beats_mean:
+        elif not self.face.beats_mean:
             notes.append(
                 "the reflectance is that of the model's mean face, scaled: nothing found in this photograph "
                 "predicts parts of it that were left out any better"
@@ -100,6 +86,7 @@ class FittedPhotograph:
             "vertices": len(self.vertices),
             "seen_vertices": int(np.asarray(self.observation.seen).sum()),
             "beats_mean": face.beats_mean,
+            "badly_explained": face.badly_explained,
             "details": face.details is not None,
             "plan": [vars(step) for step in face.plan],
             "relative_rmse": face.relative_rmse,
@@ -141,8 +128,8 @@ def fit_photograph(
     """
     lighting = LightingModel.default() if lighting is None else lighting
     faces = models.mean.faces
-    with _named(photograph):
-        vertices, geometry, trace = _shaped(photograph, models, lighting, budget, on_progress)
+    with named_in_errors(photograph):
+        vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
         observation = observe(photograph, vertices, faces)
         with _unconverged_allowed():
             face = fit_face(
@@ -157,7 +144,7 @@ def fit_photograph(
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
 
-def _shaped(
+def shaped_vertices(
     photograph: PhotographFiles,
     models: ModelFolder,
     lighting: LightingModel,
@@ -187,7 +174,7 @@ def _shaped(
 
 
 @contextmanager
-def _named(photograph: PhotographFiles) -> Iterator[None]:
+def named_in_errors(photograph: PhotographFiles) -> Iterator[None]:
     """Name the photograph in errors."""
     try:
         yield
@@ -235,8 +222,6 @@ def write_fitted_photograph(
             f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         )
         title += f"\n{told_by(done.face)}"
-        if done.badly_explained:
-            title += "; light and model explain the photograph badly"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
         results.write_record(figures, options=options, notes=done.notes())
     return figures
@@ -251,111 +236,13 @@ def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
 
 def told_by(face: FaceFit) -> str:
     """Return in words what of a face's reflectance the photograph decides."""
+    if face.badly_explained:
+        return "the model's mean face: light and model explain the photograph badly"
     if not face.beats_mean:
         return "the model's mean face: nothing found predicts parts left out any better"
     found = [one.step for one in face.evidence if one.accepted]
     names = {"person": "the person's coefficients", "details": "details"}
     return f"{' and '.join(names[step] for step in found)} predict parts left out better than the mean face"
-
-
-@dataclass(frozen=True)
-class TunedModel:
-    """A model after fine-tuning with photographs."""
-
-    models: ModelFolder
-    tuning: FineTuning
-    photographs: tuple[Path, ...]
-    held_out: tuple[Path, ...]
-    notes: tuple[str, ...] = ()
-    """Caveats of the photograph files."""
-
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        tuning = self.tuning
-        return {
-            "photographs": [str(path) for path in self.photographs],
-            "held_out": [str(path) for path in self.held_out],
-            "accepted_steps": tuning.accepted_steps,
-            "held_out_before": tuning.held_out_before,
-            "held_out_after": tuning.held_out_after,
-            "converged": tuning.converged,
-        }
-
-
-def tune_model(
-    models: ModelFolder,
-    photographs: Sequence[Path],
-    held_out: Sequence[Path] = (),
-    *,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
-    say: Callable[[str], None] = lambda line: None,
-) -> TunedModel:
-    """Fine-tune a model with photograph files, and test it on others: `held_out`, or one of three when empty.
-
-    `say` gets a line for each photograph. Raises `ReflectanceError` when there are too few, or one cannot be
-    used.
-    """
-    tuned_with, tested_on = _parted(list(photographs), list(held_out))
-    lighting = LightingModel.default()
-    notes: list[str] = []
-
-    def observed(path: Path) -> ImageObservation:
-        say(f"reading {path}")
-        photograph = read_photograph(path)
-        notes.extend(notes_of_file(photograph))
-        with _named(photograph):
-            vertices, _, _ = _shaped(photograph, models, lighting)
-            return observe(photograph, vertices, models.mean.faces)
-
-    tuning = finetune(
-        models.model,
-        [observed(path) for path in tuned_with],
-        [observed(path) for path in tested_on],
-        models.mean.faces,
-        vertices=models.mean.vertices,
-        lighting=lighting,
-        budget=budget,
-        on_progress=on_progress,
-    )
-    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
-    better = replace(
-        models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
-    )
-    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on), tuple(notes))
-
-
-def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
-    """Write the model's folder anew; return figures as in `reflectance.json`."""
-    figures = done.metrics()
-    models = done.models
-    assert models.folder is not None  # models that are tuned come from files
-    with folder_of_results(out, "finetune", (models.folder, *done.photographs, *done.held_out)) as results:
-        models.model.save(results.folder / MODEL_FILE)
-        write_reflectance(results.folder / MEAN_FILE, models.mean)
-        if models.shape is not None:
-            shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
-        done.tuning.trace.to_csv(results.folder / "trace.csv")
-        results.figure("error_vs_time.png", done.tuning.trace.plot())
-        ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
-        results.write_record(figures, options=options, notes=(*done.notes, *ended))
-    return figures
-
-
-def _parted(photographs: list[Path], held_out: list[Path]) -> tuple[list[Path], list[Path]]:
-    """Return photographs to tune with and to test on."""
-    tuned_with, tested_on = ({path.resolve() for path in paths} for paths in (photographs, held_out))
-    if both := tuned_with & tested_on:
-        raise ReflectanceError(f"{min(both)} is held out and tuned with; give it once")
-    if not held_out:
-        held_out = photographs[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]
-        photographs = [path for path in photographs if path not in held_out]
-    if not photographs or not held_out:
-        raise ReflectanceError(
-            f"{len(photographs)} photographs to tune with and {len(held_out)} held out; give one or more of "
-            f"each, or {_ONE_HELD_OUT_OF} or more in all"
-        )
-    return photographs, held_out
 
 
 def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> FloatArray:
