@@ -282,7 +282,8 @@ def _notes_of_doubt(fit: ReflectanceFit, error: RelightingError | None, gamma: f
     known = fit.reflectance.known
     if not known.any():
         return ()
-    sigma, misfit = np.median(fit.normal_sigma_degrees[known]), np.nanmedian(fit.misfit)
+    sigma = float(np.median(fit.normal_sigma_degrees[known]))
+    misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
     signs = []
     if sigma > _DOUBTFUL_SIGMA_DEGREES:
         signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
