@@ -2,6 +2,7 @@
 
 python tools/bench_applications.py relight       relit textures, albedo true and estimated, ten new lights
 python tools/bench_applications.py expression    expressions of measured and synthetic faces, given to another
+python tools/bench_applications.py people        how far apart fits of one person, and of two, are where still
 python tools/bench_applications.py swap          real faces with each other's skin: figures, and swap.png
 python tools/bench_applications.py blend         real faces blended half way: figures, and blend.png
 python tools/bench_applications.py relit         real faces under a lamp from three sides: relit.png
@@ -22,7 +23,11 @@ from benchmarks.scan_files import face_data
 
 import scan2albedo as s2a
 from scan2albedo.applications import FaceMesh, ProcessedFace, TransferOptions, personal_model, relight
-from scan2albedo.applications.expression_transfer import expression_displacement
+from scan2albedo.applications.expression_transfer import (
+    TWO_PEOPLE_MM,
+    apart_where_still,
+    expression_displacement,
+)
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.nearest_surface import surface_query
@@ -44,6 +49,7 @@ LIGHTS = [
     light_at(-60, 0, distance_mm=350, intensity=4),
     light_at(85, 45, intensity=6),
 ]
+NOISE_MM = 0.15
 GENERIC = "generic_neutral"
 SMILE = "generic_mouthSmile_L_mouthSmile_R"
 PAIRS = (
@@ -229,12 +235,44 @@ def bench_expression() -> None:
         print(f"  {'mean':40s}" + "".join(f"{value:6.2f}" for value in np.mean(rows, axis=0)))
 
 
+def bench_people() -> None:
+    """Print how far light-stage people are apart where still: one at rest and with expressions, and two."""
+    with np.load(face_data("ict_faces.npz")) as data:
+        shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
+        faces = data["faces"].astype(np.int64)
+    moves = {k: v for k, v in measured_moves(shapes).items() if k in ("smile", "jaw", "brows and jaw")}
+    with np.load(face_data("ict_expressions.npz")) as data:
+        moves |= {k: data[k].astype(float) for k in ("cheek_puff", "nose_sneer")}
+    model, rng = s2a.AnnotatedFaceModel.default(), np.random.default_rng(0)
+
+    def mesh(vertices: FloatArray) -> FaceMesh:
+        return mesh_of(fitted(vertices + rng.normal(0, NOISE_MM, vertices.shape), faces, model))
+
+    rest = {name: mesh(shapes[name]) for name in (GENERIC, "person1", "person2", "person3", "person4")}
+    one: list[float] = []
+    two: list[float] = []
+    for name in ("person1", "person2", "person4"):
+        for move in ({"nothing": np.zeros_like(shapes[name])} | moves).values():
+            moved = mesh(shapes[name] + move)
+            for other, still in rest.items():
+                (one if other == name else two).append(apart_where_still(still, moved))
+    for title, found in (("one person", one), ("two people", two)):
+        least, middle, most = np.percentile(found, [0, 50, 100])
+        told = int((np.array(found) > TWO_PEOPLE_MM).sum())
+        print(
+            f"{title}: {least:.2f} to {most:.2f} mm apart, median {middle:.2f}; taken for two people: "
+            f"{told} of {len(found)}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     real = {"swap": bench_swap, "blend": bench_blend, "relit": bench_relit}
-    parser.add_argument("what", choices=["relight", "expression", *real, "all"], nargs="?", default="all")
+    parser.add_argument(
+        "what", choices=["relight", "expression", "people", *real, "all"], nargs="?", default="all"
+    )
     parser.add_argument("--results", type=Path, default=Path("real_results"))
     parser.add_argument("-o", "--out", type=Path, default=Path("real_pictures"))
     given = parser.parse_args()
@@ -243,6 +281,8 @@ def main() -> None:
         bench_relight()
     if what in ("expression", "all"):
         bench_expression()
+    if what in ("people", "all"):
+        bench_people()
     for name, bench in real.items():
         if what in (name, "all"):
             given.out.mkdir(parents=True, exist_ok=True)

@@ -91,7 +91,11 @@ def transfer_expression(
 ) -> None:
     """Give B's face the expression of A's; the scans need no colour."""
     from scan2albedo import applications
-    from scan2albedo.applications.expression_transfer import level_to_refine
+    from scan2albedo.applications.expression_transfer import (
+        TWO_PEOPLE_MM,
+        apart_where_still,
+        level_to_refine,
+    )
     from scan2albedo.face_model import chosen_model
 
     chosen: dict[str, Any] = {"strength": strength, "correspondence": correspondence}
@@ -103,6 +107,13 @@ def transfer_expression(
     given = (neutral_a, expression_a, neutral_b)
     faces = [applications.load_result(folder, need_albedo=False) for folder in given]
     template = chosen_model(model)
+    apart = apart_where_still(faces[0].mesh, faces[1].mesh)
+    if apart > TWO_PEOPLE_MM:
+        say(
+            f"{faces[0].name} and {faces[1].name} seem to show two people: where an expression leaves a face "
+            f"still they are {apart:.2f} mm apart (of one person up to {TWO_PEOPLE_MM:g}); what else differs "
+            "between them goes into the new face, too"
+        )
     made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
     refined = level_to_refine(faces[0].mesh, options, template) is not None
     chosen["correspondence"] = "refined" if refined else "as-fitted"

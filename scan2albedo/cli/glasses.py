@@ -297,24 +297,51 @@ def lenses(
     ] = None,
     environment: Annotated[
         Path | None,
-        typer.Option(help="Equirectangular EXR, HDR or PNG: light of a drawn scene, and what lenses mirror."),
+        typer.Option(
+            help="Equirectangular EXR, HDR or PNG: light of a drawn scene, and what lenses mirror. When "
+            "omitted, a drawn scene has the built-in light, and lenses in photographs mirror nothing."
+        ),
     ] = None,
     dioptres: Annotated[str, typer.Option(help="D, or L,R: one number for both lenses or two.")] = "0",
-    tint: Annotated[str | None, typer.Option(help="R,G,B, linear: the glass's colour.")] = None,
-    alpha: Annotated[float | None, typer.Option(help="Share of the tint, 0 to 1.")] = None,
-    beta: Annotated[float | None, typer.Option(help="Share of the reflection, 0 to 1.")] = None,
+    tint: Annotated[
+        str | None,
+        typer.Option(
+            help="R,G,B, linear: the glass's colour. Clear when omitted; 0.1,0.07,0.03 with --sunglasses."
+        ),
+    ] = None,
+    alpha: Annotated[
+        float | None,
+        typer.Option(
+            help="Share of the tint, 0 to 1. When omitted 0.5 with --tint, 0.85 with --sunglasses, else 0."
+        ),
+    ] = None,
+    beta: Annotated[
+        float | None,
+        typer.Option(
+            help="Share of the reflection, 0 to 1; alpha and beta together at most 1. When omitted 0.04 with "
+            "--fresnel or --sunglasses, else 0."
+        ),
+    ] = None,
     sunglasses: Annotated[
-        bool, typer.Option("--sunglasses", help="Dark glass that filters light, and mirrors.")
+        bool,
+        typer.Option("--sunglasses", help="Dark glass that filters light, and mirrors as with --fresnel."),
     ] = False,
     fresnel: Annotated[
-        bool, typer.Option("--fresnel", help="Let the reflection grow towards glancing angles.")
+        bool,
+        typer.Option("--fresnel", help="Mirror, as glass does, and more towards glancing angles."),
     ] = False,
     supersampling: Annotated[int, typer.Option(help="n x n rays for pixels on edges.", min=1)] = 3,
     lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 256,
     unit: Annotated[str, typer.Option(help="Of frame and head: auto, mm, cm or m.")] = "auto",
     json_summary: JsonOption = False,
 ) -> None:
-    """Put lenses into a frame on a face and show them, drawn or in photographs."""
+    """Put lenses into a frame on a face and show them, drawn or in photographs.
+
+    Drawn scenes without --environment have a built-in light: an even, neutral room with three soft lamps
+    around the wearer, the main one on their right, one on their left, one above. Drawn pictures are exposed
+    so that a white plate that faces as the frame does is 0.9 of white, the same for all views; the factor is
+    told. Photographs keep their own light and exposure. Lenses are clear window glass by default.
+    """
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions

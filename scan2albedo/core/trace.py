@@ -68,6 +68,16 @@ class Trace:
         """Return the rows of one stage."""
         return Trace(tuple(row for row in self.rows if row.stage == stage))
 
+    def runs(self) -> tuple[Trace, ...]:
+        """Return the rows of each run, cut where time or evaluations go back: a stage began anew there."""
+        runs: list[list[TraceRow]] = []
+        for row in self.rows:
+            last = runs[-1][-1] if runs else None
+            if last is None or row.elapsed_s < last.elapsed_s or row.evaluations < last.evaluations:
+                runs.append([])
+            runs[-1].append(row)
+        return tuple(Trace(tuple(run)) for run in runs)
+
     def to_csv(self, path: str | Path | None = None) -> str:
         """Return the trace as CSV text and, when `path` is given, write it there too."""
         text = io.StringIO()
@@ -79,7 +89,10 @@ class Trace:
         return text.getvalue()
 
     def plot(self) -> Figure:
-        """Draw error against elapsed seconds, one panel a stage, and return the matplotlib figure."""
+        """Draw error against elapsed seconds, one panel a stage, and return the matplotlib figure.
+
+        A stage that ran twice has two curves, each over the time since its own run began.
+        """
         from matplotlib.figure import Figure
 
         stages = self.stages or ("nothing recorded",)
@@ -91,14 +104,15 @@ class Trace:
             unused.set_axis_off()
         for axis, stage in zip(axes, stages, strict=False):
             axis.set_title(stage)
-            _draw(axis, self.of_stage(stage).rows)
+            _draw(axis, self.of_stage(stage))
         return figure
 
 
-def _draw(axis: Axes, rows: tuple[TraceRow, ...]) -> None:
+def _draw(axis: Axes, trace: Trace) -> None:
     """Draw one stage's error against its run time; a single error is told in words, for it makes no curve."""
     from matplotlib.ticker import MaxNLocator
 
+    rows, runs = trace.rows, trace.runs()
     errors = [row.error for row in rows]
     if len(set(errors)) < 2:
         told = "nothing recorded"
@@ -110,8 +124,12 @@ def _draw(axis: Axes, rows: tuple[TraceRow, ...]) -> None:
         axis.set_axis_off()
         axis.text(0.5, 0.5, told, ha="center", va="center", transform=axis.transAxes)
         return
-    short = rows[-1].elapsed_s < _SHORT_S
-    axis.plot([row.elapsed_s * (1000 if short else 1) for row in rows], errors, marker=".", linewidth=1)
+    short = max(row.elapsed_s for row in rows) < _SHORT_S
+    for number, run in enumerate(runs, start=1):
+        times, reached = [row.elapsed_s * (1000 if short else 1) for row in run], [row.error for row in run]
+        axis.plot(times, reached, marker=".", linewidth=1, label=f"run {number}")
+    if len(runs) > 1:
+        axis.legend(fontsize=8)
     axis.set_xlabel("elapsed [ms]" if short else "elapsed [s]")
     axis.set_ylabel(f"error [{rows[0].unit}]")
     axis.xaxis.set_major_locator(MaxNLocator(_TICKS))

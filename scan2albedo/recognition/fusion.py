@@ -71,8 +71,8 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
 
     Weights are the calibration's slopes. A probe is compared by what it and all images of the gallery have,
     since a likelihood ratio by one kind and one by both seldom agree; where nothing is common to all, by what
-    each pair has. Similarities by one of two kinds are brought to where the likelihood ratio by both is the
-    same.
+    each pair has. Beside probes compared by both, similarities by one kind are brought to where the
+    likelihood ratio by both is the same; where one kind compares all probes, they stay as they are.
 
     Parameters
     ----------
@@ -99,6 +99,10 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
     total = of_albedo + of_shape
     found = (of_albedo * albedo + of_shape * shape) / total
     by_both = ~np.isnan(found).any(axis=1, keepdims=True)
+    if not by_both.any():
+        for one in (albedo, shape):
+            if not np.isnan(one).any():
+                return one
     for one, (slope, start) in ((albedo, calibration.albedo), (shape, calibration.shape)):
         alone = np.clip((slope * one + start - offset) / total, 0, 1)
         by_one = ~np.isnan(one).any(axis=1, keepdims=True)

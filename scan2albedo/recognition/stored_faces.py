@@ -15,7 +15,7 @@ from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
-from scan2albedo.recognition.manifest import RESULT_FILE, Manifest
+from scan2albedo.recognition.manifest import RESULT_FILE, Manifest, ManifestEntry
 from scan2albedo.recognition.options import TemplateOptions
 from scan2albedo.recognition.preparation import NothingToCompareError
 from scan2albedo.recognition.templates import COEFFICIENTS, Chart, Kind, Templates, common_chart
@@ -216,12 +216,12 @@ def result_templates(
                 common_chart(earlier, chart, other, where)
         except NothingToCompareError as error:
             if on_left_out is None:
-                raise RecognitionError(f"{where}: {error}") from error
-            reasons.append(f"{where}: {error}")
+                raise RecognitionError(_told(where, entry, error)) from error
+            reasons.append(_told(where, entry, error))
             on_left_out(k, reasons[-1])
             continue
         except RecognitionError as error:
-            raise RecognitionError(str(error) if where in str(error) else f"{where}: {error}") from error
+            raise RecognitionError(_told(where, entry, error)) from error
         finally:
             if on_count is not None:
                 on_count(k + 1, len(manifest.entries))
@@ -235,6 +235,15 @@ def result_templates(
             f"{manifest.file}: no result has {_A[kind]} to compare; the first: {reasons[0]}"
         )
     return Templates(np.stack(coefficients), np.stack(masks), tuple(names), options, charts[-1][1], kind)
+
+
+def _told(where: str, entry: ManifestEntry, error: RecognitionError) -> str:
+    """Return what is wrong with an entry, after the place where it is named; nothing is named twice."""
+    text = str(error)
+    if where in text:
+        return text
+    named = [f"{name}{end}" for name in (entry.path, entry.result) for end in (": ", " ")]
+    return f"{where}: {text.removeprefix(next(filter(text.startswith, named), ''))}"
 
 
 _A: dict[Kind, str] = {"albedo": "an albedo", "shape": "a shape"}

@@ -17,6 +17,8 @@ from scan2albedo.applications import (
     transfer_expression,
 )
 from scan2albedo.applications.expression_transfer import (
+    TWO_PEOPLE_MM,
+    apart_where_still,
     expression_displacement,
     laid_on_what_is_still,
     refined_expression,
@@ -70,6 +72,25 @@ def test_alignment_undoes_a_pose_between_the_scans(measured):
     pose = compose(rotation_from_vector([0.03, -0.02, 0.04]), [2.0, -1.0, 3.0])
     placed = laid_on_what_is_still(transform_points(pose, smile), rest)
     assert np.linalg.norm(placed - smile, axis=1).mean() < 0.05
+
+
+def test_two_people_lie_apart_even_where_an_expression_leaves_the_face_still(measured):
+    pairs = {
+        ("generic_neutral", f"generic_{SMILE}"): False,
+        ("generic_neutral", "generic_jawOpen0.7"): False,
+        ("person2", f"person2_{SMILE}"): False,
+        ("person1", "person3"): True,
+        ("person4", f"person2_{SMILE}"): True,
+        ("generic_neutral", "person3_browInnerUp_L_browInnerUp_R_jawOpen0.5"): True,
+    }
+    for (rest, moved), two in pairs.items():
+        assert (apart_where_still(measured[rest], measured[moved]) > TWO_PEOPLE_MM) == two
+
+
+def test_sliding_along_the_skin_is_no_other_person():
+    mesh = synthetic(3)
+    slipped = replace(mesh, vertices=slid(synthetic(3, "smile"), 1.5))
+    assert apart_where_still(mesh, slipped) < TWO_PEOPLE_MM
 
 
 def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):

@@ -124,6 +124,9 @@ def test_the_correspondence_used_is_told(folders, tmp_path):
     faces = [folders / name for name in ("a", "a_smiling", "b")]
     done = run("transfer-expression", *faces, "-o", tmp_path / "new", "--json")
     assert json.loads(done.stdout)["options"]["correspondence"] == "as-fitted"
+    assert "two people" not in done.stderr
+    mixed = run("transfer-expression", *faces[::2], faces[0], "-o", tmp_path / "mixed")
+    assert "a and b seem to show two people" in mixed.stderr
     refused = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "refined")
     assert refused.exit_code != 0
     wrong = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "guessed")

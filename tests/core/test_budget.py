@@ -123,3 +123,14 @@ def test_labels_of_times_do_not_overlap(start_s):
     inside = [box for box in boxes if axis.bbox.x0 <= (box.x0 + box.x1) / 2 <= axis.bbox.x1]
     assert len(inside) > 1
     assert all(a.x1 < b.x0 for a, b in itertools.pairwise(inside))
+
+
+def test_runs_of_one_stage_are_drawn_apart():
+    first, second = rows_of("fit", [0.1, 2.0], [9.0, 5.0]), rows_of("fit", [0.2, 0.3, 1.0], [6.0, 4.0, 3.0])
+    trace = Trace(first + second)
+    assert [run.rows for run in trace.runs()] == [first, second]
+    (axis,) = trace.plot().axes
+    assert [line.get_xdata().tolist() for line in axis.lines] == [[0.1, 2.0], [0.2, 0.3, 1.0]]
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["run 1", "run 2"]
+    (axis,) = Trace(first).plot().axes
+    assert axis.get_legend() is None

@@ -131,9 +131,9 @@ def test_figures_show_every_curve_with_its_interval():
 
 
 def test_figures_of_many_methods_have_bars_apart_and_tell_of_few_claims():
-    found = build_identification(persons=8, each=2)
-    cmc = cmc_figure({str(k): cmc_curve(found) for k in range(5)}).axes[0]
-    roc = roc_figure({str(k): roc_curve(found, resamples=5) for k in range(5)}).axes[0]
+    found = {str(k): build_identification(k, persons=8, each=2) for k in range(5)}
+    cmc = cmc_figure({name: cmc_curve(one) for name, one in found.items()}).axes[0]
+    roc = roc_figure({name: roc_curve(one, resamples=5) for name, one in found.items()}).axes[0]
     for axis in (cmc, roc):
         places = [{segment[0, 0] for segment in lines.get_segments()} for lines in axis.collections]
         assert len(places) == 5
@@ -141,3 +141,16 @@ def test_figures_of_many_methods_have_bars_apart_and_tell_of_few_claims():
         assert len(set.union(*places)) == sum(len(one) for one in places)
     assert cmc.texts[0].get_text() == "16 probes: too few to tell much"
     assert roc.texts[0].get_text() == "16 genuine claims: too few to tell much"
+
+
+def test_equal_curves_are_drawn_once_with_all_their_names():
+    perfect, worse = build_identification(separation=99.0), build_identification()
+    found = {"albedo": perfect, "texture": worse, "shape": perfect, "shape and albedo": perfect}
+    cmc = cmc_figure({name: cmc_curve(one) for name, one in found.items()}).axes[0]
+    roc = roc_figure({name: roc_curve(one, resamples=20) for name, one in found.items()}).axes[0]
+    for axis in (cmc, roc):
+        assert len(axis.lines) == len(axis.collections) == 2
+        first, second = (text.get_text() for text in axis.figure.legends[0].get_texts())
+        assert first.startswith("albedo; shape; shape and albedo, one curve for all, 40 ")
+        assert second.startswith("texture, 40 ")
+        assert axis.lines[0].get_linewidth() > axis.lines[1].get_linewidth()

@@ -33,13 +33,21 @@ def test_both_are_better_than_either():
 def test_where_one_is_missing_the_other_keeps_its_scale():
     scores, genuine = build_scores(0)
     calibration = Calibration.of(*scores, genuine)
-    known = np.array([[0.78]])
     nothing = np.full((1, 1), np.nan)
-    of_albedo = fused({"albedo": np.array([[0.74]]), "shape": nothing}, calibration)
-    both = fused({"albedo": np.array([[0.74]]), "shape": np.array([[0.82]])}, calibration)
+    albedo, shape = np.array([[0.74], [0.74]]), np.array([[np.nan], [0.82]])
+    of_albedo, both = fused({"albedo": albedo, "shape": shape}, calibration)
     assert of_albedo == pytest.approx(both, abs=0.01)
     assert np.isnan(fused({"albedo": nothing, "shape": nothing}, calibration)).all()
+
+
+def test_where_all_are_compared_by_one_kind_its_similarities_stay():
+    scores, genuine = build_scores(0)
+    calibration = Calibration.of(*scores, genuine)
+    known = np.array([[0.78, 1.0], [0.8, 0.9]])
+    gray = np.array([[0.7, np.nan], [0.6, np.nan]])
     assert fused({"shape": known}, calibration) is known
+    assert fused({"albedo": gray, "shape": known}, calibration) is known
+    assert fused({"albedo": known, "shape": gray}, calibration) is known
 
 
 def test_a_probe_is_compared_by_what_the_whole_gallery_has():

@@ -205,6 +205,7 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     mixed = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy")], "mixed.csv")
     found = identify_results(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"), options=OPTIONS)
     assert "1 of 1 probes are compared by shape alone" in found.notes[1]
+    np.testing.assert_array_equal(found.matches.similarities, found.by_kind["shape"])
     assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
@@ -213,6 +214,12 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     found = identify_results(gallery, probes, use=["albedo"], options=OPTIONS)
     assert (found.probes.labels, found.matches.predicted()) == ((str(people / "cy-2"),), ("cy",))
     assert found.notes[0].startswith("left out: ")
+    for source, named in ((tmp_path / "all", tmp_path / "all" / "gray"), (probes, f"{probes}, line 2: gray")):
+        if source.name == "all":
+            shutil.copytree(gray, source / "gray")
+            shutil.copytree(people / "cy-2", source / "cy")
+        notes = read_labelled_templates(source, use=["albedo"], options=OPTIONS).notes
+        assert notes == (f"left out: {named}: has no albedo, for the scan has no colour; compare by shape",)
     only = listed(tmp_path, [("bob", "gray")], "only.csv")
     with pytest.raises(RecognitionError, match="no result has an albedo to compare; the first: "):
         identify_results(gallery, only, use=["albedo"])
@@ -227,9 +234,9 @@ def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery
     options = TemplateOptions(size=64, hole_radius=0)
     found = identify_results(gallery, listed(tmp_path, rows), options=options)
     assert found.matches.predicted() == ("bob",)
-    assert "masked is masked everywhere" in found.notes[0]
+    assert "line 3: masked: is masked everywhere" in found.notes[0]
     assert "list.csv: narrow: no window of 3 x 3 coefficients lies inside the mask" in found.notes[1]
-    with pytest.raises(RecognitionError, match=r"no result has a shape .*masked is masked everywhere"):
+    with pytest.raises(RecognitionError, match=r"no result has a shape .*masked: is masked everywhere"):
         identify_results(gallery, listed(tmp_path, rows[1:2]), options=options)
     with pytest.raises(RecognitionError, match=r"narrow: no window of 3 x 3 .* and no result is left"):
         identify_results(gallery, listed(tmp_path, rows[2:]), options=options)

@@ -167,3 +167,36 @@ def test_a_gamma_that_nobody_gave_is_told(folder):
     file = changed(folder, lambda content: content.pop("gamma"))
     assumed = fit_capture(read_capture(file), held_out_every=0)
     assert any("gives no gamma" in note and "value^1.2" in note for note in assumed.notes)
+
+
+def test_a_mesh_of_no_heads_size_is_told(folder):
+    def notes(file):
+        return [note for note in fit_capture(read_capture(file), held_out_every=0).notes if "long" in note]
+
+    assert notes(folder / "capture.json") == []
+    mesh = trimesh.load(folder / "face.ply", process=False)
+    mesh.vertices /= 1000
+    mesh.export(folder / "face.ply")
+
+    def in_metres(content):
+        content["falloff_distance"] /= 1000
+        for pose in content["poses"]:
+            pose["translation"] = [t / 1000 for t in pose["translation"]]
+
+    (note,) = notes(changed(folder, in_metres))
+    assert re.match(
+        r"face\.ply is 0\.\d+ mm long, and a head measures 80 to 800 mm: .* \"unit\": \"m\"", note
+    )
+    assert notes(changed(folder, lambda content: content.update(unit="m"))) == []
+
+
+def test_what_may_come_of_a_wrong_gamma_is_told(folder):
+    def notes(gamma):
+        file = changed(folder, lambda content: content.update(gamma=gamma))
+        found = fit_capture(read_capture(file), held_out_every=0).notes
+        return [note for note in found if "wrong gamma" in note]
+
+    assert notes(1.2) == []
+    (note,) = notes(2.6)
+    assert re.match(r"residuals are 1\.[5-9] times the noise", note)
+    assert note.endswith("(light is taken as value^2.6)")

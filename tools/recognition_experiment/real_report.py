@@ -72,7 +72,7 @@ def table(results: Results, data: DataSet) -> str:
         lines += [
             "",
             f"{title}: {methods[0].cmc.probes} probes{few}",
-            f"  {'':35}{'rank 1':>7}  {'95 % interval':15}{'equal error':>11}  {'95 % interval':14}{'d':>5}"
+            f"  {'':35}{'rank 1':>7}  {'95 % interval':15}{'equal error':>11}  {'95 % interval':14}   d'"
             + head,
         ]
         for result in methods:

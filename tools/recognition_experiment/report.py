@@ -163,7 +163,7 @@ class RecognitionReport:
             f"{len(self.persons)} persons, {probes} probes"
             + ("" if self.converged else ", the budget ended before the rest")
             + (f"; {len(self.failures)} scans failed and are left out" if self.failures else ""),
-            f"  {'':35}{'rank 1':>7}  {'95 % interval':15}{'by persons':15}{'equal error':>11}{'d':>6}'"
+            f"  {'':35}{'rank 1':>7}  {'95 % interval':15}{'by persons':15}{'equal error':>11}     d'"
             f"{'against raw':>19}{'paper':>8}",
         ]
         for result in self.results:

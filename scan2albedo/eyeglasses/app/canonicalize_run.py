@@ -50,7 +50,8 @@ class CanonicalFiles:
     result: CanonicalSet
     failures: tuple[FailedFrameRecord, ...]
     notes: tuple[str, ...] = ()
-    """Frames that are unlike the others, and those whose sides cannot be checked."""
+    """Frames that are unlike the others, single bridges among double ones, and frames whose sides cannot be
+    checked."""
     options: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -106,6 +107,7 @@ def canonicalize_frames(
         result=result,
         notes=(
             *(f"{frames[i].name} is unlike the others: {why}" for i, why in result.outliers.items()),
+            *_notes_on_bridges([frames[i].name for i in result.single_bridges]),
             *_notes_on_sides([frames[i] for i in result.numbers]),
         ),
         failures=(*failures, *lost),
@@ -119,6 +121,16 @@ def canonicalize_frames(
         },
         seconds=time.perf_counter() - begun,
     )
+
+
+def _notes_on_bridges(single: Sequence[str]) -> list[str]:
+    if not single:
+        return []
+    return [
+        f"{', '.join(single)}: one bridge, while other frames or the mean given have two: bridge_top of the "
+        "mean lies between both kinds and draws the single bridge out into a spike; leave bridge_top out of "
+        "the key points of frames with one bridge, or bring the two kinds to means of their own"
+    ]
 
 
 def _notes_on_sides(frames: Sequence[GlassesFrame]) -> list[str]:

@@ -22,8 +22,8 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
 )
 from scan2albedo.eyeglasses.canonical.sizes import (
     WIDTHS_MM,
-    front_width,
     outliers,
+    single_bridges,
     unit_exponent,
     unit_factors,
 )
@@ -129,6 +129,9 @@ class CanonicalSet:
     outliers: Mapping[int, str]
     """What is unusual about a mesh of the set, by its number: its width or its key points, in sets of four or
     more. Outliers are canonicalised like the others and count in the mean."""
+    single_bridges: tuple[int, ...]
+    """In mode "mean", numbers of the meshes with one bridge where others, or a given mean, have two: the
+    mean's `bridge_top` lies between the two kinds, and draws a single bridge out into a spike."""
     plan: Plan
     """What ran and what was left out; the steps of a frame say its number."""
     trace: Trace
@@ -220,7 +223,10 @@ def canonicalize(
     )
     scales = unit_factors([w.unit_exponent for w in weighted], common)
     points = [scale * w.frame.points for scale, w in zip(scales, weighted, strict=True)]
-    unusual = {weighted[i].frame.number: reason for i, reason in outliers(points).items()}
+    widths = scales * [w.width for w in weighted]
+    unusual = {weighted[i].frame.number: reason for i, reason in outliers(points, widths).items()}
+    one_bridge = single_bridges(points, widths, reference) if options.mode == "mean" else ()
+    single = tuple(weighted[i].frame.number for i in one_bridge)
     mean = _mean(points, reference, meter)
     done = _canonical_frames(weighted, scales, mean.points, reference is not None, options)
     return CanonicalSet(
@@ -232,11 +238,13 @@ def canonicalize(
         numbers=tuple(w.frame.number for w in weighted),
         failures=failures,
         outliers=unusual,
+        single_bridges=single,
         plan=_plan(weighted, done, failures)
         + Plan(
             (
-                _unit_step(points, scales),
+                _unit_step(widths, scales),
                 _outlier_step(unusual, len(done)),
+                *_bridge_steps(single),
                 _mean_step(mean, reference is not None, len(done)),
             )
         ),
@@ -276,29 +284,40 @@ def _plan(
     )
 
 
-def _unit_step(points: list[FloatArray], scales: FloatArray) -> PlanStep:
-    widths = "fronts " + ", ".join(f"{front_width(p):.4g}" for p in points) + " wide"
+def _unit_step(widths: FloatArray, scales: FloatArray) -> PlanStep:
+    wide = "fronts " + ", ".join(f"{width:.4g}" for width in widths) + " wide"
     if (scales == 1).all():
-        return PlanStep("eyeglasses.units", False, "widths agree: one unit", widths)
+        return PlanStep("eyeglasses.units", False, "widths agree: one unit", wide)
     factors = ", ".join(f"{s:.6g}" for s in scales)
     reason = "widths are those of different units"
-    return PlanStep("eyeglasses.units", True, reason, f"factors {factors}; then {widths}")
+    return PlanStep("eyeglasses.units", True, reason, f"factors {factors}; then {wide}")
 
 
 def _outlier_step(unusual: Mapping[int, str], count: int) -> PlanStep:
     if not unusual:
-        return PlanStep("eyeglasses.outliers", False, f"none among {count} frames")
+        return PlanStep("eyeglasses.outliers", False, f"none among {_counted(count, 'frame')}")
     reason = "; ".join(f"frame {i}: {why}" for i, why in unusual.items())
-    return PlanStep("eyeglasses.outliers", True, reason, f"{len(unusual)} of {count} frames")
+    return PlanStep("eyeglasses.outliers", True, reason, f"{len(unusual)} of {_counted(count, 'frame')}")
+
+
+def _bridge_steps(single: tuple[int, ...]) -> tuple[PlanStep, ...]:
+    if not single:
+        return ()
+    which = f"frame{'s' * (len(single) > 1)} {', '.join(map(str, single))}"
+    reason = f"one bridge on {which}, two on others: the mean's bridge_top belongs to neither"
+    return (PlanStep("eyeglasses.bridges", False, reason),)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _mean_step(mean: MeanKeyPoints, given: bool, count: int) -> PlanStep:
     if given:
         return PlanStep("eyeglasses.mean", False, "given")
     how = "settled" if mean.converged else "not settled"
-    return PlanStep(
-        "eyeglasses.mean", True, f"mean of {count} frames", f"{how} after {mean.iterations} rounds"
-    )
+    rounds = _counted(mean.iterations, "round")
+    return PlanStep("eyeglasses.mean", True, f"mean of {_counted(count, 'frame')}", f"{how} after {rounds}")
 
 
 def _canonical_frames(

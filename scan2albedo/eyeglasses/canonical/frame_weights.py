@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +14,7 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import fullest, require_posable
-from scan2albedo.eyeglasses.canonical.sizes import unit_exponent
+from scan2albedo.eyeglasses.canonical.sizes import front_width, unit_exponent
 from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
@@ -46,6 +47,8 @@ class WeightedFrame:
     plan: Plan
     unit_exponent: int = 0
     """Its coordinates times ten to this are in mm."""
+    width: float = math.nan
+    """Of the mesh's front, in the mesh's unit, see `front_width`."""
 
 
 def frames_of(
@@ -103,10 +106,11 @@ def weigh_frames(
         try:
             shared = np.where(np.isfinite(anchor), frame.points, np.nan)
             require_posable(shared)
-            exponent = unit_exponent(frame.points, widths_mm, frame.vertices)
+            width = front_width(frame.points, frame.vertices)
+            exponent = unit_exponent(frame.points, widths_mm, width)
             used = frame if reference is None else replace(frame, points=shared)
             weighted = _weighted(used, spacing, options, meter, len(frames) - i)
-            done.append(replace(weighted, unit_exponent=exponent))
+            done.append(replace(weighted, unit_exponent=exponent, width=width))
         except EyeglassesError as error:
             if not skip_failed:
                 raise EyeglassesError(frame.fault(str(error))) from error

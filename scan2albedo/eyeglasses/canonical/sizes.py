@@ -30,6 +30,8 @@ _DEVIATIONS, _MAD = 4.0, 1.4826
 """Distance of an outlier from the median in standard deviations, each 1.4826 median absolute deviations."""
 _ROUNDS = 5
 """Of aligning key points to their medians, which the first frame's oddities then no longer reach."""
+_TWO_BRIDGES = 0.07
+"""Height of bridges, as a part of the front's width, above which they are taken for two: 10 mm of 140."""
 _LEAST_WIDTH, _LEAST_SHAPE = 0.04, 0.01
 """Least standard deviation of widths and of key points, as parts of the median width."""
 
@@ -52,17 +54,15 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
     return float(np.ptp(along)) if len(along) else width
 
 
-def unit_exponent(
-    points: FloatArray, widths_mm: tuple[float, float], vertices: FloatArray | None = None
-) -> int:
+def unit_exponent(points: FloatArray, widths_mm: tuple[float, float], mesh_width: float | None = None) -> int:
     """Return k so that key points (20, 3) times 10^k are in mm, decided from the width of the front.
 
-    Without `vertices` (V, 3) the width is that of the key points, which may be less by 15 %. Where it is not
-    known, the median length of the bones decides. Raises EyeglassesError when no power of ten makes the front
-    as wide as that of spectacles.
+    Without the mesh's (`front_width`), the width is that of the key points, which may be less by 15 %. Where
+    it is not known, the median length of the bones decides. Raises EyeglassesError when no power of ten makes
+    the front as wide as that of spectacles.
     """
-    width = front_width(points, vertices)
-    low, high = widths_mm if vertices is not None else (_INSIDE * widths_mm[0], widths_mm[1])
+    width = front_width(points) if mesh_width is None else mesh_width
+    low, high = widths_mm if mesh_width is not None else (_INSIDE * widths_mm[0], widths_mm[1])
     if math.isnan(width):
         return round(math.log10(usual_size_factor(points)))
     exponent = 0 if low <= width <= high else math.ceil(math.log10(low / width))
@@ -87,15 +87,16 @@ def unit_factors(exponents: Sequence[int], reference: int | None) -> FloatArray:
     return np.array([10.0 ** (k - common) if k >= common else 1 / 10.0 ** (common - k) for k in exponents])
 
 
-def outliers(keypoints: Sequence[FloatArray]) -> dict[int, str]:
-    """Return what is unusual about frames of a set, by their place in it, of key points (20, 3) in one unit.
+def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, str]:
+    """Return what is unusual about frames of a set, by their place in it.
+
+    Key points (20, 3) and `widths` (n,) of the fronts, NaN where unknown, are in one unit.
 
     A frame is an outlier when its width, or the root mean square distance of its key points from the set's
     medians, is more than four robust standard deviations from the median one.
     """
     if len(keypoints) < _FEWEST:
         return {}
-    widths = np.array([front_width(points) for points in keypoints])
     usual = float(np.nanmedian(widths)) if np.isfinite(widths).any() else math.nan
     center = fullest(keypoints)
     for _ in range(_ROUNDS):
@@ -115,6 +116,23 @@ def outliers(keypoints: Sequence[FloatArray]) -> dict[int, str]:
         )
         found[int(i)] = "; ".join(filter(None, (found.get(int(i)), reason)))
     return found
+
+
+def single_bridges(
+    keypoints: Sequence[FloatArray], widths: FloatArray, mean: FloatArray | None = None
+) -> tuple[int, ...]:
+    """Return the places of frames with one bridge, if others, or a mean given, have two; otherwise none.
+
+    Two are farther apart, from the top of the upper to the bottom of the lower one, than one is high. Key
+    points (20, 3), those of the `mean`, and `widths` (n,) of the fronts are in one unit.
+    """
+
+    def heights(points: Sequence[FloatArray]) -> FloatArray:
+        return np.array([np.linalg.norm(p[0] - p[1]) for p in points])
+
+    found = heights(keypoints) / widths
+    others = found if mean is None else np.append(found, heights([mean]) / front_width(mean))
+    return tuple(np.flatnonzero(found <= _TWO_BRIDGES).tolist()) if (others > _TWO_BRIDGES).any() else ()
 
 
 def _median(aligned: FloatArray) -> FloatArray:

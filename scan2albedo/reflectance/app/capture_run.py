@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import write_exr
+from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_EXTENT_MM, largest_extent
 from scan2albedo.reflectance import (
     CaptureFiles,
     MeshReflectance,
@@ -48,6 +49,9 @@ HELD_OUT_EVERY = 10
 _LEAST_FOR_HELD_OUT = 5
 _SHOWN_PAIRS = 4
 _COLUMNS_OF_SHEET = 11
+_DOUBTFUL_SIGMA_DEGREES, _DOUBTFUL_MISFIT, _DOUBTFUL_HELD_OUT = 2.0, 1.25, 1.5
+"""Medians of the normals' deviation and of the misfit above which a note says so, and then the held-out error
+over noise's part of it, which too few pictures raise as well."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,7 @@ def fit_capture(
             error = relighting_error(samples, held_out, options=options)
         except ReflectanceError as cause:
             notes += (f"the fit was not tested on pictures left out: {cause}",)
+    notes += _notes_of_doubt(fit, error, capture.content.gamma)
     return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
 
 
@@ -234,7 +239,24 @@ def _held_out(usable: BoolArray, every: int) -> BoolArray:
 
 
 def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
-    return () if capture.gamma_given else (gamma_note(capture.path, capture.content.gamma),)
+    gamma = () if capture.gamma_given else (gamma_note(capture.path, capture.content.gamma),)
+    return (*gamma, *_notes_of_size(capture))
+
+
+def _notes_of_size(capture: CaptureFiles) -> tuple[str, ...]:
+    """Return the caveat of a mesh that is no head's size in the file's unit; it may be of something else."""
+    unit, (low, high) = capture.content.unit, PLAUSIBLE_EXTENT_MM
+    components = vertex_components(len(capture.vertices), capture.faces)
+    extent_mm = largest_extent(capture.vertices, components)
+    if low <= extent_mm < high:
+        return ()
+    extent = extent_mm / MM_PER_UNIT[unit]
+    others = [f'"{name}"' for name, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
+    advice = f'give "unit": {" or ".join(others)}' if others else "correct the mesh"
+    return (
+        f"{capture.content.mesh} is {extent:.3g} {unit} long, and a head measures {low:g} to {high:g} mm: if "
+        f"it is of a head, {advice}, and see that the translations and falloff_distance are in the same unit",
+    )
 
 
 def gamma_note(path: Path, gamma: float) -> str:
@@ -253,6 +275,31 @@ def _notes_of_fit(fit: ReflectanceFit) -> tuple[str, ...]:
             "identified: creases, or mesh, poses or flash_strength are off there",
         )
     return notes
+
+
+def _notes_of_doubt(fit: ReflectanceFit, error: RelightingError | None, gamma: float) -> tuple[str, ...]:
+    """Return in one note what shows that mesh, poses, masks or gamma are not those of the pictures."""
+    known = fit.reflectance.known
+    if not known.any():
+        return ()
+    sigma = float(np.median(fit.normal_sigma_degrees[known]))
+    misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
+    signs = []
+    if sigma > _DOUBTFUL_SIGMA_DEGREES:
+        signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
+    if misfit > _DOUBTFUL_MISFIT:
+        signs.append(f"residuals are {misfit:.1f} times the noise")
+    if signs and error is not None and error.relative_rmse > _DOUBTFUL_HELD_OUT * error.noise_part:
+        signs.append(
+            f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
+            f"{100 * error.noise_part:.0f} %"
+        )
+    if not signs:
+        return ()
+    return (
+        f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma (light is "
+        f"taken as value^{gamma:g})",
+    )
 
 
 def _notes(olat: OlatImages, names: tuple[str, ...]) -> tuple[str, ...]:

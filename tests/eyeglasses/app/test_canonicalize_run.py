@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from scan2albedo.cli import glasses as glasses_cli
 from scan2albedo.cli.commands import app
+from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError, OutputError, ScanError
 from scan2albedo.eyeglasses import (
     canonicalize,
@@ -300,3 +301,15 @@ def test_canonical_frames_come_back(tmp_path):
     for name in ("b.npz", "c.npz", "d.npz"):
         with pytest.raises(EyeglassesError, match=name):
             read_canonical(tmp_path / name)
+
+
+def test_single_bridges_among_double_ones_are_named(tmp_path):
+    frames = []
+    for name, double in (("one", False), ("two", True)):
+        glasses = eyeglasses(0, double_bridge=double)
+        trimesh.Trimesh(glasses.vertices, glasses.faces, process=False).export(tmp_path / f"{name}.ply")
+        write_keypoints(tmp_path / f"{name}.keypoints.json", glasses.keypoints, unit="mm")
+        frames.append(read_frame(tmp_path / f"{name}.ply"))
+    (note,) = canonicalize_frames(frames, mode="mean", budget=Budget(evaluations=1)).notes
+    assert note.startswith("one: one bridge, while other frames")
+    assert "leave bridge_top out" in note

@@ -13,6 +13,7 @@ from scan2albedo.eyeglasses import (
     bounded_biharmonic_weights,
     canonicalize,
 )
+from scan2albedo.eyeglasses.canonical.sizes import front_width
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
 from scan2albedo.synthetic import GlassesBend, eyeglasses
@@ -152,6 +153,24 @@ def test_a_set_meets_at_its_mean_whatever_its_poses_and_order(weighted):
     assert at["left_hinge"][0] > 50 > -50 > at["right_hinge"][0]
     assert at["left_hinge"][2] > at["left_temple_tip"][2] + 100
     assert at["bridge_top"][1] > at["bridge_bottom"][1]
+
+
+def test_plan_and_result_name_widths_of_the_meshes_and_single_bridges():
+    frames = [eyeglasses(0), eyeglasses(1, double_bridge=True)]
+    nearest = [np.linalg.norm(f.vertices[:, None] - f.keypoints[None], axis=2).argmin(1) for f in frames]
+    weights = [np.eye(20)[places] for places in nearest]
+    points = [frame.keypoints for frame in frames]
+    mixed = canonicalize(frames, points, weights=weights, options=MEAN)
+    assert mixed.single_bridges == (0,)
+    assert "one bridge on frame 0, two on others" in mixed.plan.of_stage("eyeglasses.bridges")[0].reason
+    wide = [f"{front_width(frame.keypoints, frame.vertices):.4g}" for frame in frames]
+    assert mixed.plan.of_stage("eyeglasses.units")[0].evidence == f"fronts {', '.join(wide)} wide"
+    own = canonicalize(frames, points, weights=weights)
+    assert own.single_bridges == ()
+    assert not len(own.plan.of_stage("eyeglasses.bridges"))
+    alone = canonicalize(frames[:1], points[:1], weights=weights[:1], options=MEAN)
+    assert alone.single_bridges == ()
+    assert alone.plan.of_stage("eyeglasses.mean")[0].reason == "mean of 1 frame"
 
 
 def test_the_mean_of_one_shape_in_many_poses_is_that_shape(weighted):

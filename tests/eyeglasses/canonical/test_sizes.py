@@ -8,6 +8,7 @@ from scan2albedo.eyeglasses.canonical.sizes import (
     WIDTHS_MM,
     front_width,
     outliers,
+    single_bridges,
     unit_exponent,
     unit_factors,
 )
@@ -43,7 +44,11 @@ def test_with_a_mesh_the_width_is_that_of_the_front_itself():
     # Wide enough though its key points are not.
     points, vertices = 0.78 * frame.keypoints, 0.78 * frame.vertices
     assert front_width(points) < 110
-    assert unit_exponent(points, WIDTHS_MM, vertices) == 0
+    assert unit_exponent(points, WIDTHS_MM, front_width(points, vertices)) == 0
+
+
+def widths_of(points):
+    return np.array([front_width(one) for one in points])
 
 
 @pytest.mark.parametrize(("factor", "exponent"), [(1, 0), (0.1, 1), (1e-3, 3), (1e-6, 6), (1e3, -3)])
@@ -70,11 +75,24 @@ def test_no_width_of_spectacles_is_refused():
 
 def test_outliers_are_found_beside_bent_frames():
     points = some_set()
-    assert outliers(points) == {}
+    assert outliers(points, widths_of(points)) == {}
     points[3][[3, 5]] = points[3][[5, 3]]
     points[6] = 1.4 * points[6]
-    found = outliers(points)
+    found = outliers(points, widths_of(points))
     assert sorted(found) == [3, 6]
     assert "the farthest is left_rim_" in found[3]
     assert "its front is" in found[6]
-    assert outliers(points[3:6]) == {}
+    assert outliers(points[3:6], widths_of(points[3:6])) == {}
+
+
+def test_single_bridges_are_named_where_others_have_two():
+    single, double = eyeglasses(0).keypoints, eyeglasses(1, double_bridge=True).keypoints
+    bare = np.where(np.arange(20)[:, None] == 0, np.nan, single)
+    for points, mean, expected in (
+        ([single, double, single], None, (0, 2)),
+        ([bare, double], None, ()),
+        ([single, single], None, ()),
+        ([double, double], None, ()),
+        ([single, bare], double, (0,)),
+    ):
+        assert single_bridges(points, widths_of(points), mean) == expected
