@@ -69,7 +69,7 @@ class FacePainter {
   static async of(canvas, face, topology) {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
     if (!gl) return null;
-    const names = ["albedo", "texture", "gloss"].filter((name) => face[name]);
+    const names = ["albedo", "texture", "gloss", "filled"].filter((name) => face[name]);
     const bitmaps = await Promise.all(names.map((name) => bitmapOf(face[name])));
     return new FacePainter(gl, face, topology, Object.fromEntries(names.map((name, i) => [name, bitmaps[i]])));
   }
@@ -81,6 +81,7 @@ class FacePainter {
     this.depth = programOf(gl, DEPTH_VERTEX_SHADER, DEPTH_FRAGMENT_SHADER);
     this.#upload(topology);
     this.textures = ["albedo", "texture", "gloss"].map((name) => this.#texture(bitmaps[name], name !== "gloss"));
+    this.filled = face.filled ? this.#texture(bitmaps.filled, true) : this.textures[0];
     this.shadows = { texture: gl.createTexture(), target: gl.createFramebuffer(), layers: 0, key: "" };
     this.center = face.low.map((low, i) => low + face.span[i] / 2);
     this.radius = 0.5 * Math.hypot(...face.span) || 1;
@@ -228,7 +229,8 @@ class FacePainter {
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.main.program);
-    this.textures.forEach((texture, i) => {
+    const [albedo, ...others] = this.textures;
+    [state.assumed && lit ? this.filled : albedo, ...others].forEach((texture, i) => {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     });
@@ -236,7 +238,8 @@ class FacePainter {
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadows.texture);
     const numbers = {
       u_albedo_scale: 1 / face.albedo.factor, u_gloss_scale: face.gloss ? face.gloss.scale : 1,
-      u_roughness: face.reflectance.roughness, u_strength: face.reflectance.strength,
+      u_roughness: face.reflectance.roughness,
+      u_strength: state.assumed || !face.assumedGloss ? face.reflectance.strength : 0,
       u_exponent: face.reflectance.exponent, u_ambient: state.ambient, u_offset: face.shadowOffset,
       u_soft_scale: face.soft ? face.soft.scale : 1,
       u_exposure: 2 ** state.exposure * this.#shown(state, lights),
