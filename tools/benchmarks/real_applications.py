@@ -57,11 +57,11 @@ _SIZE, _CLOSE = 400, 2.4
 _MANY_LIGHTS = 240
 """Pixels on a side of pictures that are compared with thousands of lights."""
 _TELLS = 0.02
-"""Difference of two faces' gradients of log V from which a texel tells whose it is."""
+"""Difference of two faces' gradients of the channels' logarithms from which a texel tells whose it is."""
 _MIXED = 0.1
 """From this part of a feature's texels on of either face it is a mixture."""
 _INVENTED = 0.1
-"""Gradient of log V beyond both faces' that counts as an edge of neither."""
+"""Gradient of the channels' logarithms beyond both faces' that counts as an edge of neither."""
 
 Pixels = NDArray[np.uint8]
 
@@ -127,13 +127,16 @@ def _region_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
 
 
 def _slopes(face: ProcessedFace) -> FloatArray:
-    """Return (H, W, 2) the gradient of log V; a texel beside none has 0."""
-    value = np.log(np.maximum(face.albedo_linear.max(-1), 1e-3 * max(face.level(), 1e-9)))
-    slopes = np.zeros((*value.shape, 2))
-    mask = face.mask
-    slopes[:, :-1, 0] = np.diff(value, axis=1) * (mask[:, 1:] & mask[:, :-1])
-    slopes[:-1, :, 1] = np.diff(value, axis=0) * (mask[1:] & mask[:-1])
-    return slopes
+    """Return (H, W, 6) the gradient of each channel's logarithm over root three, so that a norm is the rms of
+    the channels; a texel beside none has 0.
+
+    A tint, which is one factor a channel, makes no edge.
+    """
+    value = np.log(np.maximum(face.albedo_linear, 1e-3 * max(face.level(), 1e-9))) / np.sqrt(3)
+    slopes, mask = np.zeros((2, *value.shape)), face.mask[..., None]
+    slopes[0, :, :-1] = np.diff(value, axis=1) * (mask[:, 1:] & mask[:, :-1])
+    slopes[1, :-1] = np.diff(value, axis=0) * (mask[1:] & mask[:-1])
+    return np.concatenate(list(slopes), -1)
 
 
 def _skin_tint(face: ProcessedFace) -> FloatArray:

@@ -26,6 +26,7 @@ from scan2albedo.report.html.encoding import (
     encoded,
     gray_entry,
     mesh_entry,
+    patch_entry,
     quantized,
     texture_entry,
     thinned_chart,
@@ -103,7 +104,7 @@ def viewer_entry(
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
     Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is
-    its albedo where it differs, "assumed" tells what was done. `residual_mm` (V,) is that of the mesh's
+    its albedo where that differs, "assumed" tells what was done. `residual_mm` (V,) is that of the mesh's
     vertices, NaN where there is no scan. `soft_shadows` computes at each vertex what the face hides from
     itself of the scan's soft light.
     """
@@ -137,8 +138,9 @@ def viewer_entry(
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
     if (lit.albedo_linear != face.albedo_linear).any():
-        factor = entry["albedo"]["factor"]
-        entry["filled"] = texture_entry(lit.albedo_linear, image.mask, style, factor=factor)
+        entry["filled"] = patch_entry(
+            lit.albedo_linear, face.albedo_linear, image.mask, style, entry["albedo"]["factor"]
+        )
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, style)
     if soft_shadows and face.environment is not None and face.environment.occluded:

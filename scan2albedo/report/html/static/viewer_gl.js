@@ -19,6 +19,12 @@ const bitmapOf = (entry) => createImageBitmap(
   { colorSpaceConversion: "none", premultiplyAlpha: "none" },
 );
 
+function drawnOver(under, over) {
+  const canvas = element("canvas", { width: under.width, height: under.height }), context = canvas.getContext("2d");
+  for (const picture of [under, over]) context.drawImage(picture, 0, 0);
+  return canvas;
+}
+
 function programOf(gl, vertexSource, fragmentSource) {
   const program = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertexSource], [gl.FRAGMENT_SHADER, fragmentSource]]) {
@@ -80,6 +86,7 @@ class FacePainter {
     this.main = programOf(gl, FACE_VERTEX_SHADER, FACE_FRAGMENT_SHADER);
     this.depth = programOf(gl, DEPTH_VERTEX_SHADER, DEPTH_FRAGMENT_SHADER);
     this.#upload(topology);
+    if (bitmaps.filled) bitmaps.filled = drawnOver(bitmaps.albedo, bitmaps.filled);
     this.textures = ["albedo", "texture", "gloss"].map((name) => this.#texture(bitmaps[name], name !== "gloss"));
     this.filled = face.filled ? this.#texture(bitmaps.filled, true) : this.textures[0];
     this.shadows = { texture: gl.createTexture(), target: gl.createFramebuffer(), layers: 0, key: "" };
@@ -118,7 +125,7 @@ class FacePainter {
     const format = colored ? gl.SRGB8_ALPHA8 : gl.RGBA8; // decoded before it is filtered
     if (bitmap) {
       gl.texImage2D(gl.TEXTURE_2D, 0, format, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
-      bitmap.close();
+      bitmap.close?.();
     } else {
       gl.texImage2D(gl.TEXTURE_2D, 0, format, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array([255, 255, 255, 255]));
     }
