@@ -44,7 +44,7 @@ class RelightOptions:
 
     shadows: bool | None = None
     """Cast shadows; None casts them when the estimate found that the surface shades itself."""
-    environment_lights: int = 256
+    environment_lights: int = 128
     """Distant lights that stand for an environment map."""
     environment_spread: LightSpread = "important"
     """Whether these lights lie where the map is bright, which gives a fifth of the error, or evenly, so that

@@ -168,7 +168,7 @@ def test_few_lights_where_a_map_is_bright_are_its_light():
         options = RelightOptions(environment_lights=count, environment_spread=spread)
         return relight(face, environment_linear=sky, options=options).texture_linear
 
-    truth = lit("even", 3000)
+    truth = lit("even", 1500)
     off = {spread: relative_rmse(lit(spread, 64), truth) for spread in ("even", "important")}
     assert off["important"] < 0.02
     assert off["important"] < off["even"] / 3

@@ -25,6 +25,7 @@ from scan2albedo.applications import (
 )
 from scan2albedo.applications.files import PORTRAIT_LIGHT
 from scan2albedo.applications.pictures import photograph
+from scan2albedo.applications.relighting import as_lit
 from scan2albedo.applications.scene_light import SceneLight
 from scan2albedo.applications.skin_match import displacement, local_contrast, warped
 from scan2albedo.applications.texture_swap import continued_skin
@@ -54,6 +55,12 @@ LAMPS = {"left": (60.0, 10.0), "right": (-60.0, 10.0), "above": (10.0, 60.0)}
 """Azimuth and elevation in degrees, from the front toward the subject's left and up."""
 _SIZE, _CLOSE = 400, 2.4
 """Pixels on a side of each picture, and by how much eyes and mouth are enlarged."""
+_FEW_LIGHTS: tuple[tuple[LightSpread, int], ...] = (
+    ("even", 128),
+    ("even", 256),
+    ("important", 128),
+    ("important", 256),
+)
 _MANY_LIGHTS = 240
 """Pixels on a side of pictures that are compared with thousands of lights."""
 _TELLS = 0.02
@@ -237,16 +244,18 @@ def bench_environment(results: Path, out: Path, names: Sequence[str] = ("james",
         for place, make in ENVIRONMENTS.items():
             environment = make()
             many = SceneLight.of([], reference_lights(environment), ambient=0)
-            skin = relight(face, environment_linear=environment, options=_few_lights("even", 1)).face
-            truth = photograph(skin, many, shape=shape, samples=1)
+            truth = photograph(as_lit(face, RelightOptions())[0], many, shape=shape, samples=1)
             exposure, row = truth.auto_exposure(), []
-            for spread, count in (("even", 128), ("even", 256), ("important", 128), ("important", 256)):
+            for spread, count in _FEW_LIGHTS:
                 cpu = time.process_time()
-                relit = relight(face, environment_linear=environment, options=_few_lights(spread, count))
+                options = RelightOptions(environment_lights=count, environment_spread=spread)
+                relit = relight(face, environment_linear=environment, options=options)
                 made = relit.picture(shape=shape, samples=1)
                 cpu = time.process_time() - cpu
-                shown = truth.alpha > 0
-                rms, worst = errors(made.linear[shown][None], truth.linear[shown][None])
+                parts = [
+                    picture.linear[truth.alpha > 0][None].astype(np.float64) for picture in (made, truth)
+                ]
+                rms, worst = errors(*parts)
                 title = f"{count} {spread}"
                 print(
                     f"{f'{name}, {place}':24}{title:>15}{100 * rms:13.2f}{100 * worst:15.2f}{cpu:8.1f}",
@@ -255,10 +264,6 @@ def bench_environment(results: Path, out: Path, names: Sequence[str] = ("james",
                 row.append((f"{name}, {place}: {title}", made.srgb(exposure)))
             rows.append([*row, ("8192 drawn by brightness", truth.srgb(exposure))])
     write_sheet(out / "environment.png", rows)
-
-
-def _few_lights(spread: LightSpread, count: int) -> RelightOptions:
-    return RelightOptions(environment_lights=count, environment_spread=spread)
 
 
 def _as_scanned(face: ProcessedFace) -> Pixels:
