@@ -6,8 +6,9 @@ python tools/bench_applications.py people        how far apart fits of one perso
 python tools/bench_applications.py swap          real faces with each other's skin: figures, and swap.png
 python tools/bench_applications.py blend         real faces blended half way: figures, and blend.png
 python tools/bench_applications.py relit         real faces under a lamp from three sides: relit.png
+python tools/bench_applications.py environment   real faces under environment maps: figures, environment.png
 
-The last three take processed scans from `--results FOLDER` (what is not there is processed into it first) and
+The last four take processed scans from `--results FOLDER` (what is not there is processed into it first) and
 write pictures to `-o FOLDER`.
 """
 
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmarks.real_applications import bench_blend, bench_relit, bench_swap
+from benchmarks.real_applications import bench_blend, bench_environment, bench_relit, bench_swap
 from benchmarks.scan_files import face_data
 
 import scan2albedo as s2a
@@ -269,7 +270,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    real = {"swap": bench_swap, "blend": bench_blend, "relit": bench_relit}
+    real = {"swap": bench_swap, "blend": bench_blend, "relit": bench_relit, "environment": bench_environment}
     parser.add_argument(
         "what", choices=["relight", "expression", "people", *real, "all"], nargs="?", default="all"
     )

@@ -43,13 +43,12 @@ class SceneLight:
     def of(
         cls,
         lights: Sequence[PointLight],
-        environment_linear: ArrayLike | None = None,
+        environment: DistantLights | None = None,
         *,
         ambient: float,
-        environment_lights: int,
         soft: EnvironmentLight | None = None,
     ) -> SceneLight:
-        """Return lamps and an environment map (H, W, 3), cut into `environment_lights` distant ones.
+        """Return lamps and the distant lights that stand for an environment map.
 
         A cell of the sphere over which the map's radiance L integrates to w gives a facing surface the
         irradiance w. A matte white one then shines with w / pi, which is the lamp's intensity. Under L = 1
@@ -59,12 +58,12 @@ class SceneLight:
         distances = [light.distance_mm for light in lights]
         radii = [light.radius_deg for light in lights]
         intensity = [light.intensity * np.array(light.color_linear) for light in lights]
-        if environment_linear is not None:
-            distant = DistantLights.from_environment(environment_linear, environment_lights)
-            directions += list(np.asarray(distant.directions))
-            distances += [math.inf] * environment_lights
-            radii += [0.0] * environment_lights
-            intensity += list(np.asarray(distant.irradiance_linear) / np.pi)
+        if environment is not None:
+            toward = np.asarray(environment.directions)
+            directions += list(toward)
+            distances += [math.inf] * len(toward)
+            radii += [0.0] * len(toward)
+            intensity += list(np.asarray(environment.irradiance_linear) / np.pi)
         return cls(
             np.reshape(directions, (-1, 3)).astype(np.float64),
             np.array(distances, np.float64),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,8 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
+
+LightSpread = Literal["important", "even"]
 
 _EVEN_SHARE = 0.1
 """Part of `important_directions` that does not follow the light."""
@@ -44,12 +47,20 @@ class DistantLights:
         object.__setattr__(self, "irradiance_linear", rgb)
 
     @classmethod
-    def from_environment(cls, environment_linear: ArrayLike, count: int = 64) -> DistantLights:
-        """Return `count` lights spread evenly that together shine like an environment map (H, W, 3).
+    def from_environment(
+        cls, environment_linear: ArrayLike, count: int = 64, spread: LightSpread = "even"
+    ) -> DistantLights:
+        """Return `count` lights that together shine like an environment map (H, W, 3).
 
-        `important_directions` give fewer errors for the count, in that map alone.
+        "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
+        "important" is `important_directions`, which give fewer errors for the count, in that map alone.
         """
-        directions = distant_directions(count)
+        if spread not in get_args(LightSpread):
+            raise ValueError(f"spread is {spread!r}, expected one of {get_args(LightSpread)}")
+        if spread == "even":
+            directions = distant_directions(count)
+        else:
+            directions = important_directions(environment_linear, count)
         return cls(directions, environment_weights(environment_linear, directions))
 
 

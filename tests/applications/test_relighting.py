@@ -129,7 +129,7 @@ def test_linear_in_the_light(person):
 def test_linear_in_the_environment(person):
     face, rng = person(0), np.random.default_rng(0)
     maps = rng.random((2, 8, 16, 3))
-    options = RelightOptions(environment_lights=16)
+    options = RelightOptions(environment_lights=16, environment_spread="even")
     parts = [relight(face, environment_linear=m, options=options).texture_linear for m in maps]
     together = relight(face, environment_linear=maps[0] + 3 * maps[1], options=options).texture_linear
     np.testing.assert_allclose(together, parts[0] + 3 * parts[1], rtol=1e-5, atol=1e-6)
@@ -156,6 +156,24 @@ def test_environment_light_comes_from_where_it_is_bright():
     assert diffuse[right].mean() > 5 * diffuse[left & ball.image.mask].mean()
     np.testing.assert_allclose(diffuse[right][:, 1], 0.5 * diffuse[right][:, 0], rtol=1e-5)
     assert not diffuse[..., 2].any()
+
+
+def test_few_lights_where_a_map_is_bright_are_its_light():
+    ball = hemisphere(size=48, texture="plain")
+    face = ProcessedFace.of("ball", ball.image, ball.albedo_linear)
+    sky = np.full((32, 64, 3), 0.1)
+    sky[10, 40] = 500.0
+
+    def lit(spread, count):
+        options = RelightOptions(environment_lights=count, environment_spread=spread)
+        return relight(face, environment_linear=sky, options=options).texture_linear
+
+    truth = lit("even", 1500)
+    off = {spread: relative_rmse(lit(spread, 64), truth) for spread in ("even", "important")}
+    assert off["important"] < 0.02
+    assert off["important"] < off["even"] / 3
+    with pytest.raises(ValueError, match="environment_spread"):
+        RelightOptions(environment_spread="bright")
 
 
 def test_shadows_only_take_light_away(person):

@@ -4,15 +4,20 @@ import base64
 import io
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from devtools import Browser, chromium
 from PIL import Image
 
+import scan2albedo as s2a
 from scan2albedo import report
-from scan2albedo.applications import RelightOptions, default_camera, load_result, relight
+from scan2albedo.applications import FaceMesh, RelightOptions, default_camera, load_result, relight
 from scan2albedo.core import EnvironmentLight, PointLight
+from scan2albedo.io.geometry_image_files import read_image_and_albedo, write_geometry_image
+from scan2albedo.io.glb import write_glb
+from scan2albedo.io.images import write_exr
 from scan2albedo.io.result_records import EnvironmentRecord
 
 pytestmark = [
@@ -217,6 +222,49 @@ def test_soft_light_is_shown_with_what_the_face_hides_of_it(browser, write_scan,
     open_off = np.abs(pixels(browser, exposure=-1, view=view, shadows=False)[..., :3] - picture.srgb(0.5))
     assert np.median(off) <= 3
     assert off.mean() < 0.5 * open_off[inside].max(-1).mean()
+
+
+def test_relit_pictures_show_what_the_command_assumes_until_its_box_is_cleared(browser, write_scan, tmp_path):
+    folder = write_scan(
+        tmp_path / "assumed",
+        size=128,
+        options={"model": s2a.AnnotatedFaceModel.default().name},
+        parameters={"brdf": "lambert", "sigma_rad": 0.0, "specular_strength": 0.0, "specular_exponent": 1.0},
+    )
+    # A fitted face whose chin was not seen, and is black.
+    image, albedo = read_image_and_albedo(folder)
+    unseen = image.mask & (image.position[..., 1] < np.quantile(image.position[image.mask, 1], 0.1))
+    image = replace(image, occluder=None, texture_valid=image.mask & ~unseen)
+    write_geometry_image(folder / "geometry_image.npz", image)
+    write_exr(folder / "albedo.exr", np.where(unseen[..., None], 0, albedo))
+    mesh = FaceMesh.of_chart(image)
+    write_glb(folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, np.zeros((8, 8, 3), np.uint8))
+
+    page = report.write_report(folder).path
+    browser.look(1400, 1000)
+    browser.open(page)
+    browser.wait(f"{FIRST}.painter")
+    words = browser.run("document.querySelector('main').textContent")
+    face, lamp = load_result(folder), PointLight(math.radians(-30), math.radians(20), intensity=2.0)
+    lamps = [{"azimuth": -30, "elevation": 20, "distance": None, "intensity": 2.0, "on": True}]
+    pictures = {}
+    for options in (RelightOptions(), RelightOptions(gloss="found", fill_gaps=False)):
+        relit, assumed = relight(face, [lamp], options=options), options.fill_gaps
+        picture = relit.picture(shape=(SIZE, SIZE))
+        drawn = pixels(browser, mode="relit", ambient=1, exposure=-1, lights=lamps, harmonic=False)
+        inside = (picture.alpha == 1) & (drawn[..., 3] == 255)
+        off = np.abs(drawn[..., :3] - picture.srgb(0.5))[inside].max(-1)
+        assert np.median(off) <= 1
+        assert off.mean() < 1.5
+        assert len(relit.notes) == (2 if assumed else 0)
+        assert all(note in words for note in relit.notes)
+        pictures[assumed] = drawn[inside]
+        box = "[...document.querySelectorAll('label')].find(l => l.textContent.includes('assumed: '))"
+        assert browser.run(f"{box}.textContent") == " assumed: filled gaps and skin's usual gloss"
+        browser.run(f"{box}.click()")
+    assert (pictures[True] > pictures[False] + 20).mean() > 0.03
+    # The albedo itself shows no guess.
+    assert np.mean(pixels(browser, mode="albedo", assumed=True)[..., :3].max(-1)[inside] < 2) > 0.03
 
 
 @pytest.mark.parametrize("width", [1400, 400])

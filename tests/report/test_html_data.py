@@ -25,6 +25,7 @@ from scan2albedo.report.html.encoding import (
     gray_entry,
     mesh_entry,
     octahedral,
+    patch_entry,
     texture_entry,
     thinned_chart,
 )
@@ -121,6 +122,21 @@ def test_textures_are_carried_on_beyond_the_mask_and_may_be_black():
     gloss = gray_entry(np.where(mask, 2.0, 0.0), mask, TextureStyle(8, None))
     assert gloss["scale"] == 2.0
     assert (pixels(gloss) == 255).all()
+
+
+def test_a_patch_holds_what_differs_alone_also_beyond_the_mask():
+    under, mask = np.full((8, 8, 3), 0.5), np.zeros((8, 8), bool)
+    mask[:, 2:] = True
+    over = under.copy()
+    over[3, 2:4] = 0.25
+    style = TextureStyle(8, 90)
+    patch, whole = (
+        pixels(patch_entry(over, under, mask, style, 2.0)),
+        pixels(texture_entry(over, mask, TextureStyle(8, None), factor=2.0)),
+    )
+    assert (patch[3, :4, 3] == 255).all()
+    np.testing.assert_array_equal(patch[3, :4, :3], whole[3, :4])
+    assert np.count_nonzero(patch[..., 3]) == 4
 
 
 def half_a_millimetre_off(folder):

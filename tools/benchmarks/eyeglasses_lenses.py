@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import (
     DistantLights,
     LensMaterial,
     LensPictureOptions,
     Surface,
-    distant_directions,
-    environment_weights,
     insert_lenses,
 )
 from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture
@@ -23,13 +22,13 @@ from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import write_png
-from scan2albedo.lighting.environment import important_directions
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.wearer import fit_temples, seat
 
 HEAD = "shape_person2"
-_REFERENCE, _AT_ONCE = 8192, 1024
+_AT_ONCE = 1024
+"""Of the reference's lights."""
 SHAPE = GlassesShape(52, 40, 2.4, 18, 5, 3.2, 3.4, 260, 142, 3, 5, 3, 42)
 
 
@@ -58,67 +57,6 @@ def on_real_shaped_head(data: Path) -> LitGlasses:
         Surface(vertices, triangles, (0.5, 0.38, 0.32), roughness_rad=0.3),
         eyes,
     )
-
-
-def studio(rows: int = 128) -> FloatArray:
-    """Return a dim room (rows, 2 rows, 3) with three softboxes with sharp edges."""
-    toward = _toward(rows)
-    image = np.full((rows, 2 * rows, 3), 0.08)
-    for way, half, color in (
-        ((-0.7, 0.5, 0.6), (0.30, 0.22), (9.0, 8.6, 8.0)),
-        ((0.9, 0.1, 0.4), (0.15, 0.45), (2.5, 2.7, 3.2)),
-        ((0.2, 0.9, 0.1), (0.4, 0.1), (4.0, 4.0, 4.0)),
-    ):
-        axis = np.array(way) / np.linalg.norm(way)
-        side = np.cross([0.0, 1.0, 0.0], axis)
-        side /= np.linalg.norm(side)
-        up, depth = np.cross(axis, side), toward @ axis
-        inside = (np.abs(toward @ side) < half[0] * depth) & (np.abs(toward @ up) < half[1] * depth)
-        image[inside] = color
-    return image
-
-
-def sky(rows: int = 128) -> FloatArray:
-    """Return a hazy sky (rows, 2 rows, 3) over dark ground, the sun's disc six degrees wide."""
-    toward = _toward(rows)
-    height = toward[..., 1]
-    image = np.where(height[..., None] > 0, [0.35, 0.5, 0.9], [0.12, 0.1, 0.08]).astype(np.float64)
-    image += np.clip(1 - np.abs(height), 0, 1)[..., None] ** 4 * 0.3
-    sun = np.array([0.5, 0.7, 0.6]) / np.linalg.norm([0.5, 0.7, 0.6])
-    image += np.where(toward @ sun > np.cos(np.deg2rad(3.0)), 120.0, 0.0)[..., None] * [1.0, 0.95, 0.85]
-    return image
-
-
-def _toward(rows: int) -> FloatArray:
-    polar = ((np.arange(rows) + 0.5) * np.pi / rows)[:, None]
-    azimuth = ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5) * 2 * np.pi
-    parts = np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth, np.sin(polar) * np.cos(azimuth)
-    return np.stack(parts, -1)
-
-
-ENVIRONMENTS = {"studio": studio, "sky": sky}
-
-
-def reference_lights(environment: FloatArray, count: int = _REFERENCE) -> DistantLights:
-    """Return lights drawn by brightness, stratified and jittered, each of radiance over density.
-
-    It shares nothing with the lights that are measured: no lattice, no cells.
-    """
-    rows, columns = environment.shape[:2]
-    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    size = np.repeat((edges[:-1] - edges[1:]) * 2 * np.pi / columns, columns)
-    flat = environment.reshape(-1, 3)
-    share = flat.mean(1) * size
-    share = 0.7 * share / share.sum() + 0.3 * size / size.sum()
-    rng = np.random.default_rng(0)
-    drawn = np.searchsorted(np.cumsum(share), (np.arange(count) + rng.random(count)) / count)
-    drawn = np.minimum(drawn, len(share) - 1)
-    row, column = np.divmod(drawn, columns)
-    y = edges[row] + rng.random(count) * (edges[row + 1] - edges[row])
-    azimuth = ((column + rng.random(count)) / columns - 0.5) * 2 * np.pi
-    across = np.sqrt(np.maximum(1 - y * y, 0))
-    toward = np.stack([across * np.sin(azimuth), y, across * np.cos(azimuth)], 1)
-    return DistantLights(toward, flat[drawn] * (size / share / count)[drawn, None])
 
 
 def _picture(
@@ -167,8 +105,7 @@ def bench_lenses(data: Path, pixels: int, pictures: Path | None) -> None:
         shown = {"reference": truth}
         for kind, count in [("even", n) for n in (64, 256)] + [("important", n) for n in (64, 128, 256, 512)]:
             cpu = time.process_time()
-            toward = distant_directions(count) if kind == "even" else important_directions(environment, count)
-            lights = DistantLights(toward, environment_weights(environment, toward))
+            lights = DistantLights.from_environment(environment, count, kind)
             made = _picture(scene, environment, lights, pixels, "shared").image_linear
             cpu = time.process_time() - cpu
             rms, worst = errors(made, truth)
@@ -176,12 +113,6 @@ def bench_lenses(data: Path, pixels: int, pictures: Path | None) -> None:
             print(f"{name:8}{f'{count} {kind}':>20}{100 * rms:13.2f}{100 * worst:15.2f}{cpu:8.2f}")
         if pictures is not None:
             _write(shown, pictures / f"lenses_{name}.png")
-
-
-def errors(made: FloatArray, truth: FloatArray) -> tuple[float, float]:
-    """Return the rms of errors over the mean brightness, and the one that a hundredth exceeds."""
-    off = np.abs(made - truth).mean(2) / truth.mean()
-    return float(np.sqrt((off**2).mean())), float(np.percentile(off, 99))
 
 
 def _write(shown: dict[str, FloatArray], path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import scan2albedo as s2a
+from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
 from benchmarks.scan_files import face_data
 from scan2albedo.applications import (
     ProcessedFace,
+    RelightOptions,
     blend_faces,
     default_camera,
     load_result,
@@ -21,12 +24,16 @@ from scan2albedo.applications import (
     swap_texture,
 )
 from scan2albedo.applications.files import PORTRAIT_LIGHT
+from scan2albedo.applications.pictures import photograph
+from scan2albedo.applications.relighting import as_lit
+from scan2albedo.applications.scene_light import SceneLight
 from scan2albedo.applications.skin_match import displacement, local_contrast, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.lighting.environment import LightSpread
 from scan2albedo.pipeline.result import write_result
 
 SCANS = {
@@ -48,12 +55,20 @@ LAMPS = {"left": (60.0, 10.0), "right": (-60.0, 10.0), "above": (10.0, 60.0)}
 """Azimuth and elevation in degrees, from the front toward the subject's left and up."""
 _SIZE, _CLOSE = 400, 2.4
 """Pixels on a side of each picture, and by how much eyes and mouth are enlarged."""
+_FEW_LIGHTS: tuple[tuple[LightSpread, int], ...] = (
+    ("even", 128),
+    ("even", 256),
+    ("important", 128),
+    ("important", 256),
+)
+_MANY_LIGHTS = 240
+"""Pixels on a side of pictures that are compared with thousands of lights."""
 _TELLS = 0.02
-"""Difference of two faces' gradients of log V from which a texel tells whose it is."""
+"""Difference of two faces' gradients of the channels' logarithms from which a texel tells whose it is."""
 _MIXED = 0.1
 """From this part of a feature's texels on of either face it is a mixture."""
 _INVENTED = 0.1
-"""Gradient of log V beyond both faces' that counts as an edge of neither."""
+"""Gradient of the channels' logarithms beyond both faces' that counts as an edge of neither."""
 
 Pixels = NDArray[np.uint8]
 
@@ -119,13 +134,16 @@ def _region_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
 
 
 def _slopes(face: ProcessedFace) -> FloatArray:
-    """Return (H, W, 2) the gradient of log V; a texel beside none has 0."""
-    value = np.log(np.maximum(face.albedo_linear.max(-1), 1e-3 * max(face.level(), 1e-9)))
-    slopes = np.zeros((*value.shape, 2))
-    mask = face.mask
-    slopes[:, :-1, 0] = np.diff(value, axis=1) * (mask[:, 1:] & mask[:, :-1])
-    slopes[:-1, :, 1] = np.diff(value, axis=0) * (mask[1:] & mask[:-1])
-    return slopes
+    """Return (H, W, 6) the gradient of each channel's logarithm over root three, so that a norm is the rms of
+    the channels; a texel beside none has 0.
+
+    A tint, which is one factor a channel, makes no edge.
+    """
+    value = np.log(np.maximum(face.albedo_linear, 1e-3 * max(face.level(), 1e-9))) / np.sqrt(3)
+    slopes, mask = np.zeros((2, *value.shape)), face.mask[..., None]
+    slopes[0, :, :-1] = np.diff(value, axis=1) * (mask[:, 1:] & mask[:, :-1])
+    slopes[1, :-1] = np.diff(value, axis=0) * (mask[1:] & mask[:-1])
+    return np.concatenate(list(slopes), -1)
 
 
 def _skin_tint(face: ProcessedFace) -> FloatArray:
@@ -216,6 +234,36 @@ def bench_relit(results: Path, out: Path, names: Sequence[str] = ("james", "fran
             row.append((f"lamp {where}", portrait(face, [lamp])))
         rows.append(row)
     write_sheet(out / "relit.png", rows)
+
+
+def bench_environment(results: Path, out: Path, names: Sequence[str] = ("james", "p105_front")) -> None:
+    """Print errors of lights that stand for environment maps, and CPU seconds; write environment.png."""
+    rows, shape = [], (_MANY_LIGHTS, _MANY_LIGHTS)
+    print(f"{'face, environment':24}{'lights':>15}{'rms error %':>13}{'worst of 100 %':>15}{'CPU s':>8}")
+    for name, face in real_faces(results, names).items():
+        for place, make in ENVIRONMENTS.items():
+            environment = make()
+            many = SceneLight.of([], reference_lights(environment), ambient=0)
+            truth = photograph(as_lit(face, RelightOptions())[0], many, shape=shape, samples=1)
+            exposure, row = truth.auto_exposure(), []
+            for spread, count in _FEW_LIGHTS:
+                cpu = time.process_time()
+                options = RelightOptions(environment_lights=count, environment_spread=spread)
+                relit = relight(face, environment_linear=environment, options=options)
+                made = relit.picture(shape=shape, samples=1)
+                cpu = time.process_time() - cpu
+                parts = [
+                    picture.linear[truth.alpha > 0][None].astype(np.float64) for picture in (made, truth)
+                ]
+                rms, worst = errors(*parts)
+                title = f"{count} {spread}"
+                print(
+                    f"{f'{name}, {place}':24}{title:>15}{100 * rms:13.2f}{100 * worst:15.2f}{cpu:8.1f}",
+                    flush=True,
+                )
+                row.append((f"{name}, {place}: {title}", made.srgb(exposure)))
+            rows.append([*row, ("8192 drawn by brightness", truth.srgb(exposure))])
+    write_sheet(out / "environment.png", rows)
 
 
 def _as_scanned(face: ProcessedFace) -> Pixels:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,7 @@ from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
 from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneColors
 from scan2albedo.geometry.pinhole import normalized_cameras
-from scan2albedo.lighting.environment import DistantLights, environment_weights, important_directions
+from scan2albedo.lighting.environment import DistantLights, LightSpread
 
 _NO_ENVIRONMENT = "no environment is given: lenses mirror surfaces only, and black"
 
@@ -51,7 +51,7 @@ class LensPictureOptions:
     """n x n rays for pixels on edges; one for all others."""
     light_count: int = 256
     """Distant lights that stand for an environment; time grows with them, and edges of shadows get softer."""
-    light_spread: Literal["important", "even"] = "important"
+    light_spread: LightSpread = "important"
     """Whether these lights lie where the environment is bright, so that a quarter of them gives half the
     error, or evenly, so that pictures under two environments add up, as `relightable` ones must."""
     background: Literal["environment", "black"] = "environment"
@@ -74,7 +74,7 @@ class LensPictureOptions:
             "hidden": ("nearest", "albedo"),
             "shadows": ("shared", "every pixel"),
             "background": ("environment", "black"),
-            "light_spread": ("important", "even"),
+            "light_spread": get_args(LightSpread),
         }
         for name, known in choices.items():
             if (value := getattr(self, name)) not in known:
@@ -283,10 +283,8 @@ def _chosen_lights(
 
 def _lights_of(environment: FloatArray, options: LensPictureOptions) -> DistantLights:
     """Return the lights that stand for an environment (H, W, 3)."""
-    if options.light_spread == "even" or options.relightable:
-        return DistantLights.from_environment(environment, options.light_count)
-    toward = important_directions(environment, options.light_count)
-    return DistantLights(toward, environment_weights(environment, toward))
+    spread: LightSpread = "even" if options.relightable else options.light_spread
+    return DistantLights.from_environment(environment, options.light_count, spread)
 
 
 def _placed(

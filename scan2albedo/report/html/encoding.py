@@ -153,8 +153,27 @@ def texture_entry(
     if factor is None:
         bright = float(np.percentile(linear[mask].max(-1), _BRIGHT_PERCENTILE)) if mask.any() else 0.0
         factor = 1 / bright if bright > 0 else 1.0
-    pixels = encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), style.size), 0, 1))
-    return {"factor": factor, **picture_entry(pixels, style.quality)}
+    return {"factor": factor, **picture_entry(_pixels(linear, mask, style, factor), style.quality)}
+
+
+def patch_entry(
+    linear: NDArray[np.floating],
+    under: NDArray[np.floating],
+    mask: BoolArray,
+    style: TextureStyle,
+    factor: float,
+) -> dict[str, Any]:
+    """Return a texture (H, W, 3) as what is to be drawn over that of `under`, clear where the two agree."""
+    over, below = (_pixels(texture, mask, style, factor) for texture in (linear, under))
+    differs = (over != below).any(-1, keepdims=True)
+    return picture_entry(np.concatenate([over, np.full_like(over[..., :1], 255)], -1) * differs, None)
+
+
+def _pixels(
+    linear: NDArray[np.floating], mask: BoolArray, style: TextureStyle, factor: float
+) -> NDArray[np.uint8]:
+    fitted = _fitted(filled_from_nearest(linear, mask), style.size)
+    return encode_srgb_bytes(np.clip(factor * fitted, 0, 1))
 
 
 def gray_entry(values: FloatArray, mask: BoolArray, style: TextureStyle) -> dict[str, Any]:

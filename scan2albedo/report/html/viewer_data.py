@@ -10,6 +10,7 @@ import numpy as np
 
 from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
+from scan2albedo.applications.relighting import RelightOptions, as_lit
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.errors import Scan2AlbedoError, one_line
@@ -25,6 +26,7 @@ from scan2albedo.report.html.encoding import (
     encoded,
     gray_entry,
     mesh_entry,
+    patch_entry,
     quantized,
     texture_entry,
     thinned_chart,
@@ -101,12 +103,15 @@ def viewer_entry(
 ) -> dict[str, Any]:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
-    `residual_mm` (V,) is that of the mesh's vertices, NaN where there is no scan. `soft_shadows` computes at
-    each vertex what the face hides from itself of the scan's soft light.
+    Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is
+    its albedo where that differs, "assumed" tells what was done. `residual_mm` (V,) is that of the mesh's
+    vertices, NaN where there is no scan. `soft_shadows` computes at each vertex what the face hides from
+    itself of the scan's soft light.
     """
     image = face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
-    skin = face.reflectance
+    lit, assumed = as_lit(face, RelightOptions()) if face.has_albedo else (face, ())
+    skin = lit.reflectance
     entry = {
         **mesh_entry(mesh, topologies),
         "hasAlbedo": face.has_albedo,
@@ -119,6 +124,8 @@ def viewer_entry(
             "strength": skin.specular_strength,
             "exponent": skin.exponent,
         },
+        "assumed": list(assumed),
+        "assumedGloss": skin.specular_strength > face.reflectance.specular_strength,
         "lights": [_light(light) for light in record.lights],
         "harmonics": _harmonics(record),
         "castsShadows": face.casts_shadows,
@@ -130,8 +137,12 @@ def viewer_entry(
     }
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
-    if image.specular_scale is not None and skin.specular_strength > 0:
-        entry["gloss"] = gray_entry(image.specular_scale.astype(np.float64), image.mask, style)
+    if (lit.albedo_linear != face.albedo_linear).any():
+        entry["filled"] = patch_entry(
+            lit.albedo_linear, face.albedo_linear, image.mask, style, entry["albedo"]["factor"]
+        )
+    if lit.image.specular_scale is not None and skin.specular_strength > 0:
+        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, style)
     if soft_shadows and face.environment is not None and face.environment.occluded:
         entry["soft"] = _soft_light(face, face.environment, mesh)
     if residual_mm is not None:

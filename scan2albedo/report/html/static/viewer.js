@@ -70,7 +70,7 @@ class FaceViewer {
       : [{ azimuth: -35, elevation: 25, distance: null, intensity: LAMP_INTENSITY, on: true }];
     this.state = {
       mode: "relit", lights: first, harmonic, ambient: 1, exposure: 0, shadows: face.castsShadows,
-      autoExposure: !(scanned.length || harmonic),
+      autoExposure: !(scanned.length || harmonic), assumed: true,
       view: { azimuth: 0, elevation: 0, zoom: 1 },
     };
     this.lights = new LightControls(face, this.state, () => { this.#light(); });
@@ -82,9 +82,13 @@ class FaceViewer {
     shadows.checked = this.state.shadows;
     this.auto = element("input", { type: "checkbox", onchange: () => { this.state.autoExposure = this.auto.checked; this.request(); } });
     this.soft = element("input", { type: "checkbox", onchange: () => { this.state.harmonic = this.soft.checked; this.#light(); } });
+    const assumed = element("input", { type: "checkbox", onchange: () => { this.state.assumed = assumed.checked; this.#light(); } });
+    assumed.checked = this.state.assumed;
+    const what = [face.filled && "filled gaps", face.assumedGloss && "skin's usual gloss"].filter(Boolean).join(" and ");
     this.lights.root.append(this.ambient.row,
       ...(harmonic ? [element("label", { class: "check" }, this.soft, " soft light of the scan, in place of the ambient light")] : []),
-      element("label", { class: "check" }, shadows, " cast shadows"));
+      element("label", { class: "check" }, shadows, " cast shadows"),
+      ...(what ? [element("label", { class: "check" }, assumed, ` assumed: ${what}`)] : []));
     this.root.querySelector(".controls").replaceChildren(this.#modeChoice(), this.#scale(), this.lights.root,
       element("fieldset", {}, element("legend", {}, "Picture"), this.exposure.row,
         element("label", { class: "check" }, this.auto, " expose each light by itself"),

@@ -19,6 +19,12 @@ const bitmapOf = (entry) => createImageBitmap(
   { colorSpaceConversion: "none", premultiplyAlpha: "none" },
 );
 
+function drawnOver(under, over) {
+  const canvas = element("canvas", { width: under.width, height: under.height }), context = canvas.getContext("2d");
+  for (const picture of [under, over]) context.drawImage(picture, 0, 0);
+  return canvas;
+}
+
 function programOf(gl, vertexSource, fragmentSource) {
   const program = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertexSource], [gl.FRAGMENT_SHADER, fragmentSource]]) {
@@ -69,7 +75,7 @@ class FacePainter {
   static async of(canvas, face, topology) {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
     if (!gl) return null;
-    const names = ["albedo", "texture", "gloss"].filter((name) => face[name]);
+    const names = ["albedo", "texture", "gloss", "filled"].filter((name) => face[name]);
     const bitmaps = await Promise.all(names.map((name) => bitmapOf(face[name])));
     return new FacePainter(gl, face, topology, Object.fromEntries(names.map((name, i) => [name, bitmaps[i]])));
   }
@@ -80,7 +86,9 @@ class FacePainter {
     this.main = programOf(gl, FACE_VERTEX_SHADER, FACE_FRAGMENT_SHADER);
     this.depth = programOf(gl, DEPTH_VERTEX_SHADER, DEPTH_FRAGMENT_SHADER);
     this.#upload(topology);
+    if (bitmaps.filled) bitmaps.filled = drawnOver(bitmaps.albedo, bitmaps.filled);
     this.textures = ["albedo", "texture", "gloss"].map((name) => this.#texture(bitmaps[name], name !== "gloss"));
+    this.filled = face.filled ? this.#texture(bitmaps.filled, true) : this.textures[0];
     this.shadows = { texture: gl.createTexture(), target: gl.createFramebuffer(), layers: 0, key: "" };
     this.center = face.low.map((low, i) => low + face.span[i] / 2);
     this.radius = 0.5 * Math.hypot(...face.span) || 1;
@@ -117,7 +125,7 @@ class FacePainter {
     const format = colored ? gl.SRGB8_ALPHA8 : gl.RGBA8; // decoded before it is filtered
     if (bitmap) {
       gl.texImage2D(gl.TEXTURE_2D, 0, format, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
-      bitmap.close();
+      bitmap.close?.();
     } else {
       gl.texImage2D(gl.TEXTURE_2D, 0, format, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array([255, 255, 255, 255]));
     }
@@ -228,7 +236,8 @@ class FacePainter {
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.main.program);
-    this.textures.forEach((texture, i) => {
+    const [albedo, ...others] = this.textures;
+    [state.assumed && lit ? this.filled : albedo, ...others].forEach((texture, i) => {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     });
@@ -236,7 +245,8 @@ class FacePainter {
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadows.texture);
     const numbers = {
       u_albedo_scale: 1 / face.albedo.factor, u_gloss_scale: face.gloss ? face.gloss.scale : 1,
-      u_roughness: face.reflectance.roughness, u_strength: face.reflectance.strength,
+      u_roughness: face.reflectance.roughness,
+      u_strength: state.assumed || !face.assumedGloss ? face.reflectance.strength : 0,
       u_exponent: face.reflectance.exponent, u_ambient: state.ambient, u_offset: face.shadowOffset,
       u_soft_scale: face.soft ? face.soft.scale : 1,
       u_exposure: 2 ** state.exposure * this.#shown(state, lights),
