@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
@@ -51,6 +51,8 @@ class MeshReflectance:
     """Of V vertices."""
     std: FloatArray | None = None
     """(V, 6): standard deviations of albedos and weights where a fit gave them, NaN where not known."""
+    seen: BoolArray | None = None
+    """(V,): which vertices a photograph shows, where a model gave the others; None where nothing is told."""
 
     def __post_init__(self) -> None:
         vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces)
@@ -63,6 +65,8 @@ class MeshReflectance:
             raise ReflectanceError(f"faces point outside the {count} vertices")
         if self.std is not None and np.shape(self.std) != (count, 6):
             raise ReflectanceError(f"std is {np.shape(self.std)}, expected ({count}, 6)")
+        if self.seen is not None and np.shape(self.seen) != (count,):
+            raise ReflectanceError(f"seen is {np.shape(self.seen)}, expected ({count},)")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces.astype(np.int64))
 
@@ -72,7 +76,8 @@ class MeshReflectanceHeader(BaseModel):
 
     The file also holds vertices (V, 3) in mm, faces (F, 3), known (V,), diffuse_linear and weights (V, 3);
     that of a fit also std, low, high, identifiability and identified (V, 6), pair_count, condition, misfit,
-    impossible and normal_sigma_degrees (V,), tilt (V, 2), activation (V, 3) and light_gain (L, 3).
+    impossible and normal_sigma_degrees (V,), tilt (V, 2), activation (V, 3) and light_gain (L, 3);
+    that of one photograph also seen (V,).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo reflectance of a mesh")
@@ -109,6 +114,8 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
     )
     if fit is not None:
         arrays |= {name: getattr(fit, name) for name in _OF_A_FIT}
+    if mesh.seen is not None:
+        arrays["seen"] = mesh.seen
     write_npz_record(path, header, arrays, what="reflectance")
 
 
@@ -131,7 +138,7 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
         path,
         MeshReflectanceHeader,
         _ARRAYS,
-        optional={"std": _OF_A_FIT["std"]},
+        optional={"std": _OF_A_FIT["std"], "seen": "b"},
         what="reflectance",
         advice="give a file that write_reflectance wrote, or a fit's folder (data_schemas/mesh_reflectance."
         "schema.json)",
@@ -140,6 +147,7 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
     check_exponents(header.exponents, f"reflectance {path}")
     try:
         reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
-        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance, arrays.get("std"))
+        told = arrays.get("std"), arrays.get("seen")
+        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance, *told)
     except ReflectanceError as error:
         raise ReflectanceError(f"reflectance {path}: {error}; write the file again") from error

@@ -1,5 +1,7 @@
 """Reflectances of meshes as files."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from benchmarks.reflectance_captures import head_capture, samples_of
@@ -55,6 +57,16 @@ def test_a_fit_keeps_its_deviations(tmp_path):
     with np.load(tmp_path / "reflectance.npz") as arrays:
         assert np.array_equal(arrays["tilt"], fit.tilt, equal_nan=True)
         assert np.array_equal(arrays["impossible"], fit.impossible)
+
+
+def test_what_a_photograph_shows_is_kept_apart_from_what_a_model_adds(mesh, tmp_path):
+    seen = np.array([True, False, False, True])
+    write_reflectance(tmp_path / "face.npz", dataclasses.replace(mesh, seen=seen))
+    assert np.array_equal(read_reflectance(tmp_path / "face.npz").seen, seen)
+    write_reflectance(tmp_path / "face.npz", mesh)
+    assert read_reflectance(tmp_path / "face.npz").seen is None
+    with pytest.raises(ReflectanceError, match=r"seen is \(3,\)"):
+        dataclasses.replace(mesh, seen=seen[:3])
 
 
 def test_damaged_and_other_files_are_refused_by_name(mesh, tmp_path):

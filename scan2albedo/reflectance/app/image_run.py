@@ -204,7 +204,8 @@ def write_fitted_photograph(
 ) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
     figures = done.metrics()
-    mesh = MeshReflectance(done.vertices, done.faces, done.face.reflectance)
+    seen = np.asarray(done.observation.seen)
+    mesh = MeshReflectance(done.vertices, done.faces, done.face.reflectance, seen=seen)
     upright = MeshReflectance(models.mean.vertices, done.faces, done.face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
     with folder_of_results(out, "fit-image", inputs) as results:
