@@ -19,6 +19,8 @@ _LEAST_OPEN = 0.4
 """A vertex that sees less of the light around it lies in a fold, where the mesh decides what is lit."""
 _LEAST_LIGHT = 0.2
 """Of the median light; darker vertices tell little."""
+_LEAST_DIFFUSE = 0.5
+"""Of the observed light; where the highlight is more, its errors look like albedo."""
 _LARGEST = 1.5
 """Of a residual: larger ones are holes, hair or other surfaces."""
 _TINY = 1e-9
@@ -52,10 +54,19 @@ class DetailOptions:
 
 @dataclass(frozen=True)
 class ShadingDivided:
-    """Logarithms (V, 3) of observed over predicted colours, and where (V,) they tell about the albedo."""
+    """An image divided by what a reflectance sends back under a light."""
 
     log_ratio: FloatArray
+    """(V, 3): logarithm of the observed over the predicted diffuse light, highlights taken off; 0 where not
+    seen."""
     told: BoolArray
+    """(V,): where it tells about the albedo."""
+    lit: BoolArray
+    """(V,): where enough light arrives that predictions can be compared; contains `told`."""
+    highlight_share: FloatArray
+    """(V, 3): of the predicted light; 0 where not seen."""
+    log_whole: FloatArray
+    """(V, 3): logarithm of the observed over the whole predicted light; 0 where not seen."""
 
     @classmethod
     def of(
@@ -65,20 +76,39 @@ class ShadingDivided:
         reflectance: VertexReflectance,
         light: FloatArray,
     ) -> ShadingDivided:
-        """Divide an image by a reflectance under a light (81, 3), highlights taken off first."""
+        """Divide an image by a reflectance under a light (81, 3)."""
         used = np.flatnonzero(np.asarray(observation.seen) & model.known)
         response = observation.response(used)
         received = response.diffuse @ light
         highlight = np.einsum("vk,vkj->vj", reflectance.weights[used], response.specular @ light)
         diffuse = reflectance.diffuse_linear[used] * received
-        left = np.asarray(observation.observed_linear)[used] - highlight
+        observed = np.asarray(observation.observed_linear)[used]
         floor = _TINY + 1e-3 * float(np.median(diffuse))
-        ratio = np.log(np.maximum(left, floor) / np.maximum(diffuse, floor))
+
+        def log_ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+            whole = np.zeros((len(model.known), 3))
+            ratio = np.log(np.maximum(numerator, floor) / np.maximum(denominator, floor))
+            whole[used] = np.clip(ratio, -_LARGEST, _LARGEST)
+            return whole
+
+        told, lit = np.zeros((2, len(model.known)), bool)
+        share = np.zeros((len(model.known), 3))
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
-        log_ratio, told = np.zeros((len(model.known), 3)), np.zeros(len(model.known), bool)
-        log_ratio[used] = np.clip(ratio, -_LARGEST, _LARGEST)
-        told[used] = bright & (open_share(observation, used, response) > _LEAST_OPEN)
-        return cls(log_ratio, told)
+        lit[used] = bright & (open_share(observation, used, response) > _LEAST_OPEN)
+        share[used] = np.clip(highlight / np.maximum(diffuse + highlight, floor), 0.0, 1.0)
+        told[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
+        return cls(
+            log_ratio=log_ratio(observed - highlight, diffuse),
+            told=told,
+            lit=lit,
+            highlight_share=share,
+            log_whole=log_ratio(observed, diffuse + highlight),
+        )
+
+    def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:
+        """Return the logarithm (V, 3) of the observed over the predicted light with details (V, 3)."""
+        share = self.highlight_share
+        return np.asarray(self.log_whole - np.log(share + (1 - share) * np.exp(field)))
 
 
 def open_share(observation: ImageObservation, used: IntArray, response: LightResponse) -> FloatArray:

@@ -322,11 +322,11 @@ class _Trials:
                     warnings.filterwarnings("ignore", "the image fit stopped", RuntimeWarning)
                     fit = fit_image(shown, one, lighting, options=options.image, budget=budget)
                 divided = ShadingDivided.of(observation, model, fit.face.reflectance, fit.light)
-                told = ShadingDivided(divided.log_ratio, divided.told & ~held_out)
+                told = replace(divided, told=divided.told & ~held_out)
                 field = detail_field(told, vertices, faces, options.details)
-                tested = np.flatnonzero(held_out & divided.told)
+                tested = np.flatnonzero(held_out & divided.lit)
                 for label, added in ((name, 0.0), (f"{name}+details", field)):
-                    off = (divided.log_ratio - added)[tested]
+                    off = divided.left_over(added)[tested]
                     # Errors of the light are nearly grey, those of skin are not: only colour counts.
                     error = np.abs(off - off.mean(1, keepdims=True)).mean(1)
                     parts.setdefault(label, []).append((self._block[tested], error))
