@@ -168,8 +168,10 @@ def test_a_photograph_without_gamma_is_told(model, photographs, tmp_path):
     given = json.loads(file.read_text())
     given.pop("gamma")
     file.write_text(json.dumps(given))
-    assert run("fit-image", file, "--model", model, "-o", tmp_path / "out").exit_code == 0
-    tuned = run("finetune", model, file, "--held-out", photographs[1], "-o", tmp_path / "tuned")
+    assert run("fit-image", file, "--model", model, "--budget", "1", "-o", tmp_path / "out").exit_code == 0
+    tuned = run(
+        "finetune", model, file, "--held-out", photographs[1], "--budget", "1", "-o", tmp_path / "tuned"
+    )
     assert tuned.exit_code == 0, tuned.output
     for out in ("out", "tuned"):
         record = read_record(tmp_path / out / "reflectance.json", ReflectanceRecord)
