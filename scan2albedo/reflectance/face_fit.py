@@ -146,13 +146,13 @@ def fit_face(
 
     The face is divided into blocks. Without some of them, the light is fitted with the model's mean face, and
     with the person's coefficients (`fit_image`), each without and with details, a smooth field of residuals
-    (`detail_field`); what was left out tells how good each is. Only its colour counts, the ratios between
-    channels: errors of the light are nearly grey, and a person can imitate them. Details must predict better
-    than the mean face does under a light of its own, and the person better than the mean, by `margin`
-    standard errors and `least_gain`. Otherwise they are left out; if both are, the mean face is returned, and
-    `plan` says so. The last fits are to all blocks; a person whose objective is then above the mean face's,
-    which the model contains, is left out as well. If these leave more than `most_unexplained`, light or shape
-    are wrong, and both are left out.
+    (`detail_field`); what was left out tells how good each is, by all the light that it sends. Only its
+    colour counts, the ratios between channels: errors of the light are nearly grey, and a person can imitate
+    them. Details must predict better than the mean face does under a light of its own, and the person better
+    than the mean, by `margin` standard errors and `least_gain`. Otherwise they are left out; if both are, the
+    mean face is returned, and `plan` says so. The last fits are to all blocks; a person whose objective is
+    then above the mean face's, which the model contains, is left out as well. If these leave more than
+    `most_unexplained`, light or shape are wrong, and both are left out.
 
     Parameters
     ----------
@@ -215,11 +215,11 @@ def fit_face(
     if person.accepted and details.accepted:
         # The person may explain all that the details did.
         details = trial.judged("details", "person", "person+details")
-    rmse = fit.relative_rmse
-    badly_explained = rmse > options.most_unexplained
+    left = fit.relative_rmse
+    badly_explained = left > options.most_unexplained
     if badly_explained:
         fit = mean
-        details, person = (replace(one, accepted=False, unexplained=rmse) for one in (details, person))
+        details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
     reflectance, field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:

@@ -5,10 +5,12 @@ import pytest
 from bench_reflectance_model import (
     ShadowedCases,
     albedo_error,
+    fit_face,
     fit_image,
     learned,
     people_of_the_model,
     person,
+    surface,
 )
 
 pytestmark = pytest.mark.slow
@@ -30,6 +32,17 @@ def test_faces_of_the_model_are_found_in_shadow(lighting):
     assert with_it < 0.03
     assert with_it < 0.6 * albedo_errors(cases, lighting, False)
     assert with_it < 0.4 * of_mean(cases)
+
+
+def test_a_person_of_the_model_with_strong_highlights_is_believed_without_details(lighting):
+    model, s = learned(60, 40), surface()
+    cases = ShadowedCases.of(people_of_the_model(23)[:1], 62_003)
+    picture, (truth,) = cases.picture(0, True), cases.faces
+    found = fit_face(picture, model, s.vertices, s.faces, lighting)
+    assert found.plan.ran("reflectance.image.person")
+    assert found.details is None
+    alone = fit_image(picture, model, lighting).face.reflectance.diffuse_linear
+    assert albedo_error(found.reflectance.diffuse_linear, truth) < 1.01 * albedo_error(alone, truth)
 
 
 def test_new_faces_are_found_better_than_by_the_mean(lighting):
