@@ -24,6 +24,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --no-logo
+	$(BIN)/python tools/house.py
 
 # Strict: a link that leads nowhere ends it. NO_MKDOCS_2_WARNING silences an advertisement of the theme.
 docs: $(STAMP)

@@ -11,10 +11,8 @@ Examples
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
@@ -27,13 +25,13 @@ if TYPE_CHECKING:
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import AnnotatedFaceModel, Region
     from scan2albedo.fitting import FittedFace, fit
-    from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
     from scan2albedo.io import load_scan
     from scan2albedo.io.geometry_image_files import read_geometry_image
     from scan2albedo.pipeline.process import process
     from scan2albedo.pipeline.quality import Quality
     from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.registration import Registration, register
+    from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
 __version__ = VERSION
 
@@ -64,8 +62,8 @@ _HOMES = {
     "albedo_error": "albedo",
     "estimate_albedo": "albedo",
     "fit": "fitting",
-    "geometry_image": "geometry_image",
-    "geometry_image_of_scan": "geometry_image",
+    "geometry_image": "sampling",
+    "geometry_image_of_scan": "sampling",
     "load_scan": "io",
     "process": "pipeline.process",
     "read_geometry_image": "io.geometry_image_files",
@@ -120,18 +118,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_HOMES, *_SUBPACKAGES})
-
-
-class _Package(ModuleType):
-    """The package, in which `geometry_image` stays the stage's function.
-
-    The import system binds a loaded subpackage to its name in the parent, and the stage's folder has the name
-    of its function.
-    """
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (name == "geometry_image" and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

@@ -61,9 +61,9 @@ from scan2albedo.reflectance import (
     read_capture,
     sample_vertices,
 )
-from scan2albedo.reflectance.app.capture_run import FittedCapture, fit_capture, relit_pair
-from scan2albedo.reflectance.app.demo import write_synthetic_capture
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
+from scan2albedo.runs.reflectance.capture_run import FittedCapture, fit_capture, relit_pair
+from scan2albedo.runs.reflectance.demo import write_synthetic_capture
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
 
 MEAN = np.array([0.5, 0.5, 0.5, 0.15, 0.15, 0.15])

@@ -56,7 +56,7 @@ from scan2albedo.reflectance import (
     observe_photograph,
     shade_environment,
 )
-from scan2albedo.reflectance.app.model_run import synthetic_model
+from scan2albedo.runs.reflectance.model_run import synthetic_model
 
 
 def print_lobes() -> None:

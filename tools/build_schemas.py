@@ -13,26 +13,26 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
-from scan2albedo.eyeglasses.app.records import (
-    CanonicalFrameRecord,
-    CanonicalSetRecord,
-    LensesRecord,
-    RegisteredFrameRecord,
-)
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.frame_files import StartFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
-from scan2albedo.recognition.app.files import IdentificationRecord
 from scan2albedo.recognition.template_files import TemplatesHeader
-from scan2albedo.reflectance.app.output import ReflectanceRecord
 from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
 from scan2albedo.reflectance.photograph_files import FacePhotographFile
 from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
 from scan2albedo.reflectance.shape_model import ShapeModelHeader
+from scan2albedo.runs.eyeglasses.records import (
+    CanonicalFrameRecord,
+    CanonicalSetRecord,
+    LensesRecord,
+    RegisteredFrameRecord,
+)
+from scan2albedo.runs.recognition.files import IdentificationRecord
+from scan2albedo.runs.reflectance.output import ReflectanceRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 

@@ -18,8 +18,8 @@ from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.tangents import tangent_mesh
-from scan2albedo.geometry_image.fitted_face import without_covers
-from scan2albedo.geometry_image.texture_lookup import TextureLookup, texel_steps
+from scan2albedo.sampling.fitted_face import without_covers
+from scan2albedo.sampling.texture_lookup import TextureLookup, texel_steps
 
 LARGEST_TEXTURE = 8192
 """Texels of a side: pictures with more are not read back."""

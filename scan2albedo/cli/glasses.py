@@ -103,13 +103,13 @@ def canonicalize(
         )
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import EyeglassesError
-    from scan2albedo.eyeglasses.app.canonicalize_run import (
+    from scan2albedo.io.atomic import check_writable
+    from scan2albedo.runs.eyeglasses.canonicalize_run import (
         canonicalize_frames,
         read_frames,
         write_canonical_files,
     )
-    from scan2albedo.eyeglasses.app.records import FailedFrameRecord
-    from scan2albedo.io.atomic import check_writable
+    from scan2albedo.runs.eyeglasses.records import FailedFrameRecord
 
     if handles not in ("turned", "translated"):
         raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
@@ -219,9 +219,9 @@ def register(
     """
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
-    from scan2albedo.eyeglasses.app.register_run import register_frame, write_registration_files
-    from scan2albedo.eyeglasses.app.registration_input import CANONICAL, RegistrationFiles, read_registration
     from scan2albedo.io.atomic import check_writable
+    from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
+    from scan2albedo.runs.eyeglasses.registration_input import CANONICAL, RegistrationFiles, read_registration
 
     spend = checked_budget(budget, unit)
     if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
@@ -265,7 +265,7 @@ def demo(
     """Register a synthetic person's frame on their fitted face, print the error, put lenses in."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.eyeglasses.app.demo import run_glasses_demo
+    from scan2albedo.runs.eyeglasses.demo import run_glasses_demo
 
     with ProgressLines("demo") as progress:
         report = run_glasses_demo(out, seed=seed, on_progress=progress.update, say=progress.say)
@@ -345,10 +345,10 @@ def lenses(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions
-    from scan2albedo.eyeglasses.app.lens_files import run_lenses
-    from scan2albedo.eyeglasses.app.lens_input import material_pair, read_lens_input
     from scan2albedo.io.atomic import check_writable
     from scan2albedo.io.units import check_unit
+    from scan2albedo.runs.eyeglasses.lens_files import run_lenses
+    from scan2albedo.runs.eyeglasses.lens_input import material_pair, read_lens_input
 
     try:
         check_unit(unit)

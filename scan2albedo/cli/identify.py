@@ -10,8 +10,8 @@ import typer
 from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
 
 if TYPE_CHECKING:
-    from scan2albedo.recognition.app.files import IdentificationRecord
     from scan2albedo.recognition.templates import Kind
+    from scan2albedo.runs.recognition.files import IdentificationRecord
 
 COMBINATIONS = ("best", "mean")
 TEMPLATES = ".npz"
@@ -74,7 +74,7 @@ def identify(
         read_labelled_templates,
         write_labelled_templates,
     )
-    from scan2albedo.recognition.app.files import identification_record, write_identification
+    from scan2albedo.runs.recognition.files import identification_record, write_identification
 
     with removed_if_empty(out), ProgressLines("identify") as progress:
         if out is not None:

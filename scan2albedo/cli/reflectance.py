@@ -47,7 +47,7 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
     """
     with _work("olat", out) as progress:
         from scan2albedo.reflectance import read_capture
-        from scan2albedo.reflectance.app.capture_run import write_olat
+        from scan2albedo.runs.reflectance.capture_run import write_olat
 
         figures = write_olat(read_capture(capture), out)
         _tell_notes(progress, "olat", out)
@@ -104,7 +104,7 @@ def fit(
     spend = checked_budget(budget)
     with _work("fit", out) as progress:
         from scan2albedo.reflectance import read_capture
-        from scan2albedo.reflectance.app.capture_run import fit_capture, write_fit
+        from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit
 
         done = fit_capture(
             read_capture(capture),
@@ -172,7 +172,7 @@ def build(
     if bool(samples) == (synthetic is not None):
         raise typer.BadParameter("give either samples or --synthetic with a number of people, as 200")
     with _work("build", out) as progress:
-        from scan2albedo.reflectance.app.model_run import build_model, synthetic_model, write_model_folder
+        from scan2albedo.runs.reflectance.model_run import build_model, synthetic_model, write_model_folder
 
         if synthetic is not None:
             built = synthetic_model(synthetic, components=components)
@@ -205,7 +205,7 @@ def sample(
 ) -> None:
     """Draw reflectances from a model."""
     with _work("sample", out) as progress:
-        from scan2albedo.reflectance.app.model_run import write_samples
+        from scan2albedo.runs.reflectance.model_run import write_samples
 
         figures = write_samples(model, out, count=count, seed=seed, scale=scale)
         progress.say(f"sample: {count} reflectances in {out}")
@@ -233,8 +233,8 @@ def fit_image(
     spend = checked_budget(budget)
     with _work("fit-image", out) as progress:
         from scan2albedo.reflectance import read_photograph
-        from scan2albedo.reflectance.app.image_run import fit_photograph, write_fitted_photograph
-        from scan2albedo.reflectance.app.model_run import ModelFolder, read_model_folder
+        from scan2albedo.runs.reflectance.image_run import fit_photograph, write_fitted_photograph
+        from scan2albedo.runs.reflectance.model_run import ModelFolder, read_model_folder
 
         taken = read_photograph(photograph)
         if model is None:
@@ -269,8 +269,8 @@ def finetune(
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
     spend = checked_budget(budget)
     with _work("finetune", out) as progress:
-        from scan2albedo.reflectance.app.model_run import read_model_folder
-        from scan2albedo.reflectance.app.tuning_run import tune_model, write_tuned_model
+        from scan2albedo.runs.reflectance.model_run import read_model_folder
+        from scan2albedo.runs.reflectance.tuning_run import tune_model, write_tuned_model
 
         done = tune_model(
             read_model_folder(model),
@@ -302,7 +302,7 @@ def demo(
 ) -> None:
     """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
     with _work("demo", out) as progress:
-        from scan2albedo.reflectance.app.demo import run_reflectance_demo
+        from scan2albedo.runs.reflectance.demo import run_reflectance_demo
 
         report = run_reflectance_demo(
             out,
@@ -339,7 +339,7 @@ def _number_or_auto(text: str) -> float | str:
 
 def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:
     from scan2albedo.io.records import read_record
-    from scan2albedo.reflectance.app.output import REFLECTANCE_FILE, ReflectanceRecord
+    from scan2albedo.runs.reflectance.output import REFLECTANCE_FILE, ReflectanceRecord
 
     for note in read_record(out / REFLECTANCE_FILE, ReflectanceRecord).notes:
         progress.say(f"{name}: {note}")

@@ -23,7 +23,6 @@ from scan2albedo.errors import InsideOutError, memory_errors_named
 from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.plausibility import doubts, face_coverage
-from scan2albedo.geometry_image import geometry_image, geometry_image_of_scan
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
@@ -37,6 +36,7 @@ from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, regi
 from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, unlit_seconds, without_light
 from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.registration.refined_pose import refined_registration
+from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left for searching that each stage may take."""

@@ -14,8 +14,8 @@ from scan2albedo.cli.commands import app
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import read_record
 from scan2albedo.reflectance import MorphableReflectanceModel, generated_environment, read_reflectance
-from scan2albedo.reflectance.app.demo import write_synthetic_capture, write_synthetic_photograph
-from scan2albedo.reflectance.app.output import ReflectanceRecord
+from scan2albedo.runs.reflectance.demo import write_synthetic_capture, write_synthetic_photograph
+from scan2albedo.runs.reflectance.output import ReflectanceRecord
 from scan2albedo.synthetic import (
     FacePhotographOptions,
     FlashCaptureOptions,
@@ -271,7 +271,7 @@ def test_wrong_files_are_named_and_leave_nothing(people, tmp_path, arguments, to
 def test_faces_of_other_topology_make_no_model(people, captures, tmp_path):
     other = captures[1]
     from scan2albedo.reflectance import MeshReflectance, VertexReflectance, write_reflectance
-    from scan2albedo.reflectance.app.model_run import build_model
+    from scan2albedo.runs.reflectance.model_run import build_model
 
     known = np.ones(len(other.vertices), bool)
     one = VertexReflectance(other.diffuse_linear, other.weights, known)

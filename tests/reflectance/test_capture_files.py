@@ -14,8 +14,8 @@ import trimesh
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance import read_capture
-from scan2albedo.reflectance.app.capture_run import fit_capture
-from scan2albedo.reflectance.app.demo import write_synthetic_capture
+from scan2albedo.runs.reflectance.capture_run import fit_capture
+from scan2albedo.runs.reflectance.demo import write_synthetic_capture
 from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from scan2albedo.core import Trace
-from scan2albedo.reflectance.app.image_run import FittedPhotograph
+from scan2albedo.runs.reflectance.image_run import FittedPhotograph
 
 
 def notes(relative_rmse=0.12, *, beats_mean=True, badly_explained=False, gamma_given=True):

@@ -5,8 +5,8 @@ import pytest
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import VertexReflectance
-from scan2albedo.reflectance.app.model_run import synthetic_model
 from scan2albedo.reflectance.model_choice import held_out_components
+from scan2albedo.runs.reflectance.model_run import synthetic_model
 
 RNG = np.random.default_rng(0)
 VERTICES = RNG.uniform(-100, 100, (800, 3))

@@ -9,7 +9,7 @@ import pytest
 
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.reflectance import read_photograph
-from scan2albedo.reflectance.app.demo import write_synthetic_photograph
+from scan2albedo.runs.reflectance.demo import write_synthetic_photograph
 from scan2albedo.synthetic import FacePhotographOptions, face_photograph
 
 

@@ -8,8 +8,8 @@ from typing import Any
 from benchmarks.sweep import Setting
 from scan2albedo.eyeglasses import FaceRegistrationOptions
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
-from scan2albedo.geometry_image import LookupOptions
 from scan2albedo.pipeline.quality import PRESETS
+from scan2albedo.sampling import LookupOptions
 
 STANDARD = "standard"
 GLASSES: dict[str, dict[str, Any]] = {

@@ -18,8 +18,8 @@ from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.geometry_image import LookupOptions, geometry_image
-from scan2albedo.geometry_image.texture_lookup import TextureLookup
+from scan2albedo.sampling import LookupOptions, geometry_image
+from scan2albedo.sampling.texture_lookup import TextureLookup
 from scan2albedo.synthetic import RawScanOptions, raw_scan
 
 SIZES = (64, 96, 128, 192, 256, 384, 512, 768, 1024)

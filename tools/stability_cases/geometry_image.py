@@ -15,7 +15,7 @@ from scan2albedo.errors import GeometryImageError
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
-from scan2albedo.geometry_image import geometry_image_of_scan
+from scan2albedo.sampling import geometry_image_of_scan
 from stability_cases.case import Cases, Measured, assert_finite, naming
 from stability_cases.scanned_person import model, person, spoilt, stray
 

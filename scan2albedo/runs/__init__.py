@@ -1,0 +1,1 @@
+"""Each system's own runs and their files, for its commands: the command line alone imports them."""

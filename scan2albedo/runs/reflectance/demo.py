@@ -1,0 +1,337 @@
+"""The demo of reflectance: synthetic people photographed, fitted, modelled, and compared with the truth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.albedo import albedo_error
+from scan2albedo.core import ProgressCallback
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.io.atomic import make_folder, result_folder, write_text
+from scan2albedo.io.images import write_png
+from scan2albedo.reflectance import (
+    ReflectanceFitOptions,
+    VertexReflectance,
+    generated_environment,
+    read_capture,
+    read_photograph,
+    write_capture,
+    write_photograph,
+)
+from scan2albedo.reflectance.capture_files import FlashCaptureFile, PairEntry, PoseEntry
+from scan2albedo.reflectance.photograph_files import FacePhotographFile
+from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
+from scan2albedo.runs.reflectance.image_run import (
+    FittedPhotograph,
+    fit_photograph,
+    write_fitted_photograph,
+)
+from scan2albedo.runs.reflectance.model_run import (
+    ModelFolder,
+    build_model,
+    read_model_folder,
+    write_model_folder,
+    write_samples,
+)
+from scan2albedo.runs.reflectance.tuning_run import tune_model, write_tuned_model
+from scan2albedo.synthetic import (
+    FacePhotograph,
+    FacePhotographOptions,
+    FlashCapture,
+    FlashCaptureOptions,
+    face_photograph,
+    flash_capture,
+)
+
+_CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, hair=False)
+_PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
+"""Without hair, whose shadows on the brow are not the mesh's: a model would learn them as skin."""
+_LEAST_PAIRS = 3
+"""As the command `fit` asks for."""
+_NEW_PEOPLE = 1000
+"""Seeds of people that the model was not learned from begin here."""
+_ALTERNATIONS = 30
+_RIDGE = 1e-9
+"""Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
+_AZIMUTHS_DEG = (0.0, 20.0, -20.0)
+CAPTURE_FILE, PHOTOGRAPH_FILE = "capture.json", "photograph.json"
+_MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
+_SATURATION = 0.98
+
+
+@dataclass(frozen=True)
+class ReflectanceDemoReport:
+    """Errors against the truth; of albedos as relative RMSE, of those of photographs at the best scale."""
+
+    people: int
+    diffuse_error: tuple[float, ...]
+    """Of each person's fit to flash pictures, over known vertices."""
+    diffuse_median_error: tuple[float, ...]
+    """The median of the relative differences instead."""
+    held_out_error: tuple[float, ...]
+    """Of predicted pictures that were left out of each fit."""
+    mesh_known_error: float
+    """Of a new person's albedo from one photograph, the mesh being known."""
+    landmarks_error: float
+    """The same from landmarks alone."""
+    mean_face_error: float
+    """Of the model's mean in its place."""
+    nearest_error: float
+    """Of the model's face whose albedo is nearest at some scale."""
+    shape_error_mm: float
+    """Of the shape from landmarks, mean over vertices after rigid alignment."""
+    mean_shape_error_mm: float
+    """Of the mean shape in its place."""
+    tuning_before: float
+    tuning_after: float
+    accepted_steps: int
+
+    def lines(self) -> list[str]:
+        """Return the report as text."""
+        diffuse, median, relit = (
+            100 * float(np.mean(values))
+            for values in (self.diffuse_error, self.diffuse_median_error, self.held_out_error)
+        )
+        return [
+            f"error against the ground truth, {self.people} people with 35 pairs of pictures each:",
+            f"  albedo of vertices        relative RMSE {diffuse:.1f} %, median {median:.1f} %",
+            f"  pictures left out         relative RMSE {relit:.1f} %",
+            "a person whom the model does not know, from one photograph in unknown light:",
+            f"  albedo, mesh known        relative RMSE {100 * self.mesh_known_error:.1f} %",
+            f"  albedo, from landmarks    relative RMSE {100 * self.landmarks_error:.1f} %",
+            f"  the model's mean instead  relative RMSE {100 * self.mean_face_error:.1f} %",
+            f"  the model's nearest face  relative RMSE {100 * self.nearest_error:.1f} %",
+            f"  shape from landmarks      {self.shape_error_mm:.2f} mm mean, of the mean shape "
+            f"{self.mean_shape_error_mm:.2f} mm",
+            f"fine-tuning: {self.accepted_steps} changes accepted, held-out objective "
+            f"{self.tuning_before:.4g} -> {self.tuning_after:.4g}",
+        ]
+
+    def figures(self) -> dict[str, Any]:
+        """Return the numbers by name."""
+        return dict(vars(self))
+
+
+def run_reflectance_demo(
+    out: Path,
+    *,
+    people: int = 8,
+    photographs: int = 12,
+    seed: int = 0,
+    on_progress: ProgressCallback | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> ReflectanceDemoReport:
+    """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
+
+    Everything goes through files, as with real pictures: ``captures``, ``fits``, ``model``, ``samples``,
+    ``photographs``, ``fit_image`` and ``tuned`` in `out`. The model is learned from 2 or more `people`;
+    `photographs`, 2 or more, are of others, half of them held out from fine-tuning.
+    """
+    fits, errors = [], []
+    for number in range(people):
+        say(f"person {number + 1} of {people}: taking and fitting pictures")
+        capture = flash_capture(seed + number, options=_CAPTURE)
+        file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
+        if number == 0:
+            write_olat(read_capture(file), out / "olat")
+        options = ReflectanceFitOptions(least_pairs=_LEAST_PAIRS)
+        done = fit_capture(read_capture(file), options=options, on_progress=on_progress)
+        fits.append(out / "fits" / f"person_{number:02d}")
+        write_fit(done, fits[-1], {"least_pairs": _LEAST_PAIRS})
+        assert done.error is not None
+        errors.append((*_capture_errors(capture, done.fit.reflectance), done.error.relative_rmse))
+    landmark_file = out / "captures" / "landmark_vertices.json"
+    _write_landmark_vertices(landmark_file, capture)
+    write_model_folder(build_model(fits, landmark_vertices=landmark_file), out / "model", {})
+    write_samples(out / "model", out / "samples", count=6, seed=seed)
+    models = read_model_folder(out / "model")
+    say("fitting a photograph of another person")
+    taken = _photograph(seed + _NEW_PEOPLE, 0)
+    known, marked = (_fit_photograph(taken, models, out, name, on_progress) for name in ("mesh", "landmarks"))
+    say("fine-tuning")
+    files = [
+        write_synthetic_photograph(
+            _photograph(seed + _NEW_PEOPLE + 1 + number, number + 1), out / "photographs" / f"{number:02d}"
+        )
+        for number in range(photographs)
+    ]
+    tuned = tune_model(models, files[::2], files[1::2], on_progress=on_progress)
+    write_tuned_model(tuned, out / "tuned", {})
+    truth = taken.diffuse_linear
+    seen = np.asarray(known.observation.seen)
+    return ReflectanceDemoReport(
+        people=people,
+        diffuse_error=tuple(one[0] for one in errors),
+        diffuse_median_error=tuple(one[1] for one in errors),
+        held_out_error=tuple(one[2] for one in errors),
+        mesh_known_error=_scaled_error(known.face.reflectance, truth, seen),
+        landmarks_error=_scaled_error(marked.face.reflectance, truth, seen),
+        mean_face_error=_scaled_error(models.mean.reflectance, truth, seen),
+        nearest_error=_scaled_error(_nearest(models, truth, seen), truth, seen),
+        mean_shape_error_mm=_shape_error_mm(models.mean.vertices, taken.vertices, seen),
+        shape_error_mm=_shape_error_mm(marked.vertices, taken.vertices, seen),
+        tuning_before=tuned.tuning.held_out_before,
+        tuning_after=tuned.tuning.held_out_after,
+        accepted_steps=len(tuned.tuning.accepted_steps),
+    )
+
+
+def _photograph(seed: int, number: int) -> FacePhotograph:
+    options = replace(_PHOTOGRAPH, azimuth_deg=_AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)])
+    return face_photograph(seed, generated_environment(seed), options=options)
+
+
+def _fit_photograph(
+    taken: FacePhotograph,
+    models: ModelFolder,
+    out: Path,
+    name: str,
+    on_progress: ProgressCallback | None,
+) -> FittedPhotograph:
+    file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
+    done = fit_photograph(read_photograph(file), models, on_progress=on_progress)
+    write_fitted_photograph(done, models, out / "fit_image" / name, {})
+    return done
+
+
+def _write_landmark_vertices(path: Path, capture: FlashCapture) -> None:
+    distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
+    make_folder(path.parent)
+    write_text(path, json.dumps(distance.argmin(1).tolist()) + "\n")
+
+
+def _capture_errors(capture: FlashCapture, found: VertexReflectance) -> tuple[float, float]:
+    """Return relative RMSE and median relative difference of the albedo; its scale is known."""
+    known = found.known
+    off = found.diffuse_linear[known] - capture.diffuse_linear[known]
+    truth = capture.diffuse_linear[known]
+    return float(np.sqrt(np.mean(off**2) / np.mean(truth**2))), float(np.median(np.abs(off / truth)))
+
+
+def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: BoolArray) -> float:
+    """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
+    return albedo_error(found.diffuse_linear, truth, seen & found.known).relative_rmse
+
+
+def _nearest(models: ModelFolder, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
+    """Return the model's face whose albedo is nearest to the truth times some scale, where it was seen."""
+    mean, used = models.mean.reflectance, seen & models.model.known
+    made = mean
+    for _ in range(_ALTERNATIONS):
+        a, b = made.diffuse_linear[used], truth[used]
+        scaled = truth * (np.sum(a * b) / np.sum(b * b))
+        made = models.model.project(
+            VertexReflectance(scaled, np.zeros_like(truth), seen), prior=_RIDGE
+        ).nearest.reflectance
+    return made
+
+
+def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: BoolArray) -> float:
+    a, b = found[seen], truth[seen]
+    return float(np.linalg.norm(transform_points(procrustes(a, b), a) - b, axis=1).mean())
+
+
+def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
+    """Write pictures, masks, mesh and capture file of a synthetic capture; return the file's path.
+
+    Raises `ValueError` when its pictures are not integers, `OutputError` when a file cannot be written.
+    """
+    _check_integers(capture.options.bits)
+    with result_folder(folder, CAPTURE_FILE) as staging:
+        _write_mesh(staging / _MESH, capture.vertices, capture.faces)
+        pairs = []
+        for j, (view, light) in enumerate(zip(capture.view, capture.light, strict=True)):
+            flash, room = f"flash_{view:02d}_{light:02d}.png", f"room_{view:02d}.png"
+            write_png(staging / flash, capture.flash[j])
+            if light == 0:
+                write_png(staging / room, capture.room[j])
+                write_png(staging / _mask(view), _white_where(capture.skin[j]))
+            pairs.append(
+                PairEntry(camera=_name(view), flash=_name(light), flash_image=flash, room_image=room)
+            )
+        write_capture(staging / CAPTURE_FILE, _content(capture, tuple(pairs)))
+    return folder / CAPTURE_FILE
+
+
+def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: bool = True) -> Path:
+    """Write image, mask, landmarks and, with `mesh`, the mesh; return the photograph file's path.
+
+    Raises `ValueError` when the image is not of integers, `OutputError` when a file cannot be written.
+    """
+    _check_integers(taken.options.bits)
+    landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
+    with result_folder(folder, PHOTOGRAPH_FILE) as staging:
+        write_png(staging / _IMAGE, taken.image)
+        write_png(staging / _SKIN, _white_where(taken.skin))
+        if mesh:
+            _write_mesh(staging / _MESH, taken.vertices, taken.faces)
+        content = FacePhotographFile.model_validate(
+            {
+                "image": _IMAGE,
+                "mask": _SKIN,
+                "gamma": taken.options.gamma,
+                "saturation": _SATURATION,
+                "camera": taken.camera.tolist(),
+                "mesh": _MESH if mesh else None,
+                "landmarks": landmarks,
+            }
+        )
+        write_photograph(staging / PHOTOGRAPH_FILE, content)
+    return folder / PHOTOGRAPH_FILE
+
+
+def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptureFile:
+    options = capture.options
+    poses = [
+        {
+            "name": _name(k),
+            "rotation": rotation.tolist(),
+            "translation": translation.tolist(),
+            "mask": _mask(k) if k < options.views else None,
+        }
+        for k, (rotation, translation) in enumerate(
+            zip(capture.head_rotations, capture.head_translations, strict=True)
+        )
+    ]
+    return FlashCaptureFile(
+        mesh=_MESH,
+        gamma=options.gamma,
+        noise=max(options.noise, 0.5 / 255),
+        saturation=_SATURATION,
+        falloff_distance=options.distance_mm,
+        flash_strength=capture.exposure,
+        intrinsics=capture.intrinsics.tolist(),
+        poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
+        pictures=pairs,
+    )
+
+
+def _check_integers(bits: int | None) -> None:
+    if bits is None:
+        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
+
+
+def _name(number: int) -> str:
+    return f"place_{number:02d}"
+
+
+def _mask(number: int) -> str:
+    return f"skin_{number:02d}.png"
+
+
+def _white_where(mask: BoolArray) -> NDArray[np.uint8]:
+    return np.repeat(np.where(mask, 255, 0).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def _write_mesh(path: Path, vertices: FloatArray, faces: IntArray) -> None:
+    import trimesh
+
+    trimesh.Trimesh(vertices, faces, process=False).export(path)

@@ -1,0 +1,291 @@
+"""From photographs in any light to reflectance and light, and their files."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan2albedo.core import Budget, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance import (
+    FaceFit,
+    GeometryFit,
+    ImageFit,
+    ImageObservation,
+    LightingModel,
+    MeshReflectance,
+    MorphableShapeModel,
+    PhotographFiles,
+    PhotographOptions,
+    fit_face,
+    fit_image,
+    observe_photograph,
+    refine_geometry,
+    write_reflectance,
+)
+from scan2albedo.reflectance.picture_samples import linear_values, picture_values
+from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
+from scan2albedo.runs.reflectance.capture_run import gamma_note, write_colored_mesh
+from scan2albedo.runs.reflectance.model_run import SHAPE_FILE, ModelFolder
+from scan2albedo.runs.reflectance.output import folder_of_results
+
+
+@dataclass(frozen=True)
+class FittedPhotograph:
+    """A photograph, its face's vertices (V, 3) in mm in the camera's frame, and the fits."""
+
+    photograph: PhotographFiles
+    vertices: FloatArray
+    faces: IntArray
+    observation: ImageObservation
+    face: FaceFit
+    geometry: GeometryFit | None
+    """Where landmarks gave the shape."""
+    trace: Trace
+    """Of all fits, one after the other; each begins at 0 seconds."""
+
+    @property
+    def fit(self) -> ImageFit:
+        """Light and coefficients."""
+        return self.face.fit
+
+    def notes(self) -> tuple[str, ...]:
+        """Return the caveats of the figures."""
+        parts = {"shape": self.geometry, "reflectance and light": self.fit}
+        notes = [*notes_of_file(self.photograph)]
+        notes += [
+            f"the fit of {name} stopped before it had converged"
+            for name, part in parts.items()
+            if part is not None and not part.converged
+        ]
+        if self.face.badly_explained:
+            notes.append(
+                "light and model explain the photograph badly: relative RMSE "
+                f"{100 * self.fit.relative_rmse:.1f} %; the reflectance is that of the model's mean face, "
+                "scaled; do not trust the light, and check mesh, landmarks, gamma and mask"
+            )
+        elif not self.face.beats_mean:
+            notes.append(
+                "the reflectance is that of the model's mean face, scaled: nothing found in this photograph "
+                "predicts parts of it that were left out any better"
+            )
+        return tuple(notes)
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures for `reflectance.json`."""
+        face, fit, geometry = self.face, self.fit, self.geometry
+        figures: dict[str, Any] = {
+            "vertices": len(self.vertices),
+            "seen_vertices": int(np.asarray(self.observation.seen).sum()),
+            "beats_mean": face.beats_mean,
+            "badly_explained": face.badly_explained,
+            "details": face.details is not None,
+            "plan": [vars(step) for step in face.plan],
+            "relative_rmse": face.relative_rmse,
+            "objective": fit.objective,
+            "converged": fit.converged,
+            "iterations": fit.iterations,
+            "coefficients": fit.face.coefficients,
+            "light_coefficients": fit.light_coefficients,
+            "scale_rgb": fit.scale_rgb,
+            "light_harmonics": fit.light,
+        }
+        if geometry is not None:
+            figures["geometry"] = {
+                "scene_from_model": geometry.scene_from_model,
+                "identity": geometry.identity,
+                "expression": geometry.expression,
+                "landmark_rmse_px": geometry.landmark_rmse_px,
+                "photometric_rmse_before": geometry.photometric_rmse_before,
+                "photometric_rmse_after": geometry.photometric_rmse_after,
+                "converged": geometry.converged,
+            }
+        return figures
+
+
+def fit_photograph(
+    photograph: PhotographFiles,
+    models: ModelFolder,
+    *,
+    lighting: LightingModel | None = None,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> FittedPhotograph:
+    """Fit reflectance and light to a photograph and, where it has no mesh, the shape.
+
+    The shape is found from the landmarks, reflectance and light with that shape, the shape again from
+    landmarks and colours. `fit_face` comes last; each of these fits gets the whole budget.
+    Raises `ReflectanceError` when mesh and model have other vertices, there is no shape model for landmarks,
+    or nothing is seen.
+    """
+    lighting = LightingModel.default() if lighting is None else lighting
+    faces = models.mean.faces
+    with named_in_errors(photograph):
+        vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
+        observation = observe(photograph, vertices, faces)
+        with _unconverged_allowed():
+            face = fit_face(
+                observation,
+                models.model,
+                vertices,
+                faces,
+                lighting,
+                budget=budget,
+                on_progress=on_progress,
+            )
+    return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
+
+
+def shaped_vertices(
+    photograph: PhotographFiles,
+    models: ModelFolder,
+    lighting: LightingModel,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> tuple[FloatArray, GeometryFit | None, Trace]:
+    """Return the vertices (V, 3) of a photograph's mesh, or those that its landmarks and colours give."""
+    if photograph.vertices is not None:
+        return _checked_vertices(photograph, models), None, Trace()
+    shape = _shape_model(photograph, models)
+    first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
+    with _unconverged_allowed():
+        seen = observe(photograph, first.vertices, models.mean.faces)
+        skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
+    refined = _geometry(
+        photograph,
+        shape,
+        budget=budget,
+        on_progress=on_progress,
+        reflectance=skin.face.reflectance,
+        light=skin.light,
+        initial_scene_from_model=first.scene_from_model,
+        initial_identity=first.identity,
+        initial_expression=first.expression,
+    )
+    return refined.vertices, refined, first.trace + skin.trace + refined.trace
+
+
+@contextmanager
+def named_in_errors(photograph: PhotographFiles) -> Iterator[None]:
+    """Name the photograph in errors."""
+    try:
+        yield
+    except ReflectanceError as error:
+        raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
+
+
+@contextmanager
+def _unconverged_allowed() -> Iterator[None]:
+    """Leave out the warning of a fit that stopped early, which `FittedPhotograph.notes` tells."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
+        yield
+
+
+def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) -> ImageObservation:
+    """Look up vertices (V, 3) in a photograph."""
+    content = photograph.content
+    options = PhotographOptions(gamma=content.gamma, saturation=content.saturation)
+    return observe_photograph(
+        photograph.image, photograph.camera, vertices, faces, mask=photograph.mask, options=options
+    )
+
+
+def write_fitted_photograph(
+    done: FittedPhotograph, models: ModelFolder, out: Path, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
+    figures = done.metrics()
+    seen = np.asarray(done.observation.seen)
+    mesh = MeshReflectance(done.vertices, done.faces, done.face.reflectance, seen=seen)
+    upright = MeshReflectance(models.mean.vertices, done.faces, done.face.reflectance)
+    inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
+    with folder_of_results(out, "fit-image", inputs) as results:
+        write_reflectance(results.folder / "reflectance.npz", mesh)
+        write_colored_mesh(results.folder / "face.ply", mesh)
+        done.trace.to_csv(results.folder / "trace.csv")
+        results.figure("error_vs_time.png", done.trace.plot())
+        linear = _linear(done.photograph)
+        made, shown = draw_in_camera(
+            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, done.face.radiance_linear
+        )
+        valid = np.isfinite(linear)
+        panels = relit_panels("face", np.nan_to_num(linear), made, shown, valid)
+        title = (
+            f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
+        )
+        title += f"\n{told_by(done.face)}"
+        results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
+        results.write_record(figures, options=options, notes=done.notes())
+    return figures
+
+
+def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
+    """Return the caveats of what a photograph file does not say."""
+    if photograph.gamma_given:
+        return ()
+    return (gamma_note(photograph.path, photograph.content.gamma),)
+
+
+def told_by(face: FaceFit) -> str:
+    """Return in words what of a face's reflectance the photograph decides."""
+    if face.badly_explained:
+        return "the model's mean face: light and model explain the photograph badly"
+    if not face.beats_mean:
+        return "the model's mean face: nothing found predicts parts left out any better"
+    found = [one.step for one in face.evidence if one.accepted]
+    names = {"person": "the person's coefficients", "details": "details"}
+    return f"{' and '.join(names[step] for step in found)} predict parts left out better than the mean face"
+
+
+def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> FloatArray:
+    assert photograph.vertices is not None
+    if len(photograph.vertices) != len(models.mean.vertices):
+        raise ReflectanceError(
+            f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and "
+            f"{models} {len(models.mean.vertices)}; give a mesh in the model's topology"
+        )
+    faces = photograph.faces
+    if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
+        raise ReflectanceError(
+            f"its mesh {photograph.content.mesh} has other triangles than {models}, so "
+            "that vertices do not correspond; give a mesh in the model's topology"
+        )
+    return photograph.vertices
+
+
+def _shape_model(photograph: PhotographFiles, models: ModelFolder) -> MorphableShapeModel:
+    if models.shape is None:
+        raise ReflectanceError(
+            f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
+            "the model with --landmark-vertices"
+        )
+    return models.shape
+
+
+def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
+    assert photograph.landmarks_px is not None
+    with _unconverged_allowed():
+        return refine_geometry(
+            _linear(photograph),
+            photograph.camera,
+            photograph.landmarks_px,
+            shape,
+            mask=photograph.mask,
+            **options,
+        )
+
+
+def _linear(photograph: PhotographFiles) -> FloatArray:
+    """Return light (H, W, 3), NaN where it is clipped."""
+    content = photograph.content
+    values = picture_values(photograph.image, str(photograph.path.parent / content.image), content.saturation)
+    return np.where(values < content.saturation, linear_values(values, content.gamma), np.nan)

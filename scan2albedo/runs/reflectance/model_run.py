@@ -1,0 +1,285 @@
+"""Morphable models of reflectance learned from files, samples of them, and their files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import IntArray
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.reflectance import (
+    MeshReflectance,
+    MorphableReflectanceModel,
+    MorphableShapeModel,
+    VertexReflectance,
+    read_reflectance,
+    write_reflectance,
+)
+from scan2albedo.reflectance.reflectance_files import RESULT_FILE
+from scan2albedo.reflectance.sample_statistics import reliability
+from scan2albedo.reflectance.shape_model import LANDMARKS
+from scan2albedo.report.overview import Panel, overview_figure
+from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
+from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.runs.reflectance.output import folder_of_results
+
+MODEL_FILE, MEAN_FILE = "reflectance_model.npz", "mean.npz"
+SHAPE_FILE = "shape_model.npz"
+_RESULT_FILE = "result.json"
+SYNTHETIC_PEOPLE = 200
+"""Of the model that stands in when none is given."""
+_LEAST_SYNTHETIC, _LEVELS = 2, 1
+_SHOWN_DIRECTIONS = 4
+_SPREAD = 2.0
+"""Standard deviations that directions are shown at."""
+_SIZE = 300
+
+
+@dataclass(frozen=True)
+class BuiltModel:
+    """A model, the mean of its samples' meshes with its mean reflectance, and where the samples came from."""
+
+    model: MorphableReflectanceModel
+    mean: MeshReflectance
+    sources: tuple[Path, ...]
+    shape: MorphableShapeModel | None
+    """Of the samples' meshes, where it is known which vertices are landmarks."""
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures for `reflectance.json`."""
+        model = self.model
+        return {
+            "samples": model.samples,
+            "vertices": len(model.known),
+            "known_vertices": int(model.known.sum()),
+            "components": model.components,
+            "explained": model.explained,
+            "deviation": model.deviation,
+        }
+
+
+def read_sample(path: Path) -> MeshReflectance:
+    """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan.
+
+    Raises `ReflectanceError` or `ApplicationError` when it is none of them, or damaged.
+    """
+    if (path / RESULT_FILE).is_file():
+        return read_reflectance(path)
+    if path.is_dir() and (path / _RESULT_FILE).is_file():
+        from scan2albedo.applications import reflectance_of_processed
+
+        face = reflectance_of_processed(path)
+        return MeshReflectance(face.vertices, face.faces, face.reflectance)
+    if path.is_dir():
+        raise ReflectanceError(
+            f"{path} holds neither {RESULT_FILE} nor {_RESULT_FILE}: give the folder of a fit or of a "
+            "processed scan, or a reflectance's .npz file"
+        )
+    return read_reflectance(path)
+
+
+def build_model(
+    sources: Sequence[Path],
+    *,
+    components: int | None = None,
+    least_support: float = 0.5,
+    landmark_vertices: Path | None = None,
+) -> BuiltModel:
+    """Learn a model from files or folders, see `read_sample` and `MorphableReflectanceModel.from_samples`.
+
+    Vertices count by how well their fit knows them. Meshes are aligned rigidly to the first before their mean
+    is taken. With `landmark_vertices`, a JSON file
+    with the 68 landmarks' vertex numbers in iBUG-68 order, a shape model is learned, too. Raises
+    `ReflectanceError` when a file is unusable or meshes differ, `ValueError` for options out of range.
+    """
+    samples = [read_sample(path) for path in sources]
+    for path, sample in zip(sources, samples, strict=True):
+        if not np.array_equal(sample.faces, samples[0].faces) or len(sample.vertices) != len(
+            samples[0].vertices
+        ):
+            raise ReflectanceError(
+                f"{path} has other triangles than {sources[0]}; a model needs one topology: fit captures of "
+                "meshes that correspond, or process scans with one model"
+            )
+    model = MorphableReflectanceModel.from_samples(
+        [sample.reflectance for sample in samples],
+        components=components,
+        least_support=least_support,
+        weights=[reliability(sample.reflectance, sample.std) for sample in samples],
+    )
+    first = samples[0].vertices
+    shapes = np.stack([transform_points(procrustes(one.vertices, first), one.vertices) for one in samples])
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    shape = None
+    if landmark_vertices is not None:
+        shape = MorphableShapeModel.from_samples(
+            shapes, None, samples[0].faces, _read_landmark_vertices(landmark_vertices, len(first))
+        )
+    return BuiltModel(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), tuple(sources), shape)
+
+
+def synthetic_model(count: int, *, seed: int = 0, components: int | None = None) -> BuiltModel:
+    """Learn a model of reflectance and shape from `count` people of the synthetic population.
+
+    Their albedo is taken from the generator, without photographs. The number of directions is that which
+    predicts people left out best (`held_out_components`) when `components` is None. Takes 0.1 s of CPU a
+    person. Raises `ReflectanceError` for fewer than two people, or than 10 without `components`.
+    """
+    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.reflectance.model_choice import held_out_components
+    from scan2albedo.synthetic import population_reflectance
+    from scan2albedo.synthetic.face_shape import expression_offsets
+
+    if count < _LEAST_SYNTHETIC:
+        raise ReflectanceError(f"{count} people make no model; give {_LEAST_SYNTHETIC} or more")
+    template = AnnotatedFaceModel.default()
+    people = [population_reflectance(k, seed=seed, levels=_LEVELS, model=template) for k in range(count)]
+    known = np.ones(len(people[0].vertices), bool)
+    samples = [VertexReflectance(one.diffuse_linear, one.weights, known) for one in people]
+    rest, faces = template.surface(_LEVELS)
+    if components is None:
+        components = held_out_components(samples, rest)
+    model = MorphableReflectanceModel.from_samples(samples, components=components)
+    shapes = np.stack([transform_points(procrustes(one.vertices, rest), one.vertices) for one in people])
+    assert template.landmarks is not None
+    nearest = np.linalg.norm(rest - template.landmarks[:, None], axis=2).argmin(1)
+    offsets = expression_offsets(template, np.random.default_rng([seed, 14]), levels=_LEVELS)
+    shape = MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    return BuiltModel(model, MeshReflectance(shapes.mean(0), faces, mean), (), shape)
+
+
+def _read_landmark_vertices(path: Path, count: int) -> IntArray:
+    try:
+        numbers = np.asarray(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise ReflectanceError(
+            f"landmark vertices {path} cannot be read ({error}); give a JSON list"
+        ) from error
+    if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise ReflectanceError(f"landmark vertices {path}: expected a list of {LANDMARKS} integers")
+    if len(np.unique(numbers)) < len(numbers):
+        raise ReflectanceError(
+            f"landmark vertices {path}: two landmarks have one vertex; give 68 different ones"
+        )
+    if numbers.min() < 0 or numbers.max() >= count:
+        raise ReflectanceError(
+            f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} "
+            "vertices"
+        )
+    return numbers.astype(np.int64)
+
+
+def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
+    figures = built.metrics()
+    with folder_of_results(out, "build", built.sources) as results:
+        built.model.save(results.folder / MODEL_FILE)
+        write_reflectance(results.folder / MEAN_FILE, built.mean)
+        if built.shape is not None:
+            built.shape.save(results.folder / SHAPE_FILE)
+        results.figure("model.png", overview_figure(_title(built.model), model_panels(built), 5))
+        results.write_record(figures, options=options)
+    return figures
+
+
+@dataclass(frozen=True)
+class ModelFolder:
+    """A model, its mean on the mean mesh, and the shapes' model if there is one."""
+
+    folder: Path | None
+    """None where the model was learned in this process."""
+    model: MorphableReflectanceModel
+    mean: MeshReflectance
+    shape: MorphableShapeModel | None
+
+    @classmethod
+    def of_synthetic_people(cls, count: int = SYNTHETIC_PEOPLE) -> ModelFolder:
+        """Learn the model that stands in when none is given, see `synthetic_model`."""
+        built = synthetic_model(count)
+        return cls(None, built.model, built.mean, built.shape)
+
+    def __str__(self) -> str:
+        return "the model of synthetic people" if self.folder is None else f"the model in {self.folder}"
+
+
+def read_model_folder(path: Path) -> ModelFolder:
+    """Read the folder that `build` or `finetune` wrote.
+
+    Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
+    """
+    if not path.is_dir():
+        raise ReflectanceError(f"{path} is no folder; give the one that `reflectance build` wrote")
+    model, mean = MorphableReflectanceModel.load(path / MODEL_FILE), read_reflectance(path / MEAN_FILE)
+    if len(mean.vertices) != len(model.known):
+        raise ReflectanceError(
+            f"{path}: {MODEL_FILE} has {len(model.known)} vertices and {MEAN_FILE} {len(mean.vertices)}; "
+            "build the model again"
+        )
+    shape = MorphableShapeModel.load(path / SHAPE_FILE) if (path / SHAPE_FILE).exists() else None
+    if shape is not None and len(shape.mean) != len(model.known):
+        raise ReflectanceError(
+            f"{path}: {SHAPE_FILE} has {len(shape.mean)} vertices and {MODEL_FILE} {len(model.known)}; build "
+            "the model again"
+        )
+    return ModelFolder(path, model, mean, shape)
+
+
+def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
+    """Write reflectances drawn from the model in a folder, each a file, and a sheet; return the figures."""
+    models = read_model_folder(folder)
+    model, mean = models.model, models.mean
+    drawn = [model.sample(np.random.default_rng([seed, number]), scale=scale) for number in range(count)]
+    figures = {
+        "samples": count,
+        "coefficients": [one.coefficients for one in drawn],
+        "clipped_share": [one.clipped_share for one in drawn],
+    }
+    with folder_of_results(out, "sample", (folder,)) as results:
+        white = albedo_white(mean.reflectance.diffuse_linear)
+        panels = []
+        for number, one in enumerate(drawn):
+            mesh = MeshReflectance(mean.vertices, mean.faces, one.reflectance)
+            write_reflectance(results.folder / f"sample_{number:03d}.npz", mesh)
+            panels.append(Panel(f"sample {number}", _face(mesh, white)))
+        results.figure("samples.png", overview_figure(f"{count} samples of {folder.name}", panels, 6))
+        results.write_record(figures, options={"count": count, "seed": seed, "scale": scale})
+    return figures
+
+
+def model_panels(built: BuiltModel) -> list[Panel]:
+    """Return panels of the mean, and of the first directions two deviations to each side."""
+    model, mean = built.model, built.mean
+    white = albedo_white(mean.reflectance.diffuse_linear)
+    panels = [Panel("mean", _face(mean, white))]
+    for number in range(min(_SHOWN_DIRECTIONS, model.components)):
+        for side in (-_SPREAD, _SPREAD):
+            coefficients = np.zeros(model.components)
+            coefficients[number] = side
+            changed = model.reconstruct(coefficients).reflectance
+            name = f"direction {number + 1}, {side:+.0f} deviations"
+            panels.append(Panel(name, _face(MeshReflectance(mean.vertices, mean.faces, changed), white)))
+    return panels
+
+
+def _face(mesh: MeshReflectance, white: float) -> NDArray[np.uint8]:
+    colors = albedo_colors(mesh.reflectance.diffuse_linear, white=white)
+    view = View.around(mesh.vertices)
+    return render_mesh(
+        mesh.vertices, mesh.faces, vertex_color_srgb=colors, view=view, size=_SIZE, shaded=False
+    )
+
+
+def _title(model: MorphableReflectanceModel) -> str:
+    text = f"{model.samples} samples, {model.components} directions"
+    if model.components == 0:
+        return text
+    first = min(_SHOWN_DIRECTIONS, model.components)
+    return f"{text}; the first {first} hold {100 * model.explained[:first].sum():.0f} % of the variance"

@@ -1,0 +1,10 @@
+"""Sampling a surface and its texture into a geometry image.
+
+`scan2albedo.geometry_image` is the function; import modules of this folder by their full names.
+"""
+
+from scan2albedo.sampling.fitted_face import geometry_image
+from scan2albedo.sampling.model_free import geometry_image_of_scan
+from scan2albedo.sampling.texture_lookup import LookupOptions
+
+__all__ = ["LookupOptions", "geometry_image", "geometry_image_of_scan"]

@@ -1,0 +1,213 @@
+"""The geometry image of a fitted face: the model's chart rasterised, the scan's texture looked up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arguments import described, require_type
+from scan2albedo.core.geometry_image import GeometryImage, check_size
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize_uv
+from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.sampling.skin import skin_weight
+from scan2albedo.sampling.texture_lookup import (
+    ChartTexture,
+    LookupOptions,
+    texel_steps,
+    texture_on_chart,
+)
+
+if TYPE_CHECKING:
+    from scan2albedo.face_model import AnnotatedFaceModel
+
+SOFTENING = 1 / 50
+"""Standard deviation of the blur of annotated values, as a fraction of the image's size."""
+
+_CHART_TOLERANCE = 1e-6
+
+
+class Fitted(Protocol):
+    """The parts of a fitted face that sampling needs (`scan2albedo.fitting.FittedFace`)."""
+
+    @property
+    def vertices(self) -> NDArray[np.float64]:
+        """(V, 3) mm, model frame."""
+
+    @property
+    def faces(self) -> NDArray[np.int64]:
+        """(F, 3)."""
+
+    @property
+    def uv(self) -> NDArray[np.float64]:
+        """(V, 2) chart coordinates."""
+
+    @property
+    def residual_mm(self) -> NDArray[np.float64]:
+        """(V,) distance to the scan; NaN where there is none near."""
+
+    @property
+    def region(self) -> NDArray[np.uint8]:
+        """(F,) region index."""
+
+    @property
+    def model_from_scan(self) -> NDArray[np.float64]:
+        """(4, 4)."""
+
+    @property
+    def model(self) -> AnnotatedFaceModel:
+        """The model that was fitted."""
+
+
+def geometry_image(
+    fitted: Fitted, scan: RawScan | None, size: int = 512, *, options: LookupOptions = LookupOptions()
+) -> GeometryImage:
+    """Sample a fitted face on a regular grid over its chart.
+
+    Position and normal come from the fitted limit surface, the texture from the closest point of the
+    raw scan, low-pass filtered over each texel's footprint in the photograph. `skin` comes from the
+    annotation, the texture and the fit's residual (`geometry_image.skin`).
+
+    Parameters
+    ----------
+    fitted : FittedFace
+        Vertices and chart in the model's frame, mm.
+    scan : RawScan or None
+        The raw scan in its own frame; None gives geometry without texture.
+    size : int
+        Height and width in texels, at least 8.
+    options : LookupOptions
+        How the photograph is filtered.
+
+    Returns
+    -------
+    GeometryImage
+        In the model's frame; `texture_linear` and `texture_valid` are None when the scan has no colour.
+
+    Raises
+    ------
+    GeometryImageError
+        When `size` is below 8, the fitted face holds NaN, or its chart covers no texel or leaves the unit
+        square.
+    TypeError
+        For other objects than a fitted face and a scan.
+
+    Notes
+    -----
+    O(size^2 log F) for F scan faces: one closest-point query a texel.
+
+    References
+    ----------
+    .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
+    """
+    if not (hasattr(fitted, "vertices") and hasattr(fitted, "model_from_scan")):
+        raise TypeError(
+            f"geometry_image: fitted is {described(fitted)}, expected a FittedFace; fit(scan, model, pose) "
+            "returns one"
+        )
+    require_type(scan, (RawScan, type(None)), "geometry_image: scan", "load_scan(path) returns one")
+    check_size(size)
+    _check_fitted(fitted)
+    scan = None if scan is None else without_covers(fitted, scan)
+    raster = rasterize_uv(fitted.uv, fitted.faces, size)
+    if not raster.covered.any():
+        raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
+    position = interpolate(raster, fitted.faces, fitted.vertices)
+    normal = normalized(interpolate(raster, fitted.faces, vertex_normals(fitted.vertices, fitted.faces)))
+    texture = _texture(fitted, scan, raster, position, normal, options)
+    cameras = texture.camera_positions
+    region = np.full(raster.face.shape, 255, np.uint8)
+    region[raster.covered] = fitted.region[raster.face[raster.covered]]
+    return GeometryImage(
+        position=position,
+        normal=normal,
+        mask=raster.covered,
+        texture_linear=texture.linear,
+        region=region,
+        occluder=_occluder(fitted),
+        texture_valid=texture.seen,
+        specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
+        inpaint=_annotation(fitted, region, "inpaint") > 0,
+        skin=skin_weight(
+            position,
+            normal,
+            raster.covered if texture.seen is None else texture.seen,
+            texture.linear,
+            prior=_annotation(fitted, region, "skin_share"),
+            anchor=_annotation(fitted, region, "shows_skin") > 0,
+            residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
+        ),
+        camera=texture.camera,
+        camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
+    )
+
+
+def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
+    """Return the scan without the faces that the fit left out, whose colours are not the face's."""
+    covered = getattr(fitted, "covered_faces", None)
+    if covered is None or len(covered) != len(scan.faces):
+        return scan
+    return scan.without_faces(covered)
+
+
+def _check_fitted(fitted: Fitted) -> None:
+    for name, values in (("vertices", fitted.vertices), ("uv", fitted.uv)):
+        bad = int((~np.isfinite(values)).any(1).sum())
+        if bad:
+            raise GeometryImageError(
+                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
+                "and check the model"
+            )
+    outside = int((np.abs(fitted.uv - 0.5) > 0.5 + _CHART_TOLERANCE).any(1).sum())
+    if outside:
+        raise GeometryImageError(
+            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
+            "would be cut off; scale its uv into [0, 1]"
+        )
+
+
+def _texture(
+    fitted: Fitted,
+    scan: RawScan | None,
+    raster: Raster,
+    position: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    options: LookupOptions,
+) -> ChartTexture:
+    inside = raster.covered
+    scan_from_model = invert_rigid(fitted.model_from_scan)
+    steps = texel_steps(fitted.vertices, fitted.uv, fitted.faces, raster.face.shape)[raster.face[inside]]
+    return texture_on_chart(
+        scan,
+        inside,
+        transform_points(scan_from_model, position[inside]),
+        transform_directions(scan_from_model, normal[inside]),
+        np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+        options,
+    )
+
+
+def _occluder(fitted: Fitted) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The fitted surface without collapsed triangles, which embree would ignore anyway."""
+    return fitted.vertices, fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
+
+
+def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
+    return fitted.model.region_values(attribute)[region].astype(np.float32)
+
+
+def _softened(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Blur over about a region border's width, inside the mask only.
+
+    Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
+    """
+    import cv2
+
+    sigma = SOFTENING * mask.shape[0]
+    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma)
+    blurred = cv2.GaussianBlur(np.where(mask, values, np.float32(0)), (0, 0), sigma)
+    return np.where(mask, blurred / np.maximum(weight, 1e-6), np.float32(0))

@@ -1,0 +1,145 @@
+"""Geometry images of any scanned object, without a face model: xatlas charts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arguments import require_type
+from scan2albedo.core.geometry_image import GeometryImage, check_size
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.geometry.mesh import (
+    face_areas,
+    normalized,
+    turned_against_neighbours,
+    vertex_normals,
+)
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
+
+_PADDING = 2
+"""Texels between charts."""
+_CHARTED_SIZE = 200.0
+
+
+@dataclass(frozen=True)
+class ModelFreeOptions:
+    """Settings of `geometry_image_of_scan`."""
+
+    max_faces: int = 15_000
+    """Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
+
+
+def geometry_image_of_scan(
+    scan: RawScan, size: int = 512, *, options: ModelFreeOptions = ModelFreeOptions()
+) -> GeometryImage:
+    """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
+
+    Parameters
+    ----------
+    scan : RawScan
+        Any object; its own frame, mm.
+    size : int
+        Height and width in texels, at least 8.
+    options : ModelFreeOptions
+        Simplification.
+
+    Returns
+    -------
+    GeometryImage
+        In the scan's frame with its centroid moved to the origin; no regions.
+
+    Raises
+    ------
+    GeometryImageError
+        When `size` is below 8, or no chart can be made (for example, only zero-area faces).
+    """
+    require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
+    check_size(size)
+    vertices, faces = _chartable(scan, options.max_faces)
+    chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size)
+    position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
+    raster = rasterize_uv(uv, chart_faces, size)
+    if not raster.covered.any():
+        raise GeometryImageError(
+            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, "
+            "and remove vertices that lie far from the rest, which shrink it"
+        )
+    inside = raster.covered
+    position = interpolate(raster, chart_faces, position_of)
+    normal = normalized(interpolate(raster, chart_faces, normal_of))
+    steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
+    texture = texture_on_chart(scan, inside, position[inside], normal[inside], steps)
+    center = vertices.mean(0)
+    position[inside] -= center
+    return GeometryImage(
+        position,
+        normal,
+        inside,
+        texture_linear=texture.linear,
+        occluder=(vertices - center, faces),
+        texture_valid=texture.seen,
+        camera=texture.camera,
+        camera_positions=None if texture.camera_positions is None else texture.camera_positions - center,
+    )
+
+
+def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Welded, each face once and with area, wound alike; about `max_faces` where faces hang together."""
+    vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[scan.faces]
+    faces = faces[face_areas(vertices, faces) > 0]
+    if len(faces) == 0:
+        raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    faces = faces[np.sort(first)]
+    faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
+    if len(faces) > max_faces:
+        vertices, faces = _simplified(vertices, faces, max_faces, scan.name)
+    return vertices, faces
+
+
+def _simplified(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_faces: int, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Collapse edges down to `max_faces`.
+
+    qslim returns nothing for a mesh that is not manifold, as where parts of a scan meet in one vertex beside
+    a scanner's holes, so such vertices are split first.
+    """
+    import igl
+
+    split, source = igl.split_nonmanifold(faces)[:2]
+    fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), max_faces, False)
+    if len(index) == 0:
+        raise GeometryImageError(
+            f"{name}: its {len(split)} faces cannot be simplified to the {max_faces} that charts are cut "
+            "from; give a mesh of fewer faces, or a larger ModelFreeOptions.max_faces"
+        )
+    return np.asarray(fewer, np.float64), np.asarray(index, np.int64)
+
+
+def _xatlas_charts(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return (mesh vertex of each chart vertex (N,), chart faces (F, 3), uv (N, 2) in the unit square).
+
+    xatlas computes in float32 with absolute tolerances, so it gets the mesh at the origin, of a head's size.
+    """
+    import xatlas
+
+    used = vertices[np.unique(faces)]
+    low, high = used.min(0), used.max(0)
+    placed = (vertices - (low + high) / 2) * (_CHARTED_SIZE / float(np.max(high - low)))
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.create_image = size, _PADDING, False
+    atlas.generate(xatlas.ChartOptions(), pack)
+    chart_vertex, chart_faces, uv = atlas[0]
+    # xatlas may need more than the resolution asked for; scale all charts into one square.
+    extent = np.array([atlas.width, atlas.height], float) / max(atlas.width, atlas.height, 1)
+    return chart_vertex.astype(np.int64), chart_faces.astype(np.int64), np.asarray(uv, float) * extent

@@ -1,0 +1,145 @@
+"""How surely each texel of a face is skin: from its region, its colour and grain, its relief and residual."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.sampling.skin_color import ColorEvidence, color_evidence, local_mean, odd_side
+
+SURE = 0.95
+"""Prior of skin where the annotation speaks of nothing else."""
+TEXEL_MM = 1.4
+"""Colours are compared at about this size: pores and a picture's noise are averaged there, hairs are not."""
+_FEWEST_TEXELS, _LEAST_PART, _STEPS = 64, 0.25, 32
+_TOLERATED_DEVIATIONS, _PER_DEVIATION = 2.0, 0.9
+_TOLERATED_GRAIN, _PER_GRAIN = 0.29, 13.0
+_TOLERATED_DARKNESS, _PER_DARKNESS = 0.1, 4.0
+_TOLERATED_RELIEF, _PER_RELIEF = 1.5, 2.0
+"""What skin itself shows, and the log odds against skin of what goes beyond, set on path-traced faces."""
+_SPOT, _SPOT_MM2 = 0.75, 80.0
+"""Islands below this weight, up to the size of a large mole and its rim, are moles."""
+_LIKELY = 0.9
+"""Prior below which islands are left: eyes and brows are no moles."""
+_CLOSE_MM, _FAR_MM = 1.0, 3.0
+"""Residuals of a good fit, and of hair or glasses over it."""
+_RELIEF_MM, _SMOOTH_MM = 12.0, 0.05
+"""Side of the squares over which relief is averaged, and the residual of skin without noise."""
+
+Coarse = NDArray[np.float32]
+
+
+def skin_weight(
+    position: FloatArray,
+    normal: FloatArray,
+    seen: BoolArray,
+    texture_linear: NDArray[np.float32] | None = None,
+    *,
+    prior: NDArray[np.floating] | None = None,
+    anchor: BoolArray | None = None,
+    residual_mm: FloatArray | None = None,
+) -> NDArray[np.float32]:
+    """Return (H, W) how surely a texel is skin, 0 to 1; 0 where the surface was not seen.
+
+    Parameters
+    ----------
+    position, normal : (H, W, 3) float64
+        Millimetres; unit vectors.
+    seen : (H, W) bool
+        Texels of the surface with texture, or with scan near; the others are not read.
+    texture_linear : (H, W, 3) float32, optional
+        Linear colour, compared with that of the face's own skin; the other sources decide without it.
+    prior : (H, W) float, optional
+        How probably the region of a texel is skin; `SURE` everywhere when None.
+    anchor : (H, W) bool, optional
+        Texels that are skin on most faces (cheeks, nose, forehead): the skin's colour is learned there, from
+        all texels when None.
+    residual_mm : (H, W) float, optional
+        Distance of the fitted surface to the scan; NaN where there is no scan.
+
+    Notes
+    -----
+    Log odds of the region, less those of colour, grain, darkness and relief, at texels of `TEXEL_MM`.
+    Islands of the size of moles become skin. O(H W); 0.1 s at 512 x 512.
+    """
+    seen = seen if residual_mm is None else seen & np.isfinite(residual_mm)
+    if not seen.any():
+        return np.zeros(seen.shape, np.float32)
+    shape, texel_mm = _coarse_grid(position, seen)
+    part = _resized(seen.astype(np.float32), shape)
+    region = np.full(shape, SURE, np.float32) if prior is None else _mean(prior, seen, part)
+    likely = np.clip(region, 1 - SURE, SURE)
+    odds = np.log(likely / (1 - likely))
+    known = part > _LEAST_PART
+    trusted = known if anchor is None else known & (_resized(anchor.astype(np.float32), shape) > 0.5)
+    if np.count_nonzero(trusted) < _FEWEST_TEXELS:
+        trusted = known
+    if np.count_nonzero(known) >= _FEWEST_TEXELS:
+        if texture_linear is not None:
+            means = _mean(texture_linear, seen, part), _mean(normal, seen, part)
+            odds -= _log_odds_against(color_evidence(*means, known, trusted, texel_mm), 1 - likely / SURE)
+        if residual_mm is not None:
+            relief = _relief(_mean(np.minimum(residual_mm, _CLOSE_MM), seen, part), part, trusted, texel_mm)
+            odds -= _PER_RELIEF * np.maximum(relief - _TOLERATED_RELIEF, 0)
+    coarse = np.minimum(1 / (1 + np.exp(-odds)) / SURE, 1)
+    skin = _resized(_without_moles(coarse, likely, texel_mm), seen.shape)
+    if residual_mm is not None:
+        skin *= np.clip((_FAR_MM - residual_mm) / (_FAR_MM - _CLOSE_MM), 0, 1)
+    return np.where(seen, skin, np.float32(0)).astype(np.float32, copy=False)
+
+
+def _coarse_grid(position: FloatArray, seen: BoolArray) -> tuple[tuple[int, int], float]:
+    """Return the shape of the grid on which colours are compared, and the side of its texels in mm."""
+    every = max(1, len(seen) // _STEPS)
+    both = seen[::every, 1:] & seen[::every, :-1]
+    steps = (position[::every, 1:] - position[::every, :-1])[both]
+    side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
+    factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
+    height, width = (-(-texels // factor) for texels in seen.shape)
+    return (height, width), side * factor
+
+
+def _resized(field: NDArray[np.float32], shape: tuple[int, ...]) -> Coarse:
+    """Return the means of `field` (H, W) or (H, W, C) over the texels of a coarser grid, or between those."""
+    import cv2
+
+    smaller = shape[0] < field.shape[0]
+    way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(field, shape[1::-1], interpolation=way), np.float32)
+
+
+def _mean(field: NDArray[np.floating], seen: BoolArray, part: Coarse) -> Coarse:
+    """Return the means over the seen texels of each coarse one; 0 where there is none."""
+    known = np.where(seen if field.ndim == 2 else seen[..., None], field, 0).astype(np.float32)
+    weight = np.maximum(part, np.float32(1e-6))
+    weights = weight if field.ndim == 2 else weight[..., None]
+    return np.asarray(_resized(known, part.shape) / weights, np.float32)
+
+
+def _log_odds_against(evidence: ColorEvidence, doubt: Coarse) -> Coarse:
+    """Return what the texture says against skin; darkness counts as far as the region is in doubt.
+
+    Elsewhere dark skin lies in the shade.
+    """
+    against: Coarse = _PER_DEVIATION * np.maximum(evidence.chroma - _TOLERATED_DEVIATIONS, 0)
+    against += _PER_GRAIN * np.maximum(evidence.grain - _TOLERATED_GRAIN, 0)
+    against += doubt * _PER_DARKNESS * np.maximum(evidence.darkness - _TOLERATED_DARKNESS, 0)
+    return against
+
+
+def _relief(residual_mm: Coarse, part: Coarse, trusted: BoolArray, texel_mm: float) -> Coarse:
+    """Return how rough the scan is around, in parts of the face's own skin: the fitted surface is smooth."""
+    rough = local_mean(residual_mm, part, odd_side(_RELIEF_MM / texel_mm))
+    return rough / np.float32(max(float(np.median(rough[trusted])), _SMOOTH_MM))
+
+
+def _without_moles(skin: Coarse, likely: Coarse, texel_mm: float) -> Coarse:
+    """Return the weights with small islands made skin where the region is skin."""
+    import cv2
+
+    _, label, figures, _ = cv2.connectedComponentsWithStats((skin < _SPOT).astype(np.uint8), connectivity=8)
+    small = figures[:, cv2.CC_STAT_AREA] * texel_mm**2 <= _SPOT_MM2
+    small[0] = False
+    mole = cv2.dilate(small[label].astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return np.where(mole & (likely > _LIKELY), np.float32(1), skin).astype(np.float32)

@@ -1,0 +1,237 @@
+"""Colour of a raw scan at given surface points, and whether each was well seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.geometry_image import NO_CAMERA
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.closest_points import ClosestHits
+from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
+from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.io.texture_atlas import in_first_period
+from scan2albedo.sampling.cameras import texture_cameras
+
+MAX_DISTANCE_MM = 4.0
+"""Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
+MIN_NORMAL_COSINE = 0.5
+"""The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
+MIN_DENSITY = 0.1
+"""Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
+CROP_MARGIN = 0.1
+"""Faces are searched in the queried points' box, enlarged by this part of its size."""
+FEWEST_TAPS, MOST_TAPS = 3, 64
+TAPS_PERCENTILE = 95
+"""This part of the texels gets a sample for every pixel of its footprint."""
+SIDEWAYS_MM = 0.5
+"""A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
+
+
+@dataclass(frozen=True)
+class LookupOptions:
+    """How the photograph is filtered."""
+
+    taps: int | None = None
+    """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
+
+
+@dataclass(frozen=True)
+class ChartTexture:
+    """What the scan shows of each texel, None for scans without colour.
+
+    Linear colour (H, W, 3), whether it was well `seen` (H, W) and, for textures of photographs, the number of
+    the `camera` (H, W) and `camera_positions` (K, 3), mm in the scan's frame.
+    """
+
+    linear: NDArray[np.float32] | None = None
+    seen: BoolArray | None = None
+    camera: NDArray[np.uint8] | None = None
+    camera_positions: FloatArray | None = None
+
+
+def texture_on_chart(
+    scan: RawScan | None,
+    inside: BoolArray,
+    points: FloatArray,
+    normals: FloatArray,
+    steps: FloatArray,
+    options: LookupOptions = LookupOptions(),
+) -> ChartTexture:
+    """Return the texture on a chart.
+
+    `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W).
+    """
+    if scan is None or not scan.has_color:
+        return ChartTexture()
+    linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
+    found = TextureLookup(scan, options).sample(points, normals, steps)
+    linear[inside], seen[inside] = found.color_linear, found.seen
+    cameras = texture_cameras(scan)
+    if cameras is None:
+        return ChartTexture(linear, seen)
+    camera, number = np.full(inside.shape, NO_CAMERA, np.uint8), cameras.face_camera[found.face]
+    camera[inside] = np.where(number < 0, NO_CAMERA, number)
+    return ChartTexture(linear, seen, camera, cameras.positions)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Linear colour (N, 3) of surface points, whether it was well `seen` (N,), and the scan's `face` (N,)."""
+
+    color_linear: NDArray[np.float32]
+    seen: BoolArray
+    face: IntArray
+
+
+class TextureLookup:
+    """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
+
+    def __init__(self, scan: RawScan, options: LookupOptions = LookupOptions()) -> None:
+        self._scan, self._options = scan, options
+
+    def _near(self, points: FloatArray) -> IntArray:
+        """Return the faces near `points`, all when none is: indexing the whole scan would cost most."""
+        vertices, faces = self._scan.vertices, self._scan.faces
+        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
+        inside = np.all((vertices >= points.min(0) - margin) & (vertices <= points.max(0) + margin), axis=1)
+        near = np.flatnonzero(inside[faces].any(1))
+        return near if len(near) else np.arange(len(faces))
+
+    def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
+        """Return what the scan shows of points.
+
+        `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
+        on the surface of one texel to the right and one down: the footprint that the photograph is averaged
+        over.
+        """
+        scan, near = self._scan, self._near(points)
+        hits = surface_query(scan.vertices, scan.faces[near]).query(points)
+        face = near[hits.face]
+        valid = hits.distance <= MAX_DISTANCE_MM
+        facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
+        valid &= np.einsum("ij,ij->i", normals, facing) >= MIN_NORMAL_COSINE
+        on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
+        valid &= ~_past_boundary(on_edge, hits.barycentric, points - hits.points, normals)
+        if scan.uv is not None and scan.texture_linear is not None:
+            color, inside = self._photograph(near, hits, steps)
+            valid &= self._dense_enough()[face] & inside
+        else:
+            assert scan.vertex_color_linear is not None
+            corners = scan.vertex_color_linear[scan.faces[face]]
+            color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
+        return Samples(color, valid, face)
+
+    def _dense_enough(self) -> BoolArray:
+        """(F,) whether a face has enough photograph pixels for its area."""
+        assert self._scan.uv is not None
+        uv = self._scan.uv
+        e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        area = face_areas(self._scan.vertices, self._scan.faces)
+        density = texture_area / np.maximum(area, 1e-12)
+        used = density[texture_area > 0]
+        return density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
+
+    def _photograph(
+        self, near: IntArray, hits: ClosestHits, steps: FloatArray
+    ) -> tuple[NDArray[np.float32], BoolArray]:
+        """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
+
+        Also return whether its centre is in the photograph: texture coordinates wrap around by whole periods
+        for a face, but not within one.
+        """
+        scan = self._scan
+        assert scan.uv is not None
+        assert scan.texture_linear is not None
+        height, width = scan.texture_linear.shape[:2]
+        to_pixels = np.array([width, -height])
+        uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
+        center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
+        inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
+        footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
+        taps = self._options.taps or _needed_taps(footprint)
+        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
+
+    def _uv_gradients(self, near: IntArray) -> FloatArray:
+        """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
+        scan = self._scan
+        assert scan.uv is not None
+        faces, uv = scan.faces[near], scan.uv[near]
+        corners = scan.vertices[faces]
+        cross = face_cross_products(scan.vertices, faces)
+        squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
+        gradient = np.zeros((len(faces), 2, 3))
+        for k in range(3):
+            opposite = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
+            hat = np.cross(cross, opposite) / squared[:, None]
+            gradient += uv[:, k, :, None] * hat[:, None, :]
+        return gradient
+
+
+def _past_boundary(
+    on_edge: BoolArray, barycentric: FloatArray, offset: FloatArray, normals: FloatArray
+) -> BoolArray:
+    """Points in a hole: their closest point is on the scan's edge, and they are sideways of it."""
+    at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
+    sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
+    return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)
+
+
+def _needed_taps(footprint: FloatArray) -> int:
+    """Return the samples a side that leave no pixel between them out, for footprints (N, 2, 2) in pixels."""
+    if len(footprint) == 0:
+        return FEWEST_TAPS
+    longest = float(np.percentile(np.linalg.norm(footprint, axis=1).max(1), TAPS_PERCENTILE))
+    return int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
+
+
+def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
+    """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
+    corners, chart = vertices[faces], uv[faces]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], 2)
+    chart_edges = np.stack([chart[:, 1] - chart[:, 0], chart[:, 2] - chart[:, 0]], 2)
+    determinant = np.linalg.det(chart_edges)
+    usable = np.abs(determinant) > 1e-15
+    inverse = np.zeros_like(chart_edges)
+    inverse[usable] = np.linalg.inv(chart_edges[usable])
+    height, width = shape
+    return edges @ inverse @ np.array([[1 / width, 0.0], [0.0, -1 / height]])
+
+
+@njit(cache=True, nogil=True)
+def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
+    """Return (N, C) float32 means of samples of a photograph (H, W, C) over each texel's footprint.
+
+    Samples are bilinear and evenly spread. `centre` (N, 2) is the middle of each footprint in pixels, (0, 0)
+    the middle of the first pixel; `footprint` (N, 2, 2) has its two sides, as columns; `taps` samples are
+    taken along each side. Beyond its border the photograph is continued by the border's pixels.
+    """
+    height, width, channels = photograph.shape
+    mean = np.empty((len(centre), channels), np.float32)
+    total = np.empty(channels)
+    for n in range(len(centre)):
+        total[:] = 0.0
+        for i in range(taps):
+            right = (i + 0.5) / taps - 0.5
+            for j in range(taps):
+                down = (j + 0.5) / taps - 0.5
+                x = centre[n, 0] + right * footprint[n, 0, 0] + down * footprint[n, 0, 1]
+                y = centre[n, 1] + right * footprint[n, 1, 0] + down * footprint[n, 1, 1]
+                # Written so that NaN, too, ends inside.
+                x = min(x, width - 1.0) if x > 0 else 0.0
+                y = min(y, height - 1.0) if y > 0 else 0.0
+                left, top = int(x), int(y)
+                u, v = x - left, y - top
+                beside, below = min(left + 1, width - 1), min(top + 1, height - 1)
+                for c in range(channels):
+                    upper = (1 - u) * photograph[top, left, c] + u * photograph[top, beside, c]
+                    lower = (1 - u) * photograph[below, left, c] + u * photograph[below, beside, c]
+                    total[c] += (1 - v) * upper + v * lower
+        for c in range(channels):
+            mean[n, c] = total[c] / (taps * taps)
+    return mean

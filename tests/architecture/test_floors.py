@@ -1,0 +1,59 @@
+"""The floors of pyproject.toml hold, no files import each other in a circle, the import is light."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import grimp
+from importlinter.cli import lint_imports
+
+import scan2albedo
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = ("open3d", "igl", "embreex", "matplotlib", "cv2", "trimesh", "numba", "xatlas", "scipy", "pyrtools")
+
+
+def circles(imports: dict[str, set[str]]) -> list[set[str]]:
+    """Return the largest sets of modules that import each other, directly or through one another."""
+    reached = {}
+    for module in imports:
+        seen, ahead = set(), [module]
+        while ahead:
+            new = imports[ahead.pop()] - seen
+            seen |= new
+            ahead += new
+        reached[module] = seen
+    found = {frozenset(m for m in reached[a] if a in reached[m]) for a in imports if a in reached[a]}
+    return [set(circle) for circle in found]
+
+
+def test_imports_keep_to_the_floors_of_pyproject(capsys):
+    status = lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True)
+    assert status == 0, capsys.readouterr().out
+
+
+def test_no_two_files_import_each_other_in_a_circle():
+    graph = grimp.build_graph("scan2albedo", cache_dir=None)
+    imports = {module: set(graph.find_modules_directly_imported_by(module)) for module in graph.modules}
+    assert circles(imports) == []
+
+
+def test_a_circle_is_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [{"b", "c"}]
+
+
+def test_import_loads_no_heavy_library():
+    code = f"import sys, scan2albedo; print([m for m in {HEAVY!r} if m in sys.modules])"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert loaded.stdout.strip() == "[]"
+
+
+def test_every_public_name_can_be_loaded():
+    for name in scan2albedo.__all__:
+        assert getattr(scan2albedo, name) is not None
+
+
+def test_geometry_image_stays_a_function_after_its_package_is_loaded():
+    import scan2albedo.sampling
+
+    assert callable(scan2albedo.geometry_image)

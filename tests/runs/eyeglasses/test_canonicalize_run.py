@@ -1,0 +1,315 @@
+"""Canonical eyeglasses from files and to files, and the command for it."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from scan2albedo.cli import glasses as glasses_cli
+from scan2albedo.cli.commands import app
+from scan2albedo.core import Budget
+from scan2albedo.errors import EyeglassesError, OutputError, ScanError
+from scan2albedo.eyeglasses import (
+    canonicalize,
+    read_canonical,
+    read_keypoints,
+    write_canonical,
+    write_keypoints,
+)
+from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
+from scan2albedo.io import load_scan
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.runs.eyeglasses import canonicalize_run as glasses_files
+from scan2albedo.runs.eyeglasses.canonicalize_run import canonicalize_frames
+from scan2albedo.runs.eyeglasses.input import keypoints_beside, read_frame
+from scan2albedo.synthetic import GlassesBend, eyeglasses
+
+pytestmark = pytest.mark.slow
+
+SCHEMAS = Path(__file__).resolve().parents[3] / "data_schemas"
+MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+FRAME_FILES = {"canonical.glb", "canonical.npz", "keypoints.json", "result.json"}
+SET_FILES = {"mean_keypoints.json", "trace.csv", "error_vs_time.png", "overview.png", "set.json"}
+
+
+def save(folder, name="frame", *, unit="mm", marks="mm", seed=0, bend=GlassesBend(), extra=None, keep=None):
+    """Write a posed frame and its key points; return the mesh's path and the frame."""
+    glasses, rng = eyeglasses(seed, bend=bend), np.random.default_rng(seed)
+    pose = compose(random_rotation(rng), rng.normal(0, 100, 3))
+    vertices, faces = transform_points(pose, glasses.vertices), glasses.faces
+    if extra is not None:
+        faces = np.concatenate([faces, extra.faces + len(vertices)])
+        vertices = np.concatenate([vertices, transform_points(pose, extra.vertices)])
+    path = folder / f"{name}.ply"
+    trimesh.Trimesh(vertices / MM[unit], faces, process=False).export(path)
+    points = transform_points(pose, glasses.keypoints) / MM[unit if marks == "unknown" else marks]
+    if keep is not None:
+        points[np.setdiff1d(np.arange(20), keep)] = np.nan
+    write_keypoints(folder / f"{name}.keypoints.json", points, unit=marks)
+    return path, glasses
+
+
+def run(monkeypatch, *arguments):
+    monkeypatch.setattr(glasses_cli, "stop_cleanly_on_interrupt", lambda out: None)  # the tests' own Ctrl-C
+    return CliRunner().invoke(app, ["glasses", "canonicalize", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """Two frames through the command, in different units, with one that cannot be read between them."""
+    folder = tmp_path_factory.mktemp("glasses")
+    first, a = save(folder, "first", unit="m", bend=GlassesBend(temple_spread_mm=8))
+    second, b = save(folder, "second", marks="unknown", unit="cm", bend=GlassesBend(temple_spread_mm=-8))
+    (folder / "broken.ply").write_bytes(b"ply\nnothing")
+    (folder / "broken.keypoints.json").write_bytes((folder / "first.keypoints.json").read_bytes())
+    with pytest.MonkeyPatch.context() as patch:
+        mode = ("--mode", "mean")
+        answer = run(patch, first, folder / "broken.ply", second, "-o", folder / "out", "--json", *mode)
+    return folder, answer, (a, b)
+
+
+def test_one_frame_that_cannot_be_read_leaves_the_others_alone(done):
+    folder, answer, _ = done
+    assert answer.exit_code == 1, answer.output
+    rows = json.loads(answer.stdout)
+    assert [row["status"] for row in rows] == ["done", "failed", "done"]
+    assert "broken.ply" in rows[1]["reason"]
+    assert answer.stderr.count("error:") == 1
+    assert "first: unit: m, decided" in answer.stderr
+    assert "second: unit: cm" in answer.stderr
+    assert {p.name for p in (folder / "out").iterdir()} == {"first", "second", *SET_FILES}
+    for name in ("first", "second"):
+        assert {p.name for p in (folder / "out" / name).iterdir()} == FRAME_FILES
+
+
+def test_the_files_hold_what_was_done(done):
+    folder, answer, glasses = done
+    mean = read_keypoints(folder / "out" / "mean_keypoints.json")
+    rows = [row for row in json.loads(answer.stdout) if row["status"] == "done"]
+    for name, truth, row in zip(("first", "second"), glasses, rows, strict=True):
+        part = folder / "out" / name
+        np.testing.assert_array_equal(read_keypoints(part / "keypoints.json"), mean)
+        canonical = read_canonical(part / "canonical.npz")
+        frame = read_frame(folder / f"{name}.ply")
+        np.testing.assert_allclose(
+            frame.scan.vertices, canonical.uncanonicalize(canonical.vertices), atol=1e-9
+        )
+        shown = load_scan(part / "canonical.glb")
+        np.testing.assert_allclose(shown.vertices, canonical.vertices, atol=1e-4)
+        record = json.loads((part / "result.json").read_text())
+        jsonschema.validate(record, json.loads((SCHEMAS / "canonical_eyeglasses.schema.json").read_text()))
+        np.testing.assert_array_equal(record["canonical_from_frame"], canonical.canonical_from_frame)
+        assert set(record["files"]) == FRAME_FILES
+        assert record["metrics"] == {k: row[k] for k in record["metrics"]}
+        # Both were bent by 8 mm at the tips, one out and one in: half of it each way off the mean, or so.
+        assert 5 < record["metrics"]["moved_max_mm"] < 12
+        assert record["metrics"]["glb_moved_max_mm"] < 0.05
+        assert record["converged"]
+        assert record["mode"] == "mean"
+        # One shape twice: without their bends the two are the same.
+        assert (
+            np.abs(canonical.vertices - read_canonical(folder / "out/first/canonical.npz").vertices).max()
+            < 0.7
+        )
+        assert len(truth.vertices) == record["input"]["vertices"]
+    record = json.loads((folder / "out" / "set.json").read_text())
+    jsonschema.validate(record, json.loads((SCHEMAS / "canonical_eyeglasses_set.schema.json").read_text()))
+    assert record["frames"] == ["first", "second"]
+    assert record["failures"][0]["file"].endswith("broken.ply")
+    assert {step["stage"] for step in record["plan"]} >= {"eyeglasses.weights", "eyeglasses.mean"}
+    assert set(record["files"]) == SET_FILES
+    stages = {line.split(",")[0] for line in (folder / "out" / "trace.csv").read_text().splitlines()[1:]}
+    assert stages == {"eyeglasses.weights.0", "eyeglasses.weights.1", "eyeglasses.mean"}
+
+
+def test_a_later_frame_goes_to_an_earlier_mean(done, tmp_path, monkeypatch):
+    folder, _, _ = done
+    mean = folder / "out" / "mean_keypoints.json"
+    options = ("--mean", mean, "--budget", 0.2, "--mode", "mean", "--handles", "translated")
+    answer = run(monkeypatch, folder / "first.ply", "-o", tmp_path / "out", *options)
+    assert answer.exit_code == 0, answer.output
+    np.testing.assert_array_equal(
+        read_keypoints(tmp_path / "out" / "mean_keypoints.json"), read_keypoints(mean)
+    )
+    record = json.loads((tmp_path / "out" / "set.json").read_text())
+    assert record["iterations"] == 0
+    assert not record["converged"]
+    assert "not converged" in answer.stderr
+    assert record["options"]["handles"] == "translated"
+    assert record["options"]["budget_s"] == 0.2
+
+
+def test_frames_are_unbent_by_default_and_small_ones_refused(tmp_path, monkeypatch):
+    path, glasses = save(tmp_path, bend=GlassesBend(twist_deg=4), keep=range(19))
+    small, _ = save(tmp_path, "small", bend=GlassesBend(twist_deg=4))
+    mesh = trimesh.load(small, process=False)
+    trimesh.Trimesh(0.6 * mesh.vertices, mesh.faces, process=False).export(small)
+    write_keypoints(keypoints_beside(small), 0.6 * read_keypoints(keypoints_beside(small)))
+    answer = run(monkeypatch, path, small, "-o", tmp_path / "out", "--budget", 2)
+    assert answer.exit_code == 1, answer.output
+    assert "frame: without key points right_temple_tip" in answer.stderr
+    assert "rms off the unbent frame's" in answer.stderr
+    assert "small.ply: its front is 8" in answer.stderr
+    record = json.loads((tmp_path / "out" / "frame" / "result.json").read_text())
+    assert record["mode"] == "unbend"
+    assert any(step["stage"] == "eyeglasses.unbend" and step["ran"] for step in record["plan"])
+    found = read_canonical(tmp_path / "out" / "frame" / "canonical.npz")
+    assert found.unbent
+    width = np.ptp(found.keypoints[[7, 16], 0])
+    assert width == pytest.approx(np.ptp(glasses.rest_keypoints[[7, 16], 0]), abs=0.2)
+
+
+def test_nothing_is_left_half_written(done, tmp_path, monkeypatch):
+    folder, _, _ = done
+    frame = read_frame(folder / "first.ply")
+    result = canonicalize_frames([frame], mean=folder / "out" / "mean_keypoints.json", budget=0.05)
+    glasses_files.write_canonical_files(result, tmp_path / "out")
+    before = {p: p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert len(before) == len(FRAME_FILES) + len(SET_FILES)
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(glasses_files, "overview_figure", full)
+    with pytest.raises(OutputError, match="No space left"):
+        glasses_files.write_canonical_files(result, tmp_path / "out")
+    assert {p: p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()} == before
+    assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_the_record_has_the_hashes_of_what_was_read(tmp_path):
+    path, _ = save(tmp_path)
+    marks = keypoints_beside(path)
+    expected = input_sha256(path), hashlib.sha256(marks.read_bytes()).hexdigest()
+    frame = read_frame(path)
+    for file in (path, marks):
+        file.write_bytes(b"changed while the frame was worked on")
+    assert (frame.mesh_sha256, frame.keypoints_sha256) == expected
+
+
+@pytest.mark.parametrize("unit", MM)
+@pytest.mark.parametrize("marks", ["mm", "m", "unknown"])
+def test_units_come_from_the_key_points(tmp_path, unit, marks):
+    path, glasses = save(tmp_path, unit=unit, marks=marks)
+    frame = read_frame(path)
+    assert frame.mm_per_unit == MM[unit]
+    assert frame.scan.notes[0].startswith(f"unit: {unit}")
+    largest = np.ptp(glasses.vertices, axis=0).max()
+    reach = np.linalg.norm(frame.scan.vertices - frame.scan.vertices.mean(0), axis=1).max()
+    assert reach < largest < 2.2 * reach
+    given = read_frame(path, unit=unit)
+    np.testing.assert_array_equal(given.scan.vertices, frame.scan.vertices)
+    np.testing.assert_array_equal(given.keypoints, frame.keypoints)
+
+
+def test_a_dense_screw_does_not_decide_the_unit(tmp_path):
+    screw = trimesh.creation.icosphere(5, 1.5)
+    screw.apply_translation([60, 0, 0])
+    path, glasses = save(tmp_path, extra=screw, marks="unknown")
+    assert len(screw.vertices) > len(glasses.vertices)
+    with pytest.raises(ScanError, match="no head"):
+        load_scan(path)
+    assert read_frame(path).mm_per_unit == 1.0
+
+
+def test_a_front_without_temples_has_a_size_too(tmp_path):
+    path, _ = save(tmp_path, unit="cm", marks="unknown", keep=[0, 1, *range(2, 8), *range(11, 17)])
+    frame = read_frame(path)
+    assert frame.mm_per_unit == 10.0
+    done = canonicalize_frames([frame, read_frame(save(tmp_path, "whole")[0])], budget=0.1)
+    assert done.notes == ("frame: without temples, left and right cannot be checked reliably",)
+
+
+def test_sizes_of_no_glasses_are_told(tmp_path):
+    path, _ = save(tmp_path)
+    marks = read_keypoints(tmp_path / "frame.keypoints.json")
+    write_keypoints(tmp_path / "frame.keypoints.json", marks / 5, unit="unknown")
+    with pytest.raises(ScanError, match=r"frame\.ply: the glasses are \d\d\.\d* units long, which is no"):
+        read_frame(path)
+    with pytest.raises(ScanError, match=r"are \d\d\.\d* m long, but glasses measure 50 to 400 mm"):
+        read_frame(path, unit="m")
+    write_keypoints(tmp_path / "frame.keypoints.json", marks, unit="m")
+    with pytest.raises(ScanError, match=r"frame\.keypoints\.json: the glasses are"):
+        read_frame(path)
+    write_keypoints(tmp_path / "frame.keypoints.json", marks + 1000, unit="mm")
+    with pytest.raises(EyeglassesError, match=r"frame\.ply: in no unit .* in (mm|cm|m), they are"):
+        read_frame(path)
+    with pytest.raises(ValueError, match="expected 'auto', 'mm', 'cm' or 'm'"):
+        read_frame(path, unit="inch")
+
+
+def test_other_widths_admit_small_frames(tmp_path):
+    path, _ = save(tmp_path)
+    mesh = trimesh.load(path, process=False)
+    trimesh.Trimesh(mesh.vertices / 5, mesh.faces, process=False).export(path)
+    marks = read_keypoints(keypoints_beside(path)) / 5
+    for unit in ("mm", "unknown"):
+        write_keypoints(keypoints_beside(path), marks, unit=unit)
+        with pytest.raises(ScanError, match=r"glasses canonicalize` admits other sizes with --widths"):
+            read_frame(path, unit="mm")
+        frame = read_frame(path, unit="mm", widths_mm=(25, 60))
+        np.testing.assert_allclose(frame.keypoints, marks)
+    assert read_frame(path, widths_mm=(25, 60)).mm_per_unit == 1.0
+    with pytest.raises(ScanError, match="may be in mm or cm"):
+        read_frame(path, widths_mm=(25, 400))
+
+
+def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
+    folder, _, _ = done
+    first, out = folder / "first.ply", tmp_path / "out"
+    for arguments in (
+        (first,),
+        (first, "-o", out, "--unit", "yard"),
+        (first, "-o", out, "--handles", "bent"),
+        (first, "-o", out, "--handles", "translated"),
+        (first, "-o", out, "--mode", "bend"),
+        (first, "-o", out, "--widths", "170,110"),
+        (first, "-o", out, "--budget", "0"),
+        (first, tmp_path / "first.obj", "-o", out),
+        (first, folder / "second.ply", "-o", out, "--keypoints", folder / "first.keypoints.json"),
+    ):
+        answer = run(monkeypatch, *arguments)
+        assert answer.exit_code == 2, arguments
+        assert not out.exists()
+    answer = run(monkeypatch, folder / "broken.ply", tmp_path / "none.stl", "-o", out, "--json")
+    assert answer.exit_code == 2
+    assert [row["status"] for row in json.loads(answer.stdout)] == ["failed", "failed"]
+    assert answer.stderr.count("error:") == 2
+    assert "`scan2albedo glasses key-points` says which key points to place" in answer.stderr
+    assert "no frame" not in answer.stderr
+    assert list(out.iterdir()) == []
+    missing = run(monkeypatch, first, "-o", out, "--mean", tmp_path / "none.json")
+    assert missing.exit_code == 2
+    assert "none.json" in missing.stderr
+
+
+def test_canonical_frames_come_back(tmp_path):
+    glasses, weights = eyeglasses(0), np.full((4306, 20), 0.05)
+    made = canonicalize([glasses], [glasses.keypoints], weights=[weights]).frames[0]
+    write_canonical(tmp_path / "a.npz", made)
+    found = read_canonical(tmp_path / "a.npz")
+    for name, value in vars(made).items():
+        if name != "plan":
+            np.testing.assert_array_equal(getattr(found, name), value)
+    (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:5000])
+    np.savez(tmp_path / "c.npz", vertices=np.zeros((3, 3)))
+    for name in ("b.npz", "c.npz", "d.npz"):
+        with pytest.raises(EyeglassesError, match=name):
+            read_canonical(tmp_path / name)
+
+
+def test_single_bridges_among_double_ones_are_named(tmp_path):
+    frames = []
+    for name, double in (("one", False), ("two", True)):
+        glasses = eyeglasses(0, double_bridge=double)
+        trimesh.Trimesh(glasses.vertices, glasses.faces, process=False).export(tmp_path / f"{name}.ply")
+        write_keypoints(tmp_path / f"{name}.keypoints.json", glasses.keypoints, unit="mm")
+        frames.append(read_frame(tmp_path / f"{name}.ply"))
+    (note,) = canonicalize_frames(frames, mode="mean", budget=Budget(evaluations=1)).notes
+    assert note.startswith("one: one bridge, while other frames")
+    assert "leave bridge_top out" in note

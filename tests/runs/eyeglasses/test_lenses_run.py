@@ -1,0 +1,340 @@
+"""Lenses in registered frames from files and to files, and the command for it."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from scan2albedo.cli import glasses as glasses_cli
+from scan2albedo.cli.commands import app
+from scan2albedo.core import RawScan
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import (
+    KEY_POINT_NAMES,
+    Camera,
+    LensMaterial,
+    LensPictureOptions,
+    Surface,
+    write_cameras,
+    write_keypoints,
+)
+from scan2albedo.eyeglasses.lenses.inserted_lenses import worn_axes
+from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.geometry.rigid import random_rotation
+from scan2albedo.io.glb import write_glb
+from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
+from scan2albedo.runs.eyeglasses import lens_files as glasses_lens_files
+from scan2albedo.runs.eyeglasses.lens_input import material_pair, read_lens_input, surface_of
+from scan2albedo.runs.eyeglasses.lenses_run import (
+    WHITE_SHOWN,
+    render_lenses,
+    soft_environment,
+    white_exposure,
+)
+from scan2albedo.synthetic import eyeglasses
+
+pytestmark = pytest.mark.slow
+
+SCHEMA = Path(__file__).resolve().parents[3] / "data_schemas" / "eyeglasses_lenses.schema.json"
+SHAPE = (48, 64)
+BENT = eyeglasses(1)
+COMMON = {"frame_with_lenses.glb", "result.json", "overview.png"}
+QUICK = ("--lights", 4, "--supersampling", 2)
+
+
+def view(name, position):
+    return Camera(name, look_at(position, [0, 0, -20], focal_px=220, shape=SHAPE), SHAPE)
+
+
+VIEWS = (view("front", [0, 0, 600]), view("side", [250, 40, 520]))
+
+
+def head():
+    """A ball behind the frame, as large as a head."""
+    ball = trimesh.creation.icosphere(4, 95.0)
+    ball.apply_translation([0, 0, -110])
+    return ball
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A frame in metres with key points in mm, a head in cm, cameras for mm, two photographs."""
+    folder = tmp_path_factory.mktemp("worn")
+    write_glb(folder / "registered.glb", BENT.vertices, BENT.faces)
+    write_keypoints(folder / "keypoints.json", BENT.keypoints)
+    ball = head()
+    ball.apply_scale(0.1)
+    ball.export(folder / "head.ply")
+    write_cameras(folder / "cameras.json", VIEWS)
+    for camera in VIEWS:
+        write_png(folder / f"{camera.name}.png", np.random.default_rng(0).random((*SHAPE, 3)))
+    write_exr(folder / "room.exr", np.random.default_rng(1).random((8, 16, 3)))
+    return folder
+
+
+def run(monkeypatch, folder, *arguments, frame="registered.glb", **given):
+    monkeypatch.setattr(glasses_cli, "stop_cleanly_on_interrupt", lambda out: None)  # the tests' own Ctrl-C
+    named = {"--cameras": folder / "cameras.json", "--head": folder / "head.ply"}
+    named |= {f"--{name}": value for name, value in given.items()}
+    options = [str(part) for pair in named.items() for part in pair]
+    return CliRunner().invoke(
+        app, ["glasses", "lenses", str(folder / frame), *options, *map(str, (*QUICK, *arguments))]
+    )
+
+
+def test_the_input_has_the_hashes_of_what_was_read(files, tmp_path):
+    shutil.copytree(files, tmp_path / "copy")
+    copied = sorted((tmp_path / "copy").iterdir())
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in copied}
+    frame, head, cameras, room = (
+        tmp_path / "copy" / name for name in ("registered.glb", "head.ply", "cameras.json", "room.exr")
+    )
+    source = read_lens_input(frame, head, cameras, environment=room)
+    expected = {path: digests[path] for path in (cameras, room)} | {head: input_sha256(head)}
+    for path in copied:
+        path.write_bytes(b"changed while pictures were drawn")
+    assert source.hashes == expected
+    assert source.frame.keypoints_sha256 == digests[source.frame.keypoints_file]
+
+
+def test_drawn_views_and_their_files(files, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    answer = run(monkeypatch, files, "-o", out, "--dioptres", "-4,-2.5", "--fresnel", "--json")
+    assert answer.exit_code == 0, answer.output
+    drawn = {f"{name}_lenses.{kind}" for name in ("front", "side") for kind in ("png", "exr")}
+    assert {p.name for p in out.iterdir()} == COMMON | drawn
+    record = json.loads((out / "result.json").read_text())
+    jsonschema.validate(record, json.loads(SCHEMA.read_text()))
+    assert set(record["files"]) == COMMON | drawn
+    assert [lens["dioptres"] for lens in record["lenses"]] == [-4, -2.5]
+    assert [lens["beta"] for lens in record["lenses"]] == [0.04] * 2
+    assert record["light"] == "built-in"
+    assert record["mm_per_unit"] == 1000
+    for lens, center in zip(record["lenses"], BENT.lens_centers, strict=True):
+        assert np.linalg.norm(np.array(lens["center_mm"]) - center) < 1
+        assert lens["measured"] == 1
+    summary = json.loads(answer.stdout)
+    assert summary["status"] == "done"
+    assert summary["lenses"] == record["lenses"]
+    # What stands in the files is what the library makes of the same things.
+    source = read_lens_input(files / "registered.glb", files / "head.ply", files / "cameras.json")
+    options = LensPictureOptions(light_count=4, supersampling=2)
+    pair = (LensMaterial(-4.0, beta=0.04, fresnel=True), LensMaterial(-2.5, beta=0.04, fresnel=True))
+    rendered = render_lenses(
+        source.frame_surface,
+        source.frame.keypoints,
+        pair,
+        head=source.head_surface,
+        cameras=source.cameras,
+        options=options,
+    )
+    for made, seen in zip(rendered.views, record["views"], strict=True):
+        stored = read_image_linear(out / f"{made.camera.name}_lenses.exr")
+        np.testing.assert_allclose(stored, made.picture.image_linear, rtol=1e-6, atol=1e-7)
+        assert seen["left_lens_pixels"] == (made.picture.lens == 0).sum() > 50
+        assert seen["unknown_pixels"] == 0
+        preview = read_image_linear(out / f"{made.camera.name}_lenses.png")
+        expected = np.clip(record["exposure"] * made.picture.image_linear, 0, 1)
+        np.testing.assert_allclose(preview, expected, atol=0.01)
+    scene = trimesh.load_scene(out / "frame_with_lenses.glb")
+    assert set(scene.geometry) == {"frame", "left_lens", "right_lens"}
+    lens = scene.geometry["left_lens"]
+    np.testing.assert_allclose(1000 * lens.vertices, rendered.lenses[0].vertices, atol=1e-3)
+    assert lens.visual.material.alphaMode == "BLEND"
+    bounds = BENT.vertices.min(0), BENT.vertices.max(0)
+    np.testing.assert_allclose(1000 * scene.geometry["frame"].bounds, bounds, atol=1e-3)
+
+
+def test_photographs_environment_and_views(files, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    photograph = read_image_linear(files / "side.png")
+    options = {"picture": files / "side.png", "environment": files / "room.exr", "view": "side"}
+    answer = run(monkeypatch, files, "-o", out, "--sunglasses", **options)
+    assert answer.exit_code == 0, answer.output
+    made = {"side_lenses.png", "side_lenses.exr", "side_unknown.png"}
+    assert {p.name for p in out.iterdir()} == COMMON | made
+    record = json.loads((out / "result.json").read_text())
+    assert (record["light"], record["exposure"]) == ("given", 1.0)
+    assert [Path(p["file"]).name for p in record["pictures"]] == ["side.png"]
+    lens = record["lenses"][0]
+    assert (lens["tinting"], lens["alpha"], lens["fresnel"]) == ("filter", 0.85, True)
+    stored = read_image_linear(out / "side_lenses.exr")
+    changed = np.abs(stored - photograph).max(2) > 1e-6
+    assert 0.02 < changed.mean() < 0.4
+    # Dark glass: what changed got darker.
+    assert stored[changed].mean() < 0.6 * photograph[changed].mean()
+    # Both photographs in the wrong order are told apart by their names, and an older run's view goes.
+    both = ("--picture", files / "side.png", "--picture", files / "front.png", "-o", out)
+    assert run(monkeypatch, files, *both).exit_code == 0
+    names = [Path(p["file"]).name for p in json.loads((out / "result.json").read_text())["pictures"]]
+    assert names == ["front.png", "side.png"]
+    assert run(monkeypatch, files, "-o", out, "--view", "front").exit_code == 0
+    assert {p.name for p in out.iterdir()} == COMMON | {"front_lenses.png", "front_lenses.exr"}
+
+
+def test_each_bad_input_is_one_line_that_names_the_file(files, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    marks = BENT.keypoints.copy()
+    marks[2] = np.nan
+    write_keypoints(tmp_path / "few.json", marks)
+    far = head()
+    far.apply_translation([3000, 0, 0])
+    far.export(tmp_path / "far.ply")
+    write_png(tmp_path / "small.png", np.zeros((5, 5, 3)))
+    (tmp_path / "broken.exr").write_bytes(b"nothing")
+    cases = {
+        "none.json": {"cameras": tmp_path / "none.json"},
+        "cameras.json: there is no view 'back', only front, side": {"view": "back"},
+        "few.json: the left lens needs the key points of its rim": {"keypoints": tmp_path / "few.json"},
+        "none.ply": {"head": tmp_path / "none.ply"},
+        "mm away from the head": {"head": tmp_path / "far.ply"},
+        "small.png is 5 x 5 pixels": {"picture": tmp_path / "small.png", "view": "front"},
+        "small.png: there are 1 pictures for 2 views": {"picture": tmp_path / "small.png"},
+        "broken.exr": {"environment": tmp_path / "broken.exr"},
+        "lost.json": {"keypoints": tmp_path / "lost.json"},
+    }
+    for words, given in cases.items():
+        answer = run(monkeypatch, files, "-o", out, "--json", **given)
+        assert answer.exit_code == 2, answer.output
+        lines = [line for line in answer.stderr.splitlines() if "error:" in line]
+        assert len(lines) == 1
+        assert words in lines[0]
+        summary = json.loads(answer.stdout)
+        assert summary["status"] == "failed"
+        assert words in summary["reason"]
+        assert not out.exists() or list(out.iterdir()) == []
+    missing = run(monkeypatch, files, "-o", out, frame="none.glb")
+    assert missing.exit_code == 2
+    assert "none" in missing.stderr
+
+
+def test_options_that_mean_nothing_are_usage_errors(files, tmp_path, monkeypatch):
+    wrong = (
+        ("--dioptres", "much"),
+        ("--dioptres", "1,2,3"),
+        ("--tint", "1,2"),
+        ("--alpha", "2"),
+        ("--lights", "0"),
+        ("--unit", "yard"),
+    )
+    for arguments in wrong:
+        answer = run(monkeypatch, files, "-o", tmp_path / "out", *arguments)
+        assert answer.exit_code == 2, arguments
+        assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_left_half_written(files, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    assert run(monkeypatch, files, "-o", out, "--view", "front").exit_code == 0
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(glasses_lens_files, "overview_figure", full)
+    answer = run(monkeypatch, files, "-o", out, "--dioptres", "5")
+    assert answer.exit_code == 2
+    assert "No space left" in answer.stderr
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+    assert not list(out.glob(".*"))
+
+
+def test_lenses_of_the_commands_options():
+    plain = {"tint": None, "alpha": None, "beta": None, "sunglasses": False, "fresnel": False}
+    left, right = material_pair("3", **plain)
+    assert left == right == LensMaterial(3.0)
+    tinted, _ = material_pair("0", **{**plain, "tint": "0.5,0.2,0.1", "beta": 0.1})
+    assert (tinted.tint_linear, tinted.alpha, tinted.beta) == ((0.5, 0.2, 0.1), 0.5, 0.1)
+    dark, _ = material_pair("-1", **{**plain, "sunglasses": True, "alpha": 0.5, "tint": "0,0,0"})
+    assert (dark.tinting, dark.alpha, dark.beta, dark.fresnel) == ("filter", 0.5, 0.04, True)
+
+
+def test_a_heads_colours_are_used():
+    rng = np.random.default_rng(0)
+    vertices, faces = np.eye(3) * 100, np.array([[0, 1, 2]])
+    texture, uv = rng.random((4, 4, 3)).astype(np.float32), rng.random((1, 3, 2))
+    textured = surface_of(RawScan(vertices, faces, uv=uv, texture_linear=texture), (0.5, 0.5, 0.5))
+    np.testing.assert_array_equal(textured.texture_linear, texture)
+    assert textured.texture_linear.dtype == np.float32
+    colors = rng.random((3, 3)).astype(np.float32)
+    painted = surface_of(RawScan(vertices, faces, vertex_color_linear=colors), (0.5, 0.5, 0.5))
+    np.testing.assert_array_equal(painted.albedo_linear, colors)
+    bare = surface_of(RawScan(vertices, faces), (0.4, 0.5, 0.6))
+    np.testing.assert_array_equal(bare.albedo_linear, [0.4, 0.5, 0.6])
+
+
+def test_the_built_in_room_turns_with_the_frame():
+    pose = random_rotation(np.random.default_rng(3))
+    rows = 64
+    axes = worn_axes(BENT.vertices, BENT.keypoints)
+    np.testing.assert_allclose(axes, np.eye(3), atol=0.15)
+    np.testing.assert_allclose(worn_axes(BENT.vertices @ pose.T, BENT.keypoints @ pose.T), axes @ pose.T)
+    one = BENT.keypoints.copy()
+    one[KEY_POINT_NAMES.index("right_rim_top")] = np.nan
+    np.testing.assert_allclose(worn_axes(BENT.vertices, one), axes, atol=0.15)
+    straight, moved = soft_environment(np.eye(3), rows=rows), soft_environment(pose.T, rows=rows)
+    assert (straight > 0).all()
+    brightest = []
+    for room in (straight, moved):
+        bright = room[..., 0] > 0.9 * room.max()
+        toward = texel_directions(room.shape[:2])[bright]
+        mean = (texel_solid_angles(rows, 2 * rows)[np.nonzero(bright)[0], None] * toward).sum(0)
+        brightest.append(mean / np.linalg.norm(mean))
+    # Above, at the wearer's right, and in front.
+    assert (brightest[0] * [-1, 1, 1] > 0.3).all()
+    np.testing.assert_allclose(pose @ brightest[0], brightest[1], atol=0.02)
+
+
+def test_exposure_is_the_scenes_own():
+    even = np.full((16, 32, 3), 2.0)
+    assert white_exposure(even, np.array([0, 0, 1.0])) == pytest.approx(WHITE_SHOWN / 2, rel=1e-3)
+    front = np.where(texel_directions((16, 32))[..., 2:] > 0, [4.0] * 3, 0.0)
+    assert white_exposure(front, np.array([0, 0, 1.0])) == pytest.approx(WHITE_SHOWN / 4, rel=1e-2)
+    # From behind it is dark there, and shown so.
+    assert white_exposure(front, np.array([0, 0, -1.0])) == pytest.approx(WHITE_SHOWN / 2, rel=1e-2)
+    assert white_exposure(0 * even, np.array([0, 0, 1.0])) == 1.0
+    ball = head()
+    frame, skin = Surface(BENT.vertices, BENT.faces), Surface(ball.vertices, ball.faces)
+    options = LensPictureOptions(light_count=4, supersampling=1)
+    given = {"head": skin, "options": options}
+    both = render_lenses(frame, BENT.keypoints, LensMaterial(), cameras=VIEWS, **given)
+    side = render_lenses(frame, BENT.keypoints, LensMaterial(), cameras=VIEWS[1:], **given)
+    assert both.exposure == side.exposure
+    np.testing.assert_array_equal(both.views[1].picture.image_linear, side.views[0].picture.image_linear)
+    assert f"{both.exposure:.3g}" in both.notes[-1]
+
+
+def test_what_does_not_fit_together_is_refused():
+    frame, ball = Surface(BENT.vertices, BENT.faces), head()
+    skin = Surface(ball.vertices, ball.faces)
+    with pytest.raises(ValueError, match="give a camera"):
+        render_lenses(frame, BENT.keypoints, LensMaterial(), head=skin, cameras=[])
+    with pytest.raises(ValueError, match="1 pictures for 2 cameras"):
+        render_lenses(
+            frame,
+            BENT.keypoints,
+            LensMaterial(),
+            head=skin,
+            cameras=VIEWS,
+            pictures_linear=[np.zeros((*SHAPE, 3))],
+        )
+    with pytest.raises(ValueError, match="picture of 'front'"):
+        render_lenses(
+            frame,
+            BENT.keypoints,
+            LensMaterial(),
+            head=skin,
+            cameras=VIEWS[:1],
+            pictures_linear=[np.zeros((4, 4, 3))],
+        )
+    away = Surface(ball.vertices + [0, 900, 0], ball.faces)
+    with pytest.raises(EyeglassesError, match="mm away from the head"):
+        render_lenses(frame, BENT.keypoints, LensMaterial(), head=away, cameras=VIEWS)

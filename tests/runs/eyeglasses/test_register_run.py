@@ -1,0 +1,404 @@
+"""Frames registered on faces from files and to files, and the command for it."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+import trimesh
+from matplotlib.figure import Figure
+from typer.testing import CliRunner
+
+from scan2albedo.cli import glasses as glasses_cli
+from scan2albedo.cli.commands import app
+from scan2albedo.core import Trace
+from scan2albedo.errors import OutputError
+from scan2albedo.eyeglasses import (
+    CanonicalizationOptions,
+    canonicalize,
+    read_cameras,
+    read_keypoints,
+    read_labels,
+    read_registered,
+    skin,
+    write_canonical,
+    write_keypoints,
+    write_labels,
+    write_start,
+)
+from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.io import load_scan
+from scan2albedo.report.overview import Panel
+from scan2albedo.runs.eyeglasses import register_run as glasses_registration_files
+from scan2albedo.runs.eyeglasses.demo import write_wearer
+from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
+from scan2albedo.runs.eyeglasses.registration_input import RegistrationFiles, read_registration
+from scan2albedo.synthetic import WearerOptions, wearer
+
+pytestmark = pytest.mark.slow
+
+SCHEMAS = Path(__file__).resolve().parents[3] / "data_schemas"
+FILES = {
+    "registered.glb",
+    "registered.npz",
+    "keypoints.json",
+    "result.json",
+    "trace.csv",
+    "error_vs_time.png",
+    "overview.png",
+}
+SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.3, mask_noise_px=0.3)
+
+
+@pytest.fixture(scope="module")
+def person():
+    return wearer(1, options=SMALL)
+
+
+@pytest.fixture(scope="module")
+def inputs(person, tmp_path_factory):
+    """A folder with the wearer's files, and the frame once more as a canonical one that brings weights."""
+    out = tmp_path_factory.mktemp("wearer")
+    write_wearer(person, (person.head_vertices, person.head_faces), out)
+    glasses = person.glasses
+    found = canonicalize(
+        [(glasses.rest_vertices, glasses.faces)],
+        [glasses.rest_keypoints],
+        mean_keypoints=glasses.rest_keypoints,
+        options=CanonicalizationOptions(spacing=3.0),
+    )
+    folder = out / "input" / "round"
+    folder.mkdir()
+    write_canonical(folder / "canonical.npz", found.frames[0])
+    return out / "input"
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """No pictures: drawing takes longer than all the rest."""
+    panel = Panel("", np.zeros((4, 4, 3), np.uint8))
+    monkeypatch.setattr(glasses_registration_files, "registration_panels", lambda *a: [panel])
+    monkeypatch.setattr(Trace, "plot", lambda trace: Figure((1, 1)))
+
+
+@pytest.fixture
+def changed(inputs, tmp_path):
+    """A copy of the files, to be spoiled."""
+    return shutil.copytree(inputs, tmp_path / "changed")
+
+
+def run(monkeypatch, mesh, out, folder, *more, masks=True, head=True):
+    monkeypatch.setattr(glasses_cli, "stop_cleanly_on_interrupt", lambda out: None)  # the tests' own Ctrl-C
+    arguments = [mesh, "-o", out, "--cameras", folder / "cameras.json", "--labels", folder / "labels.json"]
+    arguments += ["--masks", folder / "masks"] if masks else []
+    arguments += ["--head", folder / "head.glb"] if head else []
+    return CliRunner().invoke(app, ["glasses", "register", *map(str, arguments), *map(str, more)])
+
+
+@pytest.fixture(scope="module")
+def done(inputs, tmp_path_factory):
+    """The frame from its mesh, through the command."""
+    out = tmp_path_factory.mktemp("registered")
+    with pytest.MonkeyPatch.context() as patch:
+        return out, run(patch, inputs / "frame.obj", out, inputs, "--json")
+
+
+def test_a_frame_lands_where_the_pictures_show_it(done, person):
+    out, answer = done
+    assert answer.exit_code == 0, answer.output
+    frame = read_registered(out / "registered.npz")
+    error = np.linalg.norm(frame.vertices - person.vertices, axis=1)
+    # A pixel of these small pictures is 1.3 mm.
+    assert np.sqrt(np.mean(error[person.seen] ** 2)) < 0.8
+    assert {path.name for path in out.iterdir()} == FILES
+    assert "frame: placed in" in answer.stderr
+    assert "head head.glb: unit: m" in answer.stderr
+
+
+def test_the_files_hold_what_was_done(done, inputs, person):
+    out, answer = done
+    frame = read_registered(out / "registered.npz")
+    bent = skin(person.glasses.rest_vertices, frame.weights, frame.handle_transforms)
+    np.testing.assert_allclose(bent, frame.vertices, atol=1e-9)
+    np.testing.assert_array_equal(read_keypoints(out / "keypoints.json"), frame.keypoints)
+    np.testing.assert_allclose(load_scan(out / "registered.glb").vertices, frame.vertices, atol=1e-4)
+    joints = {
+        node["name"]: node["translation"]
+        for node in _glb_tree(out / "registered.glb")["nodes"]
+        if "translation" in node
+    }
+    # The tree's root stands at its key point, in metres.
+    np.testing.assert_allclose(joints["bridge_top"], frame.keypoints[0] / 1000, atol=1e-9)
+
+    record = json.loads((out / "result.json").read_text())
+    jsonschema.validate(record, json.loads((SCHEMAS / "registered_eyeglasses.schema.json").read_text()))
+    assert set(record["files"]) == FILES
+    assert record["name"] == "frame"
+    np.testing.assert_array_equal(record["world_from_glasses"], frame.world_from_glasses)
+    names = [camera.name for camera in read_cameras(inputs / "cameras.json")]
+    masks = {f"mask {name}": inputs / "masks" / f"{name}.png" for name in names}
+    files = {"cameras": "cameras.json", "labels": "labels.json", "keypoints": "frame.keypoints.json"}
+    hashed = masks | {what: inputs / file for what, file in files.items()}
+    assert set(record["inputs"]) == {*hashed, "mesh", "head"}
+    for what, path in hashed.items():
+        assert record["inputs"][what]["file"] == str(path)
+        assert record["inputs"][what]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    for view, name, iou in zip(record["views"], names, frame.iou, strict=True):
+        assert (view["camera"], view["mask"], view["iou"]) == (name, True, iou)
+    errors = frame.label_errors_px[frame.inliers]
+    assert record["metrics"]["label_rms_px"] == pytest.approx(np.sqrt(np.mean(errors**2)))
+    assert record["metrics"]["labels"] == np.isfinite(person.labels[:, :, 0]).sum()
+    assert record["metrics"]["observed_share"] == frame.observed.mean()
+    summary = json.loads(answer.stdout)
+    assert summary["status"] == "done"
+    assert {key: summary[key] for key in record["metrics"]} == record["metrics"]
+    assert summary["views"] == record["views"]
+    stages = [line.split(",")[0] for line in (out / "trace.csv").read_text().splitlines()[1:]]
+    assert list(dict.fromkeys(stages)) == ["glasses.pose", "glasses.key_points", "glasses.outlines"]
+
+
+def test_clocks_of_the_trace_do_not_go_back(done):
+    rows = [line.split(",") for line in (done[0] / "trace.csv").read_text().splitlines()[1:]]
+    for stage in {row[0] for row in rows}:
+        mine = [(float(row[1]), int(row[3])) for row in rows if row[0] == stage]
+        assert mine == sorted(mine)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_canonical_frame_brings_its_weights_and_may_stay_rigid(inputs, tmp_path, monkeypatch):
+    mesh = inputs / "round" / "canonical.npz"
+    answer = run(monkeypatch, mesh, tmp_path, inputs, "--rigid", "--json", head=False)
+    assert answer.exit_code == 0, answer.output
+    record = json.loads((tmp_path / "result.json").read_text())
+    assert record["name"] == "round"
+    assert record["options"]["bend"] is False
+    assert record["metrics"]["bend_max_mm"] == 0
+    assert "the glasses bring their own" in {step["reason"] for step in record["plan"]}
+    assert "keypoints" not in record["inputs"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_view_without_a_mask_has_labels_only(changed, tmp_path, monkeypatch):
+    (changed / "masks" / "camera_2.png").unlink()
+    mesh, out = changed / "round" / "canonical.npz", tmp_path / "out"
+    answer = run(monkeypatch, mesh, out, changed, head=False)
+    assert answer.exit_code == 0, answer.output
+    assert "no mask of 'camera_2'" in answer.stderr
+    views = json.loads((out / "result.json").read_text())["views"]
+    assert [view["mask"] for view in views] == [True, False, True]
+    assert views[1]["outline_rms_px"] is None
+    assert views[0]["iou"] > 0.5
+
+
+def test_pictures_end_where_cameras_say_even_without_masks(changed, person, tmp_path):
+    tree = json.loads((changed / "cameras.json").read_text())
+    middle = person.keypoints[0]  # of the bridge
+    pixel = np.array(tree["cameras"][1]["matrix"]) @ [*middle, 1]
+    tree["cameras"][1]["width"] = int(pixel[0] / pixel[2])
+    (changed / "cameras.json").write_text(json.dumps(tree))
+    files = RegistrationFiles(
+        changed / "round" / "canonical.npz", changed / "cameras.json", changed / "labels.json"
+    )
+    given = read_registration(files)
+    assert any("lie outside its picture" in note for note in given.notes)
+    frame = register_frame(given).result
+    shown = frame.vertices @ given.cameras[1].matrix[:, :3].T + given.cameras[1].matrix[:, 3]
+    inside = shown[:, 0] / shown[:, 2] <= tree["cameras"][1]["width"] - 0.5
+    assert 0.3 < inside.mean() < 0.7
+    np.testing.assert_array_equal(frame.visible[1], inside)
+    assert frame.visible[0].all()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path, monkeypatch):
+    labels = read_labels(changed / "labels.json")
+    pixels = np.full_like(labels.pixels, np.nan)
+    pixels[0, :2] = labels.pixels[0, :2]
+    write_labels(changed / "labels.json", pixels, labels.camera_names)
+    mesh = changed / "round" / "canonical.npz"
+    lost = run(monkeypatch, mesh, tmp_path / "out", changed, "--json", head=False)
+    assert lost.exit_code == 2
+    assert json.loads(lost.stdout)["status"] == "failed"
+    assert "fix no pose" in json.loads(lost.stdout)["reason"]
+
+    nudge = compose(rotation_from_vector([0, 0.01, 0]), [0.5, 0, 0]) @ person.world_from_glasses
+    write_start(tmp_path / "start.json", nudge)
+    more = ("--rigid", "--start", tmp_path / "start.json")
+    answer = run(monkeypatch, mesh, tmp_path / "out", changed, *more, head=False)
+    assert answer.exit_code == 0, answer.output
+    assert "no label in the view of 'camera_2'" in answer.stderr
+    found = read_registered(tmp_path / "out" / "registered.npz")
+    front = person.glasses.rest_keypoints[2:8, 2].min() < person.glasses.rest_vertices[:, 2]
+    assert np.linalg.norm(found.vertices - person.vertices, axis=1)[front].mean() < 1.5
+
+
+def test_an_earlier_result_is_a_start_too(done, inputs):
+    start = done[0] / "registered.npz"
+    files = RegistrationFiles(
+        inputs / "frame.obj", inputs / "cameras.json", inputs / "labels.json", start=start
+    )
+    given = read_registration(files)
+    np.testing.assert_array_equal(given.start, read_registered(start).world_from_glasses)
+    assert given.hashes["start"] == (start, hashlib.sha256(start.read_bytes()).hexdigest())
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_head_in_another_frame_is_told(inputs, tmp_path, monkeypatch):
+    head = load_scan(inputs / "head.glb")
+    trimesh.Trimesh(head.vertices + [0, -400, 0], head.faces, process=False).export(tmp_path / "far.ply")
+    mesh = inputs / "round" / "canonical.npz"
+    more = ("--head", tmp_path / "far.ply", "--budget", 60)
+    answer = run(monkeypatch, mesh, tmp_path / "out", inputs, *more, head=False)
+    assert answer.exit_code == 0, answer.output
+    assert "are head and cameras in one frame?" in answer.stderr
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["options"]["budget_s"] == 60
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_budget_that_ends_is_told(inputs, tmp_path, monkeypatch):
+    answer = run(
+        monkeypatch, inputs / "round" / "canonical.npz", tmp_path, inputs, "--budget", 0.001, head=False
+    )
+    assert answer.exit_code == 0, answer.output
+    assert "not converged" in answer.stderr
+    assert not json.loads((tmp_path / "result.json").read_text())["converged"]
+
+
+def relabelled(folder):
+    labels = read_labels(folder / "labels.json")
+    write_labels(folder / "labels.json", labels.pixels, [*labels.camera_names[:2], "side"])
+
+
+def shrunk(folder):
+    points = read_keypoints(folder / "frame.keypoints.json")
+    write_keypoints(folder / "frame.keypoints.json", points, unit="cm")
+
+
+def halved(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def write_pose(folder, pose):
+    tree = {"unit": "mm", "world_from_glasses": np.asarray(pose).tolist()}
+    (folder / "start.json").write_text(json.dumps(tree))
+
+
+SPOILED = {
+    "labels of another camera": (relabelled, (), r"labels\.json: there are labels of a camera 'side'"),
+    "no labels": (lambda f: (f / "labels.json").unlink(), (), r"labels\.json: No such file"),
+    "no cameras": (lambda f: (f / "cameras.json").write_text("{}"), (), r"cameras\.json: unit"),
+    "no masks": (lambda f: shutil.rmtree(f / "masks"), (), r"masks: the folder holds none of camera_1\.png"),
+    "half a mask": (lambda f: halved(f / "masks" / "camera_1.png"), (), r"camera_1\.png"),
+    "half a head": (lambda f: halved(f / "head.glb"), (), r"head\.glb"),
+    "no key points": (lambda f: (f / "frame.keypoints.json").unlink(), (), r"frame\.keypoints\.json"),
+    "key points in cm": (shrunk, (), r"frame\.keypoints\.json: the glasses are"),
+    "no mesh": (lambda f: (f / "frame.obj").unlink(), (), r"frame\.obj: cannot be read"),
+    "a mirror as start": (lambda f: write_pose(f, np.diag([-1, 1, 1, 1])), ("start",), r"start\.json: .*rot"),
+    "a half start": (lambda f: write_pose(f, np.eye(4)[:3]), ("start",), r"start\.json: world_from_glasses"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_bad_input_is_one_line_that_names_the_file(name, changed, tmp_path, monkeypatch):
+    spoil, options, words = SPOILED[name]
+    spoil(changed)
+    more = [part for option in options for part in (f"--{option}", changed / f"{option}.json")]
+    answer = run(monkeypatch, changed / "frame.obj", tmp_path / "out", changed, *more)
+    assert answer.exit_code == 2, answer.output
+    lines = [line for line in answer.stderr.splitlines() if "error:" in line]
+    assert len(lines) == 1
+    assert re.search(words, lines[0]), lines[0]
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_spoiled_canonical_frame_is_told(changed, tmp_path, monkeypatch):
+    halved(changed / "round" / "canonical.npz")
+    answer = run(monkeypatch, changed / "round" / "canonical.npz", tmp_path / "out", changed)
+    assert answer.exit_code == 2
+    assert "canonical.npz cannot be read" in answer.stderr
+
+
+def test_another_unit_is_told_with_the_files(changed, tmp_path, monkeypatch):
+    tree = json.loads((changed / "cameras.json").read_text())
+    tree["unit"] = "m"
+    (changed / "cameras.json").write_text(json.dumps(tree))
+    answer = run(monkeypatch, changed / "round" / "canonical.npz", tmp_path / "out", changed)
+    assert answer.exit_code == 2
+    assert re.search(r"labels.json: the labels make a frame [0-9.e+]+ times as large", answer.stderr)
+
+
+def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path, monkeypatch):
+    frame, canonical, out = inputs / "frame.obj", inputs / "round" / "canonical.npz", tmp_path / "out"
+    for mesh, more in (
+        (frame, ("--unit", "yard")),
+        (frame, ("--budget", "0")),
+        (canonical, ("--unit", "cm")),
+        (canonical, ("--keypoints", inputs / "frame.keypoints.json")),
+    ):
+        answer = run(monkeypatch, mesh, out, inputs, *more)
+        assert answer.exit_code == 2, more
+        assert "Traceback" not in answer.output
+        assert not out.exists()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeypatch):
+    files = RegistrationFiles(
+        inputs / "round" / "canonical.npz", inputs / "cameras.json", inputs / "labels.json"
+    )
+    placed = register_frame(read_registration(files))
+    out = tmp_path / "out"
+    write_registration_files(placed, out)
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    assert {path.name for path in before} == FILES
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(glasses_registration_files, "overview_figure", full)
+    with pytest.raises(OutputError, match="No space left"):
+        write_registration_files(placed, out)
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_path):
+    # The overview comes when most other files are made.
+    code = (
+        "import sys, time\n"
+        "from scan2albedo import cli\n"
+        "from scan2albedo.runs.eyeglasses import register_run as files\n"
+        "def slow(*a, **k):\n"
+        "    print('drawing', file=sys.stderr, flush=True)\n"
+        "    time.sleep(100)\n"
+        "files.overview_figure = slow\n"
+        "cli.main()\n"
+    )
+    arguments = ("--cameras", inputs / "cameras.json", "--labels", inputs / "labels.json")
+    mesh = inputs / "round" / "canonical.npz"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "glasses", "register", mesh, "-o", tmp_path, *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    lines = iter(process.stderr.readline, "")
+    assert any("drawing" in line for line in lines)
+    assert os.listdir(tmp_path) != []
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130, complaint
+    assert "interrupted" in complaint
+    assert os.listdir(tmp_path) == []
+
+
+def _glb_tree(path):
+    data = path.read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    return json.loads(data[20 : 20 + length])

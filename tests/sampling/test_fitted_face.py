@@ -1,0 +1,224 @@
+"""Geometry images of surfaces whose answer is known in closed form."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
+from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
+from scan2albedo.sampling import LookupOptions, geometry_image
+
+
+class FlatAnnotation:
+    """Region 3 for everything, and region 4 without highlights."""
+
+    def region_values(self, attribute):
+        table = np.full(256, 0.7 if attribute == "specular_scale" else 1.0)
+        table[4] = 0.0
+        return table
+
+
+@dataclass
+class Patch:
+    """A square patch z(x, y) of 100 mm with uv = position, in place of a fitted face."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    model_from_scan: np.ndarray
+    region: np.ndarray = field(init=False)
+    residual_mm: np.ndarray = field(init=False)
+    model: FlatAnnotation = field(default_factory=FlatAnnotation)
+
+    def __post_init__(self):
+        self.region = np.full(len(self.faces), 3, np.uint8)
+        self.residual_mm = np.zeros(len(self.vertices))
+
+
+def grid_faces(n):
+    index = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (index[s].ravel() for s in (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:]))
+    return np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+
+
+def patch(height=lambda x, y: 0 * x, n=41, model_from_scan=None):
+    u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
+    uv = np.stack([u.ravel(), v.ravel()], 1)
+    xy = 100 * (uv - 0.5)
+    vertices = np.column_stack([xy, height(*xy.T)])
+    return Patch(vertices, grid_faces(n), uv, np.eye(4) if model_from_scan is None else model_from_scan)
+
+
+def textured_scan(fitted, texture, n_noise=0.0):
+    """The patch itself as a raw scan, in the scan's own frame, with uv = chart."""
+    vertices = transform_points(invert_rigid(fitted.model_from_scan), fitted.vertices)
+    return RawScan(vertices, fitted.faces, fitted.uv[fitted.faces], texture)
+
+
+def test_position_follows_the_texel_centres_with_row_0_on_top():
+    image = geometry_image(patch(), None, size=50)
+    assert image.mask.all()
+    np.testing.assert_allclose(image.position[0, 0], [-49, 49, 0], atol=1e-9)
+    np.testing.assert_allclose(image.position[-1, -1], [49, -49, 0], atol=1e-9)
+    np.testing.assert_allclose(image.normal, np.broadcast_to([0, 0, 1], (50, 50, 3)), atol=1e-12)
+    assert (image.region == 3).all()
+    assert image.texture_linear is None
+
+
+def test_skin_is_where_the_surface_was_seen():
+    fitted = patch()
+    fitted.residual_mm[fitted.vertices[:, 0] > 20] = np.nan
+    for scan in (None, textured_scan(fitted, np.full((9, 9, 3), 0.4, np.float32))):
+        image = geometry_image(fitted, scan, size=50)
+        assert image.skin[:, :34] == pytest.approx(1)
+        assert image.skin[:, 36:] == pytest.approx(0)
+        assert image.figures()["skin"] == pytest.approx(0.7, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_linear_texture_is_reproduced_in_any_pose(seed):
+    rng = np.random.default_rng(seed)
+    pose = compose(random_rotation(rng), rng.uniform(-500, 500, 3))
+    fitted = patch(lambda x, y: 10 * np.cos(x / 30), model_from_scan=pose)
+    rows, columns = np.meshgrid(np.arange(256), np.arange(256), indexing="ij")
+    u, v = (columns + 0.5) / 256, 1 - (rows + 0.5) / 256
+    texture = np.stack([u, v, 0.25 + 0 * u], -1).astype(np.float32)
+    image = geometry_image(fitted, textured_scan(fitted, texture), size=64)
+    assert image.texture_valid.mean() > 0.99
+    truth = np.stack(np.meshgrid((np.arange(64) + 0.5) / 64, 1 - (np.arange(64) + 0.5) / 64), -1)
+    inside = np.s_[2:-2, 2:-2]
+    np.testing.assert_allclose(image.texture_linear[inside][..., :2], truth[inside], atol=2e-3)
+    np.testing.assert_allclose(image.texture_linear[..., 2], 0.25, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [16, 64])
+def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size):
+    fitted = patch()
+    checker = (np.indices((509, 509)).sum(0) % 2).astype(np.float32)
+    scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
+    aliased = geometry_image(fitted, scan, size, options=LookupOptions(taps=1)).texture_linear
+    filtered = geometry_image(fitted, scan, size).texture_linear
+    assert np.abs(filtered - 0.5).max() < 0.02
+    assert np.abs(aliased - 0.5).max() > 0.2
+
+
+@pytest.mark.slow
+def test_the_footprint_average_agrees_with_supersampling():
+    fitted = patch(lambda x, y: 12 * np.sin(x / 25) * np.cos(y / 30))
+    noise = np.random.default_rng(0).random((700, 700, 3)).astype(np.float32)
+    scan = textured_scan(fitted, noise)
+    fine = geometry_image(fitted, scan, 1024).texture_linear.reshape(64, 16, 64, 16, 3).mean((1, 3))
+    coarse = geometry_image(fitted, scan, 64).texture_linear
+    plain = geometry_image(fitted, scan, 64, options=LookupOptions(taps=1)).texture_linear
+    error = np.abs(coarse - fine).mean()
+    assert error < 0.01
+    assert error < 0.1 * np.abs(plain - fine).mean()
+
+
+@pytest.mark.parametrize("size", [32, 128, pytest.param(2048, marks=pytest.mark.slow)])
+def test_every_size_samples_the_same_surface(size):
+    image = geometry_image(patch(lambda x, y: 8 * np.cos(x / 20), n=161), None, size)
+    x, _, z = image.position[image.mask].T
+    assert np.abs(z - 8 * np.cos(x / 20)).max() < 0.01
+    assert image.mask.all()
+    assert image.figures()["texel_area_mm2"] == pytest.approx((100 / size) ** 2, rel=0.1)
+
+
+def test_the_texel_areas_tell_a_stretched_chart():
+    fitted = patch()
+    even = geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"]
+    fitted.uv = np.column_stack([fitted.uv[:, 0] ** 2, fitted.uv[:, 1]])
+    stretched = geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"]
+    assert even == pytest.approx(1)
+    assert stretched > 3
+
+
+def test_a_geometry_image_goes_back_to_the_mesh_it_came_from():
+    model = AnnotatedFaceModel.default()
+    vertices, faces = model.surface(2)
+    uv = linear_refinement(len(model.control_vertices), model.control_faces, 2) @ model.uv
+    back, back_faces = geometry_image(Patch(vertices, faces, uv, np.eye(4)), None, 512).triangulated()
+    assert ClosestPointQuery(vertices, faces).query(back).distance.mean() < 0.001
+    assert ClosestPointQuery(back, back_faces).query(vertices).distance.mean() < 0.02
+
+
+def test_the_border_is_the_rim_of_the_mask():
+    fitted = patch()
+    fitted.uv = 0.25 + 0.5 * fitted.uv
+    image = geometry_image(fitted, None, 64)
+    rows, columns = np.nonzero(image.border)
+    assert image.mask.sum() == 32 * 32
+    assert image.border.sum() == 4 * 31
+    assert {*rows, *columns} <= set(range(16, 48))
+
+
+def test_a_dense_scan_is_looked_up_as_an_ordinary_one_is():
+    texture = np.random.default_rng(1).random((64, 64, 3)).astype(np.float32)
+    fitted = patch(lambda x, y: 5 * np.sin(x / 30))
+    few, many = (textured_scan(patch(lambda x, y: 5 * np.sin(x / 30), n), texture) for n in (160, 300))
+    assert len(few.faces) < MAX_EXACT_FACES < len(many.faces)
+    first, second = (geometry_image(fitted, scan, 64) for scan in (few, many))
+    assert np.abs(first.texture_linear - second.texture_linear).mean() < 0.01
+    assert (first.seen == second.seen).mean() > 0.99
+
+
+def test_a_hole_in_the_scan_is_known_as_unseen():
+    fitted = patch()
+    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
+    center = fitted.vertices[fitted.faces].mean(1)
+    keep = np.linalg.norm(center, axis=1) > 15
+    holed = RawScan(scan.vertices, scan.faces[keep], scan.uv[keep], scan.texture_linear)
+    image = geometry_image(fitted, holed, size=100)
+    radius = np.linalg.norm(image.position, axis=-1)
+    assert not image.texture_valid[radius < 12].any()
+    assert image.texture_valid[radius > 18].all()
+
+
+def test_what_the_fit_left_out_gives_no_texture():
+    fitted = patch()
+    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
+    fitted.covered_faces = np.linalg.norm(fitted.vertices[fitted.faces].mean(1), axis=1) < 15
+    image = geometry_image(fitted, scan, size=100)
+    radius = np.linalg.norm(image.position, axis=-1)
+    assert not image.texture_valid[radius < 12].any()
+    assert image.texture_valid[radius > 18].all()
+
+
+def test_a_surface_that_faces_away_or_lies_far_off_is_unseen():
+    fitted = patch()
+    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
+    flipped = RawScan(scan.vertices, scan.faces[:, ::-1], scan.uv[:, ::-1], scan.texture_linear)
+    far = RawScan(scan.vertices + [0, 0, 30], scan.faces, scan.uv, scan.texture_linear)
+    assert not geometry_image(fitted, flipped, 32).texture_valid.any()
+    assert not geometry_image(fitted, far, 32).texture_valid.any()
+
+
+def test_vertex_colours_serve_where_there_is_no_texture():
+    fitted = patch()
+    color = np.column_stack([fitted.uv, np.zeros(len(fitted.uv))]).astype(np.float32)
+    image = geometry_image(fitted, RawScan(fitted.vertices, fitted.faces, vertex_color_linear=color), 40)
+    np.testing.assert_allclose(image.texture_linear[0, :, 0], (np.arange(40) + 0.5) / 40, atol=1e-6)
+    np.testing.assert_allclose(image.specular_scale, 0.7)
+
+
+def test_too_small_a_size_is_refused():
+    with pytest.raises(GeometryImageError, match="size 4 is too small"):
+        geometry_image(patch(), None, size=4)
+
+
+def test_annotated_values_change_gradually_and_regions_stay_crisp():
+    fitted = patch()
+    fitted.region = np.where(fitted.vertices[fitted.faces].mean(1)[:, 0] < 0, 3, 4).astype(np.uint8)
+    image = geometry_image(fitted, None, 100)
+    assert set(np.unique(image.region)) == {3, 4}
+    row = image.specular_scale[50]
+    np.testing.assert_allclose(row[[5, -5]], [0.7, 0.0], atol=1e-3)
+    assert np.abs(np.diff(row)).max() < 0.2
+    assert image.inpaint[50, 5]
+    assert not image.inpaint[50, -5]

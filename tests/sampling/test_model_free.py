@@ -1,0 +1,58 @@
+"""Any object becomes a geometry image through xatlas charts."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import GeometryImageError
+from scan2albedo.sampling import geometry_image_of_scan
+from scan2albedo.sampling.model_free import ModelFreeOptions
+
+
+def test_a_sphere_is_covered_once_with_true_positions_and_normals():
+    sphere = trimesh.creation.icosphere(4, 80.0)
+    image = geometry_image_of_scan(RawScan(sphere.vertices + 1000.0, sphere.faces), 256)
+    inside = image.mask
+    assert inside.mean() > 0.3
+    radius = np.linalg.norm(image.position[inside], axis=1)
+    np.testing.assert_allclose(radius, 80, atol=0.4)
+    outward = np.einsum("ij,ij->i", image.normal[inside], image.position[inside] / radius[:, None])
+    assert outward.min() > 0.99
+
+
+@pytest.mark.slow
+def test_a_large_surface_is_simplified_first():
+    sphere = trimesh.creation.icosphere(6, 80.0)
+    image = geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 128)
+    assert len(image.occluder[1]) <= 15_000
+    np.testing.assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=0.5)
+
+
+def test_holes_that_meet_in_a_vertex_do_not_keep_a_surface_from_being_simplified():
+    sphere = trimesh.creation.icosphere(3, 80.0)
+    around = np.flatnonzero((sphere.faces == 0).any(axis=1))
+    beside = [
+        face for face in around if len(np.intersect1d(sphere.faces[face], sphere.faces[around[0]])) == 1
+    ]
+    faces = np.delete(sphere.faces, [around[0], beside[0]], axis=0)
+    image = geometry_image_of_scan(
+        RawScan(sphere.vertices, faces), 64, options=ModelFreeOptions(max_faces=600)
+    )
+    assert len(image.occluder[1]) <= 600
+    np.testing.assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=2)
+
+
+def test_colours_come_along():
+    box = trimesh.creation.icosphere(3, 50.0)
+    color = ((box.vertices + 50) / 100).astype(np.float32)
+    image = geometry_image_of_scan(RawScan(box.vertices, box.faces, vertex_color_linear=color), 128)
+    expected = (image.position[image.mask] + box.vertices.mean(0) + 50) / 100
+    assert image.texture_valid[image.mask].mean() > 0.95
+    np.testing.assert_allclose(image.texture_linear[image.mask], expected, atol=0.02)
+
+
+def test_too_small_a_size_is_refused():
+    sphere = trimesh.creation.icosphere(1, 80.0)
+    with pytest.raises(GeometryImageError, match="size 7 is too small"):
+        geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 7)
