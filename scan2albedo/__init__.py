@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from scan2albedo.fitting import FittedFace, fit
     from scan2albedo.io import load_scan
     from scan2albedo.io.geometry_image_files import read_geometry_image
+    from scan2albedo.pipeline.options import Quality
     from scan2albedo.pipeline.process import process
-    from scan2albedo.pipeline.quality import Quality
     from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.registration import Registration, register
     from scan2albedo.sampling import geometry_image, geometry_image_of_scan
@@ -53,7 +53,7 @@ _HOMES = {
     "GeometryImage": "core",
     "PointLight": "core",
     "ProcessResult": "pipeline.result",
-    "Quality": "pipeline.quality",
+    "Quality": "pipeline.options",
     "RawScan": "core",
     "Region": "face_model",
     "Registration": "registration",

@@ -21,7 +21,7 @@ import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.quality import PRESETS
+from scan2albedo.pipeline.options import PRESETS
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 WARM_UP_SEED = 99

@@ -121,7 +121,7 @@ def found_by_us(
         result = s2a.register(scan, model, budget, options=options)
     except RegistrationError as error:
         return Found(None, 0.0, time.process_time() - begin, str(error))
-    note = "; ".join(f"{step} {reason}: {evidence}" for step, _, reason, evidence in result.notes)
+    note = "; ".join(f"{step.stage} {step.reason}: {step.evidence}" for step in result.plan)
     return Found(result.model_from_scan, result.confidence, time.process_time() - begin, note)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Integral
@@ -101,16 +100,12 @@ def estimate_albedo(
     TypeError
         For another object than a geometry image.
 
-    Warns
-    -----
-    UserWarning
-        When less than a tenth of the texels faces `view_direction`.
-
     Notes
     -----
-    The plan names each part of the model, whether it is used, and its evidence. `albedo.limits` ran where a
-    parameter of the light is at an end of its range, such as a lamp that touches the skin, or where the
-    albedo holds light that is not modelled.
+    The plan names each part of the model, whether it is used, and its evidence. `albedo.view` is a doubt
+    where less than a tenth of the texels faces `view_direction`, `albedo.limits` where a parameter of the
+    light is at an end of its range, such as a lamp that touches the skin, or where the albedo holds light
+    that is not modelled.
 
     Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface cannot
     be told from pigment: the mean light is white. Texels that are not skin weigh a quarter in the search.
@@ -132,16 +127,25 @@ def estimate_albedo(
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image, options)
     image = _with_cameras(with_every_normal(image), options)
-    _warn_when_turned_away(toward_viewer(image, usable, view), view)
+    facing, plan = toward_viewer(image, usable, view), Plan()
+    if facing < _LEAST_FACING:
+        reason = (
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
+            "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
+            "normals outward"
+        )
+        plan += [PlanStep.doubt("albedo.view", reason)]
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     scene = LitImage(image, usable, brdf, view, options, meter)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
-            return _divide_harmonics(scene)
-        paper = options.objective == "albedo-deviation"
-        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-        return _divide(scene, found, seed)
+            estimate = _divide_harmonics(scene)
+        else:
+            paper = options.objective == "albedo-deviation"
+            found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+            estimate = _divide(scene, found, seed)
+    return replace(estimate, plan=plan + estimate.plan)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
@@ -162,18 +166,6 @@ def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
     x, y, z = (view / length).tolist()
     return x, y, z
-
-
-def _warn_when_turned_away(facing: float, view: tuple[float, float, float]) -> None:
-    """Warn when lights are sought where the surface cannot be lit from: its viewer sees its back."""
-    if facing < _LEAST_FACING:
-        warnings.warn(
-            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
-            "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
-            "normals outward",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:

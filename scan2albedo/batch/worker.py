@@ -22,6 +22,7 @@ from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.input_hash import input_sha256
 
 if TYPE_CHECKING:
+    from scan2albedo.core.plan import Level, Plan
     from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.pipeline.options import ProcessOptions
 
@@ -139,10 +140,14 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if name in FILES},
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
-        "plan_ran": tuple(step.stage for step in result.plan if step.ran),
-        "plan_skipped": tuple(step.stage for step in result.plan if not step.ran),
+        "plan_ran": _stages(result.plan, "did"),
+        "plan_skipped": _stages(result.plan, "left out"),
         "notes": result.notes,
     }
+
+
+def _stages(plan: Plan, level: Level) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(step.stage for step in plan if step.level == level))
 
 
 def _input(task: ScanTask) -> dict[str, str]:

@@ -1,22 +1,20 @@
-"""Whether the best candidate is accepted as a face: refusals with their figures, and warnings of doubts."""
+"""Whether the best candidate is accepted as a face: refusals with their figures, and doubts."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
 
-from scan2albedo.core import Meter
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import Meter, PlanStep
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.registration.candidates import Candidate, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.robust_icp import Note, residuals
+from scan2albedo.registration.robust_icp import residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
@@ -42,10 +40,10 @@ _TOLD_PROPORTION = 1.2
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The probability that the best candidate is the pose of a face, and the search's note for the plan."""
+    """The probability that the best candidate is the pose of a face, and the plan's rows of the search."""
 
     confidence: float
-    note: Note
+    steps: tuple[PlanStep, ...]
 
 
 def accepted(
@@ -59,13 +57,12 @@ def accepted(
     """Accept the first candidate, of those of `pose_count` poses that were refined, or refuse the scan.
 
     Where the budget has ended the scores are not complete, so that they refuse nothing. Raises
-    `RegistrationError` when there is no face, or it is inside out; warns when there is a second face.
+    `RegistrationError` when there is no face, or it is inside out; a second face is a doubt.
     """
     if not meter.exhausted:
         _refuse_inside_out(scan, template, candidates[0], options, meter)
         _refuse_no_face(scan, template, candidates)
     _refuse_facing_away(scan, template, candidates[0])
-    _warn_of_second_face(scan.raw, candidates)
     best, probability = candidates[0], _probability(candidates)
     evidence = (
         f"{len(candidates)} of {pose_count} candidates refined; probability {probability:.2f} "
@@ -75,7 +72,20 @@ def accepted(
     if scan.stray_faces:
         evidence += f"; {scan.stray_faces} triangles that reach far away left out"
     reason = "the pose at which the scan is most probably a face is taken"
-    return Acceptance(probability, ("search", True, reason, evidence))
+    steps = [PlanStep("register.search", True, reason, evidence)]
+    # Once one is found the others are not looked at closely.
+    apart = [
+        _distance_mm(other, best)
+        for other in candidates[1:]
+        if other.log_odds > 0 or other.scores.likeness > _LIKE_A_FACE
+    ]
+    if best.log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
+        reason = (
+            f"there is a second face {max(apart):.0f} mm away; the one that resembles the model more was "
+            "taken: cut the other off to choose"
+        )
+        steps.append(PlanStep.doubt("register.second_face", reason))
+    return Acceptance(probability, tuple(steps))
 
 
 def _refuse_inside_out(
@@ -148,22 +158,6 @@ def _refuse_no_face(scan: PreparedScan, template: Template, candidates: tuple[Ca
         confidence=probability,
         model_from_scan=invert_rigid(pose) @ scan.prepared_from_scan,
     )
-
-
-def _warn_of_second_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
-    # Once one is found the others are not looked at closely.
-    apart = [
-        _distance_mm(other, candidates[0])
-        for other in candidates[1:]
-        if other.log_odds > 0 or other.scores.likeness > _LIKE_A_FACE
-    ]
-    if candidates[0].log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
-        warnings.warn(
-            f"{scan.name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
-            "more was taken: cut the other off to choose",
-            UserWarning,
-            stacklevel=4,
-        )
 
 
 def _distance_mm(candidate: Candidate, other: Candidate) -> float:

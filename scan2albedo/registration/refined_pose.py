@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.model import AnnotatedFaceModel
@@ -29,7 +30,8 @@ def refined_registration(
 ) -> Registration:
     """Return the registration with a refined pose (4, 4) and face scale, the RMS distance measured there.
 
-    A note tells how far that pose is from the one before. All else, `depth_error` too, tells of the search.
+    A row of its plan says how far that pose is from the one before. All else, `depth_error` too, is of the
+    search.
     """
     faces = scan.faces[~far_faces(scan.vertices, scan.faces)]
     # In the frame of the search, so that the same pose has the same distance.
@@ -41,10 +43,11 @@ def refined_registration(
     change = model_from_scan @ invert_rigid(registration.model_from_scan)
     turned_deg = np.rad2deg(rotation_angle_rad(change[:3, :3]))
     evidence = f"{turned_deg:.1f} degrees and {np.linalg.norm(change[:3, 3]):.1f} mm from the search's"
+    step = PlanStep("register.refined_pose", True, "the pose with which the fit ended", evidence)
     return replace(
         registration,
         model_from_scan=model_from_scan,
         face_scale=face_scale,
         rmse_mm=rms_mm(samples, template, pose),
-        notes=(*registration.notes, ("refined_pose", True, "the pose with which the fit ended", evidence)),
+        plan=registration.plan + [step],
     )

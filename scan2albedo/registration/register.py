@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace, checked_seed
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace, checked_seed
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
@@ -17,7 +16,7 @@ from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.placed_pose import PlacedPose
-from scan2albedo.registration.robust_icp import Note, rms_mm, tightened
+from scan2albedo.registration.robust_icp import rms_mm, tightened
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
@@ -43,8 +42,8 @@ class Registration:
     """Objective evaluations and ICP iterations spent."""
     trace: Trace
     """Stages "icp", "shaped_icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced."""
-    notes: tuple[Note, ...] = ()
-    """What the steps inside decided, for the plan."""
+    plan: Plan = Plan()
+    """What the steps inside decided, and what is doubtful: "register.<step>"."""
     face_scale: float = 1.0
     """Size of the face relative to the model's; `model_from_scan` is rigid and does not contain it. A face of
     another size lies on the model at its `front`."""
@@ -69,7 +68,7 @@ def register(
     depth derivatives of [1]_ runs when forced (`RegistrationOptions.force_annealing`), and counts when the
     surface is nearer for it.
 
-    Warns when the face has a size that no person's has, or the scan holds a second face. Raises
+    The plan has a doubt when the face has no person's size, or the scan holds a second face. Raises
     RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
     when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model and options;
     MissingDependencyError when Open3D cannot be loaded.
@@ -109,14 +108,16 @@ def register(
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, person, tight.pose, options, annealing, seed)
+    steps = [*acceptance.steps]
+    for name, ran, reason, evidence in (tight.note, final.note):
+        steps.append(PlanStep(f"register.{name}", ran, reason, evidence))
     low, high = HUMAN_SCALE
     if not low <= final.pose.scale <= high:
-        warnings.warn(
-            f"{scan.name}: the face is {100 * final.pose.scale:.0f} % of the model's size, which no person's "
-            "is; check the unit of the scan",
-            UserWarning,
-            stacklevel=2,
+        reason = (
+            f"the face is {100 * final.pose.scale:.0f} % of the model's size, outside the range of people "
+            f"({100 * low:.0f} to {100 * high:.0f} %); check the unit of the scan"
         )
+        steps.append(PlanStep.doubt("register.face_size", reason))
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),
@@ -125,6 +126,6 @@ def register(
         confidence=acceptance.confidence,
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(acceptance.note, tight.note, final.note),
+        plan=Plan(tuple(steps)),
         face_scale=final.pose.scale,
     )

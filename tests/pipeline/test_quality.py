@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo.pipeline.quality import PRESETS, Quality, quality_of
+from scan2albedo.pipeline.options import PRESETS, ProcessOptions, Quality
 
 
 def test_standard_is_every_stage_by_its_defaults():
-    assert quality_of("standard") == Quality("standard")
+    assert ProcessOptions().stages == Quality("standard")
 
 
 def test_presets_carry_their_names():
@@ -18,7 +18,7 @@ def test_presets_carry_their_names():
 
 
 def test_best_is_standard_with_more_texels():
-    assert replace(quality_of("best"), name="standard", size=512) == quality_of("standard")
+    assert replace(PRESETS["best"], name="standard", size=512) == PRESETS["standard"]
 
 
 def test_an_unknown_quality_is_refused_with_the_names_there_are():
@@ -28,7 +28,7 @@ def test_an_unknown_quality_is_refused_with_the_names_there_are():
 
 def test_own_qualities_pass_through():
     own = replace(PRESETS["draft"], name="own")
-    assert quality_of(own) is own
+    assert ProcessOptions(quality=own).stages is own
 
 
 def test_too_small_an_image_is_refused():

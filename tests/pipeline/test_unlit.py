@@ -216,15 +216,16 @@ def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
     skipped = s2a.process(case[0], size=32, unlit="face", skip=["albedo"])
     step = next(step for step in skipped.plan if step.stage == "unlit")
     assert not step.ran
-    assert step.reason == "no albedo was estimated, and so no light to take off the scan"
-    assert f"unlit is left out: {step.reason}" in skipped.messages
+    assert step.reason == "unlit is left out: no albedo was estimated, so the light is not known"
+    assert step.reason in skipped.notes
     assert skipped.unlit is None
 
 
 def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
     tight = s2a.process(case[0], size=32, unlit="all", budget=0.05)
     step = next(step for step in tight.plan if step.stage == "unlit")
-    assert step.reason == "the budget ended before it"
+    assert step.reason == "unlit is left out: the budget ended before it"
+    assert step.level == "wrong"
     assert tight.fitted is not None
 
 

@@ -34,7 +34,7 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
     words = check(made.path.read_text(encoding="utf-8")).words()
     for told in (
         "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 1.2 % · 12.5 s",
-        "albedo · shadows ran it shades itself at most 28 %",
+        "albedo · shadows did it shades itself at most 28 %",
         "left out no model was asked for",
         "± 0.5°",
         "Other lights explain the image nearly as well: (−20°, 5°) at 1.5 % more cost",

@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks.sweep import Setting
 from scan2albedo.eyeglasses import FaceRegistrationOptions
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
-from scan2albedo.pipeline.quality import PRESETS
+from scan2albedo.pipeline.options import PRESETS
 from scan2albedo.sampling import LookupOptions
 
 STANDARD = "standard"

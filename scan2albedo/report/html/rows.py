@@ -73,7 +73,8 @@ def row_of_record(record: ResultRecord, folder: Path) -> ScanRow:
     values.update(metric_columns(record.metrics))
     values.update({f"seconds_{stage}": seconds for stage, seconds in record.timings_s.items()})
     for column, ran in (("plan_ran", True), ("plan_skipped", False)):
-        values[column] = ", ".join(step.stage for step in record.plan if step.ran is ran)
+        rows = (step for step in record.plan if step.level not in ("doubt", "wrong"))
+        values[column] = ", ".join(dict.fromkeys(step.stage for step in rows if step.ran is ran))
     return ScanRow(record.name, DONE, "", folder, values)
 
 
