@@ -17,7 +17,7 @@ from scan2albedo.albedo.levels import toward_viewer, usable_texels, value_channe
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.model_selection import limits_step
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.albedo.outlines import seen_outlines
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.rectification import rectified
@@ -125,7 +125,7 @@ def estimate_albedo(
     view = _unit_view(view_direction)
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
-    usable = usable_texels(image, options)
+    usable = usable_texels(image)
     image = _with_cameras(with_every_normal(image), options)
     facing, plan = toward_viewer(image, usable, view), Plan()
     if facing < _LEAST_FACING:
@@ -193,7 +193,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         mask,
         usable,
         skin=image.skin,
-        shrink=options.shrink and not late,
+        shrink=not late,
     )
     # Lines along shadows err most, and go in at most twice the seconds that the division took.
     late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))
@@ -225,7 +225,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         view_direction=scene.view,
         reflectance=lit.reflectance,
         casts_shadows=found.caster is not None,
-        shadow_offset_mm=options.shadow_offset_mm,
+        shadow_offset_mm=SHADOW_OFFSET_MM,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
         expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
@@ -304,9 +304,7 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
     assert image.texture_linear is not None
     coefficients = fit_harmonic_light(image, scene.usable, options, meter)
     shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
-    division = divide_light(
-        image.texture_linear, shading, none, image.mask, scene.usable, shrink=options.shrink
-    )
+    division = divide_light(image.texture_linear, shading, none, image.mask, scene.usable)
     step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
     return AlbedoEstimate(
         albedo_linear=division.albedo.astype(np.float32),
@@ -325,7 +323,7 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         view_direction=scene.view,
         reflectance=Reflectance("lambert"),
         casts_shadows=True,
-        shadow_offset_mm=options.shadow_offset_mm,
+        shadow_offset_mm=SHADOW_OFFSET_MM,
         environment=environment_of_shading(coefficients),
         expected_error=expected_error(division.deviation, None, shading.max(axis=-1), image.mask, image.skin),
     )

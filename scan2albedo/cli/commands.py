@@ -67,7 +67,8 @@ Lights = Annotated[str, typer.Option(help="'auto', or how many.")]
 Brdf = Annotated[str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")]
 Unit = Annotated[str, typer.Option(help="auto, mm, cm or m.")]
 Preset = Annotated[
-    str, typer.Option(help="draft, standard, or best: standard with 1024 texels a side.", metavar="NAME")
+    str,
+    typer.Option(help="draft, standard, best (standard with 1024 texels a side), or paper.", metavar="NAME"),
 ]
 Seconds = Annotated[float | None, typer.Option(help="Seconds a scan may take.")]
 Seed = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]

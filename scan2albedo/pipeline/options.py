@@ -70,6 +70,12 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
         "standard": Quality("standard"),
         # The steps of standard: finer ones changed no error beyond the spread between scans.
         "best": Quality("best", size=1024),
+        # The steps of Toderici et al. that measure worse than ours, for comparison.
+        "paper": Quality(
+            "paper",
+            registration=RegistrationOptions(force_annealing=True),
+            albedo=EstimateOptions(objective="albedo-deviation"),
+        ),
     }
 )
 """The presets by name; `tools/bench_quality.py` measures each one's error and time."""
@@ -97,7 +103,7 @@ class ProcessOptions:
     unit: str = "auto"
     """Of the scan's file: "auto", "mm", "cm" or "m"."""
     quality: Quality | str = "standard"
-    """The options of every stage, or the name of a preset: "draft", "standard", "best"."""
+    """The options of every stage, or the name of a preset: "draft", "standard", "best", "paper"."""
     budget: Budget | float | None = None
     """Seconds for the whole run, or a Budget whose evaluations hold for each stage."""
     seed: int = 0

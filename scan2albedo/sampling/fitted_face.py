@@ -17,7 +17,6 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_directions, trans
 from scan2albedo.sampling.skin import skin_weight
 from scan2albedo.sampling.texture_lookup import (
     ChartTexture,
-    LookupOptions,
     texel_steps,
     texture_on_chart,
 )
@@ -63,9 +62,7 @@ class Fitted(Protocol):
         """The model that was fitted."""
 
 
-def geometry_image(
-    fitted: Fitted, scan: RawScan | None, size: int = 512, *, options: LookupOptions = LookupOptions()
-) -> GeometryImage:
+def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> GeometryImage:
     """Sample a fitted face on a regular grid over its chart.
 
     Position and normal come from the fitted limit surface, the texture from the closest point of the
@@ -80,8 +77,6 @@ def geometry_image(
         The raw scan in its own frame; None gives geometry without texture.
     size : int
         Height and width in texels, at least 8.
-    options : LookupOptions
-        How the photograph is filtered.
 
     Returns
     -------
@@ -118,7 +113,7 @@ def geometry_image(
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
     position = interpolate(raster, fitted.faces, fitted.vertices)
     normal = normalized(interpolate(raster, fitted.faces, vertex_normals(fitted.vertices, fitted.faces)))
-    texture = _texture(fitted, scan, raster, position, normal, options)
+    texture = _texture(fitted, scan, raster, position, normal)
     cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
     region[raster.covered] = fitted.region[raster.face[raster.covered]]
@@ -176,7 +171,6 @@ def _texture(
     raster: Raster,
     position: NDArray[np.float64],
     normal: NDArray[np.float64],
-    options: LookupOptions,
 ) -> ChartTexture:
     inside = raster.covered
     scan_from_model = invert_rigid(fitted.model_from_scan)
@@ -187,7 +181,6 @@ def _texture(
         transform_points(scan_from_model, position[inside]),
         transform_directions(scan_from_model, normal[inside]),
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
-        options,
     )
 
 

@@ -14,7 +14,7 @@ def test_standard_is_every_stage_by_its_defaults():
 
 def test_presets_carry_their_names():
     assert {name: quality.name for name, quality in PRESETS.items()} == {name: name for name in PRESETS}
-    assert list(PRESETS) == ["draft", "standard", "best"]
+    assert list(PRESETS) == ["draft", "standard", "best", "paper"]
 
 
 def test_best_is_standard_with_more_texels():
@@ -22,7 +22,7 @@ def test_best_is_standard_with_more_texels():
 
 
 def test_an_unknown_quality_is_refused_with_the_names_there_are():
-    with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best"):
+    with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best, paper"):
         s2a.process("nobody.obj", quality="fine")
 
 
@@ -46,3 +46,13 @@ def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for():
     assert draft.options["quality"] == "draft"
     steps = [result.trace.of_stage("fit").rows[-1].evaluations for result in (draft, best)]
     assert steps[0] < steps[1]
+
+
+def test_the_papers_search_is_chosen_by_name():
+    image = s2a.synthetic.face(0, size=32).image
+    sphere = s2a.RawScan(
+        *image.triangulated(), vertex_color_linear=image.texture_linear[image.mask], name="lit"
+    )
+    result = s2a.process(sphere, model="none", size=32, quality="paper", lights=1)
+    (outlines,) = result.plan.of_stage("albedo.outlines")
+    assert (result.options["quality"], outlines.reason) == ("paper", "no part of the paper's method")

@@ -153,15 +153,6 @@ def _two_texels() -> str:
     return str(_estimate(replace(_lit("hemisphere", (LAMP,)).image, mask=mask)).residual)
 
 
-@CASES.extreme(STAGE, "two texels, two asked for")
-def _two_suffice() -> str:
-    scene = _lit("hemisphere", (LAMP,))
-    mask = np.zeros((SIZE, SIZE), bool)
-    mask[32, 32:34] = True
-    estimate = _estimate(replace(scene.image, mask=mask), EstimateOptions(minimal_texels=2))
-    return _told(estimate, scene.albedo_linear, 0.5)
-
-
 @CASES.extreme(STAGE, "normals inverted, under a dome", "measured warning")
 def _inverted() -> str:
     scene = _lit("face", _many(_dome, 3.0))
