@@ -14,7 +14,7 @@ from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.covers import Uncovered, uncovered
 from scan2albedo.fitting.forces import ForceGates
@@ -47,7 +47,7 @@ class Posed(Protocol):
 
 def fit(
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     reg: Posed | FloatArray,
     budget: Budget | float | None = None,
     *,
@@ -95,7 +95,7 @@ def fit(
        Computer-Aided Design 32, 2000.
     """
     require_type(scan, RawScan, "fit: scan", "load_scan(path) returns one")
-    require_type(model, AnnotatedFaceModel, "fit: model", "AnnotatedFaceModel.default() returns one")
+    require_type(model, AnnotatedSurface, "fit: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, (FitOptions, type(None)), "fit: options", "make them with FitOptions()")
     chosen = options or FitOptions()
     pose = _pose_of(reg)
@@ -127,7 +127,7 @@ def fit(
 
 
 def _uncovered(
-    surface: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter, name: str
+    surface: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter, name: str
 ) -> Uncovered:
     """Return the scan without covers, and warn of them."""
     found = uncovered(surface, model, reference, meter)
@@ -191,7 +191,7 @@ def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
 
 
 def _scan_surface(
-    scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray, options: FitOptions
+    scan: RawScan, model: AnnotatedSurface, pose: FloatArray, options: FitOptions
 ) -> ScanSurface:
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
@@ -209,7 +209,7 @@ def _scan_surface(
 
 def _refined(
     surface: ScanSurface,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     options: FitOptions,
     meter: Meter,
     landmarks: LandmarkPull | None,

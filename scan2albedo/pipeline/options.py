@@ -13,8 +13,8 @@ from scan2albedo.core import Budget, checked_seed
 from scan2albedo.core.landmarks import AUTO, landmarks_option
 
 if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.pipeline.quality import Quality
+    from scan2albedo.templates import AnnotatedFaceModel
 
 FORCEABLE = (
     "register.depth_annealing",

@@ -23,7 +23,7 @@ from scan2albedo.sampling.texture_lookup import (
 )
 
 if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.face_model import AnnotatedSurface
 
 SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
@@ -59,7 +59,7 @@ class Fitted(Protocol):
         """(4, 4)."""
 
     @property
-    def model(self) -> AnnotatedFaceModel:
+    def model(self) -> AnnotatedSurface:
         """The model that was fitted."""
 
 
