@@ -131,7 +131,9 @@ class AnnotatedSurface:
         arrays = read_npz(file, what="face model", advice=advice, error=ModelError)
         _check_arrays(entry, arrays, file)
         found: dict[str, Any] = {
-            name: arrays[name].astype(_IN_MEMORY[kind]) for name, kind in _STORED.items() if name in arrays
+            name: arrays[name].astype(np.int64 if kind is np.int32 else kind)
+            for name, kind in _STORED.items()
+            if name in arrays
         }
         for prefix in ("landmark", "template"):
             if f"{prefix}_face" in arrays:
@@ -271,7 +273,6 @@ _STORED: dict[str, type[np.generic]] = {
     "template_uv": np.float64,
 }
 """Type on disk of the fields that are arrays; integers have 64 bits in memory."""
-_IN_MEMORY: dict[type[np.generic], type[np.generic]] = {
     np.float64: np.float64,
     np.int32: np.int64,
     np.uint8: np.uint8,
