@@ -273,10 +273,6 @@ _STORED: dict[str, type[np.generic]] = {
     "template_uv": np.float64,
 }
 """Type on disk of the fields that are arrays; integers have 64 bits in memory."""
-    np.float64: np.float64,
-    np.int32: np.int64,
-    np.uint8: np.uint8,
-}
 
 
 class RegionEntry(BaseModel):
