@@ -74,14 +74,14 @@ class AnnotatedSurface:
 
     `control_vertices` (C, 3) in mm: +x the subject's left, +y up, +z out of the face, origin at the centroid.
     `control_faces` (F, 3) form a disc, counter-clockwise seen from outside. `uv` (C, 2) is one continuous
-    flip-free chart in the unit square, u grows with +x, v with +y. `region` (F,) uint8 indexes the regions.
+    flip-free chart in the unit square, u grows with +x, v with +y. `region` (F,) uint8 indexes the `regions`.
     `landmark_points` are 68 in iBUG-68 order on the control faces, or None.
 
     A surface made by `from_mesh` also has `template_points`, the place of each dense template vertex,
     `template_offset` (T, 3), vertex minus that surface point at rest in the point's local frame or zeros,
     `template_faces` (T_F, 3), where it has them `template_uv` (T_F, 3, 2), texture coordinates of their
     corners, `template_from_model` (4, 4), the similarity from the model's frame in mm to
-    the template's own axes, origin and unit, and `notes`, a sentence for each thing decided and mended.
+    the template's own axes, origin and unit, `notes`, a sentence for each thing decided and mended, and a `name`.
 
     .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
        Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
