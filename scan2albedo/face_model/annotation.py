@@ -81,7 +81,7 @@ class AnnotatedSurface:
     `template_offset` (T, 3), vertex minus that surface point at rest in the point's local frame or zeros,
     `template_faces` (T_F, 3), where it has them `template_uv` (T_F, 3, 2), texture coordinates of their
     corners, `template_from_model` (4, 4), the similarity from the model's frame in mm to
-    the template's own axes, origin and unit, `notes`, a sentence for each thing decided and mended, and a `name`.
+    the template's own axes, origin and unit, `notes`, a sentence for each thing decided and mended, `name`.
 
     .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
        Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
