@@ -12,7 +12,7 @@ from scan2albedo.registration.coarse_search import (
     anchored_starts,
     refine_on_grid,
 )
-from scan2albedo.registration.scan_preparation import NearestGrid
+from scan2albedo.geometry.alignment import NearestGrid
 
 
 def test_starts_on_a_sphere_face_outward_everywhere():
@@ -38,7 +38,7 @@ def test_icp_walks_back_from_twenty_degrees(bumpy):
     scan = OrientedPoints(
         bumpy.points @ truth[:3, :3].T + truth[:3, 3], bumpy.normals @ truth[:3, :3].T, bumpy.areas
     )
-    grid = NearestGrid.of(scan, cell_mm=4.0, margin_mm=40.0)
+    grid = NearestGrid.of(scan, cell=4.0, margin=40.0)
     axes = rng.normal(size=(10, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     rotations = np.array([rotation_from_vector(np.radians(20) * axis) @ truth[:3, :3] for axis in axes])
@@ -55,7 +55,7 @@ def test_icp_walks_back_from_twenty_degrees(bumpy):
 
 
 def test_a_model_far_from_everything_scores_zero_and_stays_finite(bumpy):
-    grid = NearestGrid.of(bumpy, cell_mm=5.0, margin_mm=20.0)
+    grid = NearestGrid.of(bumpy, cell=5.0, margin=20.0)
     rotations, translations = np.eye(3)[None].copy(), np.array([[5000.0, 0, 0]])
     scores = refine_on_grid(
         grid, bumpy, bumpy.areas, rotations, translations, iterations=5, sigma_mm=(10.0, 5.0)

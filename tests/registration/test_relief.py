@@ -14,7 +14,7 @@ from scan2albedo.registration.relief import (
     depth_image,
     without_quadratic_trend,
 )
-from scan2albedo.registration.scan_noise import SurfaceNoise
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 
 
 def pixel_centres(frame):

@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.robust_icp import residuals, robust_icp, settled_icp
+from scan2albedo.registration.icp import residuals, robust_icp, settled_icp
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ from scan2albedo.core import Budget, Meter
 from scan2albedo.face_model.variation import STRETCHES, shape_modes
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.robust_icp import residuals
-from scan2albedo.registration.shaped_icp import proportions, shaped_icp
+from scan2albedo.registration.icp import residuals
+from scan2albedo.registration.icp import proportions, shaped_icp
 from scan2albedo.registration.template import Template
 
 
 @pytest.fixture(scope="module")
 def template(model):
-    return Template.of(model, 6.0, 0)
+    return Template.of(model, 0)
 
 
 def person_points(model, template, coefficients):

@@ -3,11 +3,11 @@
 import numpy as np
 
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.registration.scan_preparation import NearestGrid
+from scan2albedo.geometry.alignment import NearestGrid
 
 
 def test_cells_hold_nearly_the_nearest_sample(bumpy):
-    grid = NearestGrid.of(bumpy, cell_mm=5.0, margin_mm=30.0)
+    grid = NearestGrid.of(bumpy, cell=5.0, margin=30.0)
     rng = np.random.default_rng(0)
     probes = rng.uniform(bumpy.points.min(0) - 25, bumpy.points.max(0) + 25, (2000, 3))
     exact = np.linalg.norm(probes[:, None] - bumpy.points[None], axis=2).min(1)
@@ -18,12 +18,12 @@ def test_cells_hold_nearly_the_nearest_sample(bumpy):
 
 
 def test_outside_the_grid_there_is_nothing(bumpy):
-    grid = NearestGrid.of(bumpy, cell_mm=5.0, margin_mm=10.0)
+    grid = NearestGrid.of(bumpy, cell=5.0, margin=10.0)
     assert grid.nearest_samples(np.array([[1e4, 0, 0], [0, -1e4, 0]])).tolist() == [-1, -1]
 
 
 def test_a_huge_box_gets_larger_cells_not_more_memory():
     far = OrientedPoints(np.array([[0.0, 0, 0], [1e5, 1e5, 1e5]]), np.eye(3)[:2], np.ones(2))
-    grid = NearestGrid.of(far, cell_mm=5.0, margin_mm=40.0)
+    grid = NearestGrid.of(far, cell=5.0, margin=40.0)
     assert grid.nearest.size < 2_000_000
     assert grid.nearest_samples(far.points).tolist() == [0, 1]
