@@ -152,7 +152,7 @@ def proportioned(
 
 
 def _modes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return displacements (C, 3, M) of the control points a unit of each mode, and the precision `align` wants.
+    """Return displacements (C, 3, M) of the control points by each mode, and the precision for `align`.
 
     Per spline of height: shift up, shift forward, and forward with the square of x (how round the face is),
     all mirror-symmetric.

@@ -240,9 +240,7 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
         score += rho
         n0, n1, n2 = n0 + qn[s, 0], n1 + qn[s, 1], n2 + qn[s, 2]
         length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-        _add_plane(
-            matrix, gradient, row, rho, n0 / length, n1 / length, n2 / length, x0, x1, x2, e0, e1, e2
-        )
+        _add_plane(matrix, gradient, row, rho, n0 / length, n1 / length, n2 / length, x0, x1, x2, e0, e1, e2)
         _add_point(matrix, gradient, 0.1 * rho, x0, x1, x2, e0, e1, e2)
     for a in range(6):
         for b in range(a):

@@ -163,7 +163,9 @@ def _cues_text(candidate: Candidate) -> str:
         text += f" with {found.relief.noise_mm:.1f} mm of noise"
     for cue, odds in (("colours", candidate.color_log_odds), ("landmarks", candidate.landmark_log_odds)):
         if odds:
-            text += f", its {cue} speak {'for' if odds > 0 else 'against'} it by {abs(odds):.1f} in the log odds"
+            text += (
+                f", its {cue} speak {'for' if odds > 0 else 'against'} it by {abs(odds):.1f} in the log odds"
+            )
     unlike = np.exp(np.abs(found.proportions)).max()
     if unlike > _NOTABLE_PROPORTION:
         text += f", proportions of width, height and depth {unlike:.2f} times the model's"

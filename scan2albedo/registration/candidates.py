@@ -29,7 +29,7 @@ from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
 
 _CONVINCING, _CONVINCING_PERSON = 4.0, 0.95
-"""Log odds of a face (98 %), and probability of its proportions, beyond which no further poses are refined."""
+"""Log odds of a face (98 %), and probability of its proportions, beyond which no other pose is refined."""
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 _MORE_CANDIDATES = 24
@@ -48,7 +48,7 @@ _ALLOWED_RMS_MM, _ENOUGH_COVERAGE = 7.0, 0.6
 
 @dataclass(frozen=True)
 class Candidate:
-    """A refined pose on the prepared scan, how it looks, and for the best few what speaks for a face there."""
+    """A refined pose on the prepared scan, how it looks, and for the best few the evidence of a face."""
 
     pose: Similarity
     relief: ReliefAgreement

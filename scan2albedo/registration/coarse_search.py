@@ -19,7 +19,7 @@ _ROTATIONS = 200
 _CONE_RAD = np.deg2rad(35.0)
 """Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
 _ROUNDS = ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0)))
-"""Samples, steps, and first and last scale in mm of the search from every start, and of that from the best."""
+"""Samples, steps, and first and last scale in mm: of the search from every start, and from the best."""
 _BLOCK = 128
 _DISTINCT_POSES = 160
 _SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(8), 10.0

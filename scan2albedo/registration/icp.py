@@ -31,8 +31,8 @@ _LOOSE = 6.0
 _LEAST_GROWTH = 0.05
 _STAGE = "shaped_icp"
 _RIGID_PART, _NOISE_MM = 0.3, 0.25
-"""That part of the rigid face is within 0.22 mm on scans of the same person, smiles and open jaws too, and 0.3
-to 1.1 on 21 of 22 scans of others; one, with little noise, has 0.22 too."""
+"""That part of the rigid face is within 0.22 mm on scans of the same person, smiles and open jaws too, and
+0.3 to 1.1 on 21 of 22 scans of others; one, with little noise, has 0.22 too."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ _TRIPLES, _REFITS = 200, 4
 _LEAST_AREA_MM2 = 300.0
 """Of a triangle of landmarks that shows a pose: nearly straight ones leave a turn open."""
 _PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
-"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size, and
-of a point that has nothing to do with the landmark, but lies on the face."""
+"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size,
+and of a point that has nothing to do with the landmark, but lies on the face."""
 _WRONG = 0.1
 """Part of landmarks that are taken to be wrong."""
 _FREEDOM = 7

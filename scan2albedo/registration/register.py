@@ -72,8 +72,9 @@ def register(
     depth derivatives of [1]_ runs when forced (`RegistrationOptions.force_annealing`), and counts when the
     surface is nearer for it.
 
-    `plan` doubts a size that no person's face has, and a second face in the scan. Raises RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
-    when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model and options;
+    `plan` doubts a size that no person's face has, and a second face in the scan. Raises RegistrationError,
+    with the figures, when the scan is too small or too large, or holds no face; ValueError when `seed` is no
+    whole number of 0 or more; TypeError for other objects than a scan, a model and options;
     MissingDependencyError when Open3D cannot be loaded.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with

@@ -23,7 +23,7 @@ _SIZE = 72
 LOOK_THROUGH_MM = 30.0
 """What lies farther before the model is no face: a hand, a lock of hair."""
 _SAME_SURFACE_MM, _SAME_POINT_MM = 20.0, 10.0
-"""A vertex as near to the depth image as the latter is on the surface it shows, steep and noisy as it may be."""
+"""A vertex this near to the depth image is on the surface it shows, however steep and noisy that is."""
 _STEEPEST_SLOPE = 1.5
 _SMOOTHING_PIXELS, _WINDOW_PIXELS = 1.5, 4.0
 _FLAT_SLOPE_SQUARED = 0.01
@@ -57,7 +57,7 @@ class DepthFrame:
 
     def pixels(self, points: FloatArray) -> FloatArray:
         """Return the places (N, 2), column and row, of points (N, 3)."""
-        offset = (points[:, :2] - self.center) * ([1, -1] / np.float64(self.pixel))
+        offset = (points[:, :2] - self.center) / [self.pixel, -self.pixel]
         return offset + (self.size - 1) / 2
 
 
@@ -169,9 +169,7 @@ class FaceImage:
         variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
         return ReliefAgreement(coverage, local, whole, noise_mm, max(1 - of_noise / variance, _LEAST_SIGNAL))
 
-    def _relief(
-        self, depth: FloatArray, mask: BoolArray, smoothing: float
-    ) -> tuple[FloatArray, BoolArray]:
+    def _relief(self, depth: FloatArray, mask: BoolArray, smoothing: float) -> tuple[FloatArray, BoolArray]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
         smooth = np.where(mask, depth, 0.0)
         if smoothing > 0:

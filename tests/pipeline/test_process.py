@@ -174,7 +174,7 @@ def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result,
     anew = refined_registration(
         searched, case[0], model, result.fitted.model_from_scan, registration.face_scale
     )
-    assert (anew.rmse_mm, anew.notes) == (registration.rmse_mm, registration.notes)
+    assert (anew.rmse_mm, anew.plan) == (registration.rmse_mm, registration.plan)
     (row,) = result.plan.of_stage("register.refined_pose")
     assert "degrees and" in row.evidence
 

@@ -85,6 +85,6 @@ def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, 
         before, after = (rigid_distance_mm(scan.samples, template, p, sigma_mm) for p in (start, found.pose))
         assert after <= before
     kept = np.array_equal(found.pose.rotation, start.rotation)
-    assert ("dropped" in found.note[2]) == kept
+    assert ("dropped" in found.step.reason) == kept
     if off_deg == 4.0:
         assert np.degrees(rotation_angle_rad(found.pose.rotation.T @ truth[:3, :3])) < 3.9
