@@ -16,7 +16,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.variation import shape_modes
-from scan2albedo.fitting.alignment import AT_REST, NOISE_MM
+from scan2albedo.fitting.alignment import AT_REST
 from scan2albedo.fitting.forces import ForceGates, scan_forces
 from scan2albedo.fitting.openings import EYES
 from scan2albedo.fitting.options import between
@@ -38,7 +38,8 @@ REACH_MM = 20.0
 """Scan farther than this does not pull at the person's face."""
 FIRST_MM, BEFORE_MM, BEHIND_MM = 12.0, 2.0, 6.0
 """Scale of Geman and McClure's weights: at first, and at last for scan before and behind the face."""
-SIZE_SD = 0.1
+NOISE_MM, SIZE_SD = 2.6, 0.1
+"""Standard deviation of the scan about a person's face that the modes make, and of the size's logarithm."""
 FAR_MM, NEAR_MM = 5.5, 3.0
 """A cover stands FAR_MM before the face; with it goes what is joined to it and NEAR_MM before the face. Faces
 without covers lie up to 5 mm before the person's face that is found for them; hair at the rim more."""
