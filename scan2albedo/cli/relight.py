@@ -99,13 +99,17 @@ def relight(
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
         raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
     from scan2albedo import applications
+    from scan2albedo.applications.light_sweep import FRAMES
     from scan2albedo.io.images import read_image_linear
+    from scan2albedo.io.run_folder import RunFolder
 
     try:
         options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)  # type: ignore[arg-type]
     except ValueError as error:
         raise typer.BadParameter(f"--gloss: {error}") from None
     stop_cleanly_on_interrupt(None)
+    if sweep is not None and not extension:
+        RunFolder(out, FRAMES).check()
     face = applications.load_result(result)
     azimuth, elevation = (math.radians(angle) for angle in camera_at)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -69,6 +70,7 @@ def _printable_texts(value: Any) -> Any:
     return type(value)(map(_printable_texts, value)) if type(value) in (list, tuple) else value
 
 
+@cache
 def installed_versions() -> dict[str, str]:
     """Return the versions of Python and of the numerical libraries that are installed."""
     import platform
