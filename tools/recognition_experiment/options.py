@@ -12,8 +12,8 @@ import scan2albedo
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.geometry_image import SMALLEST_SIZE
 from scan2albedo.recognition import SimilarityOptions, TemplateOptions
-from scan2albedo.synthetic.population import PopulationOptions
-from scan2albedo.synthetic.raw_scan import RawScanOptions
+from scan2albedo.synthetic import Scanner
+from scan2albedo.synthetic.population import Population
 
 _PROCESSING = (
     "albedo",
@@ -46,7 +46,7 @@ class RecognitionExperimentOptions:
         Of the population.
     brdfs : tuple of str
         Reflectances whose albedos are compared.
-    population : PopulationOptions
+    population : Population
     templates : TemplateOptions
     similarity : SimilarityOptions
 
@@ -61,8 +61,8 @@ class RecognitionExperimentOptions:
     size: int = 256
     seed: int = 0
     brdfs: tuple[str, ...] = BRDFS
-    population: PopulationOptions = field(
-        default_factory=lambda: PopulationOptions(capture=RawScanOptions(picture_size=640, size=64))
+    population: Population = field(
+        default_factory=lambda: Population(scanner=Scanner(picture_size=640, size=64))
     )
     templates: TemplateOptions = TemplateOptions()
     similarity: SimilarityOptions = SimilarityOptions()
