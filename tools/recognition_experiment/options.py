@@ -11,7 +11,8 @@ from pathlib import Path
 import scan2albedo
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.geometry_image import SMALLEST_SIZE
-from scan2albedo.recognition import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition import TemplateOptions
+from scan2albedo.recognition.similarity import WINDOW
 from scan2albedo.synthetic import Scanner
 from scan2albedo.synthetic.population import Population
 
@@ -48,7 +49,8 @@ class RecognitionExperimentOptions:
         Reflectances whose albedos are compared.
     population : Population
     templates : TemplateOptions
-    similarity : SimilarityOptions
+    window : int
+        Side of the windows of CW-SSIM.
 
     Raises
     ------
@@ -65,7 +67,7 @@ class RecognitionExperimentOptions:
         default_factory=lambda: Population(scanner=Scanner(picture_size=640, size=64))
     )
     templates: TemplateOptions = TemplateOptions()
-    similarity: SimilarityOptions = SimilarityOptions()
+    window: int = WINDOW
 
     def __post_init__(self) -> None:
         if self.persons < 2 or self.probes < 1:
