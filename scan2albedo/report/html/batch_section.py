@@ -247,9 +247,7 @@ def batch_section(
             extremes.append({"title": title, "rows": first})
     charts = [histogram(column, [row.number(column) for row in done]) for column in FIGURES]
     return {
-        "counts": {
-            s: counts[s] for s in dict.fromkeys((DONE, FAILED, NOT_RUN, *counts)) if counts[s] or s == DONE
-        },
+        "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
         "total": len(rows),
         "facts": _facts(rows),
         "reasons": reasons[:_MOST_REASONS],
