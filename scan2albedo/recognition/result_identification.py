@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
@@ -39,40 +38,6 @@ class Calibration:
     """`albedo`, `shape`: slope and offset of one similarity alone."""
     both: tuple[float, float, float]
     """Slope of the albedo's, slope of the shape's, and offset, where both are known."""
-
-    @classmethod
-    def from_pairs(cls, albedo: ArrayLike, shape: ArrayLike, genuine: ArrayLike) -> Calibration:
-        """Return the calibration by similarities of pairs.
-
-        Parameters
-        ----------
-        albedo, shape : (N,) array_like of float
-            Similarities by each alone.
-        genuine : (N,) array_like of bool
-            Whether a pair shows one person.
-
-        Raises
-        ------
-        ValueError
-            When there are fewer than three pairs of one person, or of two.
-        """
-        scores = np.stack([np.ravel(albedo), np.ravel(shape)]).astype(np.float64)
-        same = np.ravel(np.asarray(genuine, bool))
-        if min(same.sum(), (~same).sum()) < 3:
-            raise ValueError(
-                f"{same.sum()} pairs of one person and {(~same).sum()} of two, expected 3 or more"
-            )
-        (a, b), (c, d) = _discriminant(scores[:1], same), _discriminant(scores[1:], same)
-        first, second, offset = _discriminant(scores, same)
-        return cls((a, b), (c, d), (first, second, offset))
-
-
-def _discriminant(scores: FloatArray, same: BoolArray) -> tuple[float, ...]:
-    """Return slopes and offset for scores (K, N); pairs of one person weigh as much as those of two."""
-    means = [scores[:, chosen].mean(1) for chosen in (same, ~same)]
-    spread = np.mean([np.atleast_2d(np.cov(scores[:, chosen])) for chosen in (same, ~same)], axis=0)
-    slope = np.linalg.solve(spread, means[0] - means[1])
-    return (*map(float, slope), float(-slope @ (means[0] + means[1]) / 2))
 
 
 CALIBRATION = Calibration((135.0, -97.2), (893.0, -768.0), (94.0, 817.0, -770.0))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recognition_experiment.calibration import calibrated
 from recognition_experiment.methods import method_names, session_templates
 from recognition_experiment.options import RecognitionExperimentOptions
 from recognition_experiment.report import MethodResult
@@ -182,7 +183,7 @@ class ComparedSet:
 
     def calibration(self, albedo: str) -> Calibration:
         """Return how albedo, by its method's name, and shape are best weighed on these people."""
-        return Calibration.from_pairs(self.similarities[albedo], self.similarities[SHAPE], self.genuine)
+        return calibrated(self.similarities[albedo], self.similarities[SHAPE], self.genuine)
 
     def results(self) -> dict[tuple[str, str], list[MethodResult]]:
         """Return the results of all methods by condition and its value; ("all", "") of all probes.
