@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.io.atomic import result_folder, write_bytes
 from scan2albedo.io.images import write_png
+from scan2albedo.rendering.pictures import Picture
 
 
 def light_arc(
