@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
 from scan2albedo.core.arrays import FloatArray
@@ -18,6 +17,7 @@ from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
 from scan2albedo.lighting.environment_light import environment_light_on, open_shading
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
+from scan2albedo.rendering.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.report.html.encoding import (
     TextureStyle,
     Topologies,
