@@ -11,11 +11,11 @@ from scan2albedo.applications.files import load_result, write_face
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
 from scan2albedo.applications.personal_model import personal_model
-from scan2albedo.applications.pictures import Picture, default_camera
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
-from scan2albedo.applications.relighting import RelightOptions, RelitFace, relight
+from scan2albedo.applications.relighting import RelightOptions, RelitFace, default_camera, relight
 from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile, template_texture
 from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
+from scan2albedo.rendering.pictures import Picture
 
 __all__ = [
     "FaceMesh",

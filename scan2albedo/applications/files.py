@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from scan2albedo.applications.pictures import auto_exposure
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core.arguments import described
@@ -33,6 +32,7 @@ from scan2albedo.io.result_records import (
     ResultRecord,
 )
 from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.rendering.pictures import auto_exposure
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate

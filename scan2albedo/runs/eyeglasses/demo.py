@@ -35,7 +35,7 @@ from scan2albedo.runs.eyeglasses.lens_files import run_lenses
 from scan2albedo.runs.eyeglasses.lens_input import read_lens_input
 from scan2albedo.runs.eyeglasses.register_run import PlacedFrame, register_frame, write_registration_files
 from scan2albedo.runs.eyeglasses.registration_input import RegistrationFiles, read_registration
-from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
+from scan2albedo.synthetic import Scanner, Wearer, raw_scan, wearer
 from scan2albedo.templates import AnnotatedFaceModel
 
 Mesh = tuple[FloatArray, IntArray]
@@ -46,7 +46,7 @@ INPUT = "input"
 """Folder with what a person who takes pictures would bring."""
 LENSES = "lenses"
 """Folder with the picture through lenses."""
-_SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
+_SHAPE_ONLY = Scanner(size=64, picture_size=64)
 """Neither registration nor fit look at the scan's pictures."""
 
 
@@ -152,7 +152,7 @@ def run_glasses_demo(
     *,
     seed: int = 0,
     head: Head = "fitted",
-    options: WearerOptions = WearerOptions(),
+    person: Wearer | None = None,
     dioptres: float | None = -6.0,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
@@ -163,11 +163,12 @@ def run_glasses_demo(
     `LENSES`; None, or no head to see through them, for no lenses. `out` gets the results, and in `INPUT` the
     files they were made from. The head is "fitted": the face that `register` and `fit` find in a raw scan of
     the person, brought into the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true":
-    the person's own; or "none". `say` is called with lines on the lenses.
+    the person's own; or "none". A `person` takes the place of that of `seed`.
+    `say` is called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
-    person = wearer(seed, options=options)
+    person = person or wearer(seed)
     files = write_wearer(person, _head(person, head, seed, on_progress), folder)
     placed = register_frame(read_registration(files), on_progress=on_progress)
     write_registration_files(placed, folder)
@@ -189,7 +190,7 @@ def _draw_lenses(folder: Path, files: RegistrationFiles, dioptres: float, say: C
 
 def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
     """Return the face fitted to a raw scan of the person of `wearer(seed)`, in that wearer's world."""
-    scan, truth = raw_scan(seed, options=_SHAPE_ONLY)
+    scan, truth = raw_scan(seed, scanner=_SHAPE_ONLY)
     model = AnnotatedFaceModel.default()
     pose = register(scan, model, seed=seed, on_progress=on_progress)
     fitted = fit(scan, model, pose, on_progress=on_progress)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,16 +44,14 @@ from scan2albedo.runs.reflectance.model_run import (
 from scan2albedo.runs.reflectance.tuning_run import tune_model, write_tuned_model
 from scan2albedo.synthetic import (
     FacePhotograph,
-    FacePhotographOptions,
     FlashCapture,
-    FlashCaptureOptions,
+    Portrait,
     face_photograph,
     flash_capture,
 )
 
-_CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, hair=False)
-_PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
-"""Without hair, whose shadows on the brow are not the mesh's: a model would learn them as skin."""
+_PORTRAIT = Portrait(picture_size=192)
+"""People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
 _LEAST_PAIRS = 3
 """As the command `fit` asks for."""
 _NEW_PEOPLE = 1000
@@ -138,7 +136,7 @@ def run_reflectance_demo(
     fits, errors = [], []
     for number in range(people):
         say(f"person {number + 1} of {people}: taking and fitting pictures")
-        capture = flash_capture(seed + number, options=_CAPTURE)
+        capture = flash_capture(seed + number, views=5, flashes=7, hair=False, levels=1, portrait=_PORTRAIT)
         file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
         if number == 0:
             write_olat(read_capture(file), out / "olat")
@@ -185,8 +183,8 @@ def run_reflectance_demo(
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
-    options = replace(_PHOTOGRAPH, azimuth_deg=_AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)])
-    return face_photograph(seed, generated_environment(seed), options=options)
+    azimuth, environment = _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)], generated_environment(seed)
+    return face_photograph(seed, environment, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
 
 
 def _fit_photograph(
@@ -244,7 +242,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 
     Raises `ValueError` when its pictures are not integers, `OutputError` when a file cannot be written.
     """
-    _check_integers(capture.options.bits)
+    _check_integers(capture.portrait.bits)
     with result_folder(folder, CAPTURE_FILE) as staging:
         _write_mesh(staging / _MESH, capture.vertices, capture.faces)
         pairs = []
@@ -266,7 +264,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
 
     Raises `ValueError` when the image is not of integers, `OutputError` when a file cannot be written.
     """
-    _check_integers(taken.options.bits)
+    _check_integers(taken.portrait.bits)
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
     with result_folder(folder, PHOTOGRAPH_FILE) as staging:
         write_png(staging / _IMAGE, taken.image)
@@ -277,7 +275,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
             {
                 "image": _IMAGE,
                 "mask": _SKIN,
-                "gamma": taken.options.gamma,
+                "gamma": taken.portrait.gamma,
                 "saturation": _SATURATION,
                 "camera": taken.camera.tolist(),
                 "mesh": _MESH if mesh else None,
@@ -289,13 +287,13 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
 
 
 def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptureFile:
-    options = capture.options
+    portrait, views = capture.portrait, int(capture.view.max()) + 1
     poses = [
         {
             "name": _name(k),
             "rotation": rotation.tolist(),
             "translation": translation.tolist(),
-            "mask": _mask(k) if k < options.views else None,
+            "mask": _mask(k) if k < views else None,
         }
         for k, (rotation, translation) in enumerate(
             zip(capture.head_rotations, capture.head_translations, strict=True)
@@ -303,10 +301,10 @@ def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptur
     ]
     return FlashCaptureFile(
         mesh=_MESH,
-        gamma=options.gamma,
-        noise=max(options.noise, 0.5 / 255),
+        gamma=portrait.gamma,
+        noise=max(portrait.noise, 0.5 / 255),
         saturation=_SATURATION,
-        falloff_distance=options.distance_mm,
+        falloff_distance=portrait.distance_mm,
         flash_strength=capture.exposure,
         intrinsics=capture.intrinsics.tolist(),
         poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
