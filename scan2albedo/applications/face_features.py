@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_opening, label, maximum_filter
 from skimage.morphology import disk
 
@@ -125,7 +126,8 @@ def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> Bo
         return np.zeros(face.mask.shape, bool)
     value = face.albedo_linear.max(-1).astype(np.float64)
     usual = float(np.median(value[skin > _SKIN]))
-    mean, sure = (blurred_inside(field, face.mask, _BLUR * max(face.mask.shape)) for field in (value, skin))
+    sigma = _BLUR * max(face.mask.shape)
+    mean, sure = blurred_inside(value, face.mask, sigma), blurred_inside(skin, face.mask, sigma)
     around = side | region_texels(face, JAWS, model)
     darkest = around & (mean < _DARKEST * usual)
     dark = darkest | (around & (mean < _DARK * usual) & (sure < _SKIN))
@@ -147,7 +149,7 @@ def grown(texels: BoolArray, part: float) -> BoolArray:
     )
 
 
-def blurred_inside(field: FloatArray, mask: BoolArray, sigma: float) -> FloatArray:
+def blurred_inside(field: NDArray[np.floating], mask: BoolArray, sigma: float) -> FloatArray:
     """Return the Gaussian means of a field (H, W) over the texels of `mask` (H, W) alone."""
     inside = mask.astype(np.float64)
     weight = np.maximum(gaussian_filter(inside, sigma, mode="mirror"), 1e-6)
