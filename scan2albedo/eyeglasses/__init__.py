@@ -3,7 +3,7 @@
 S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
 `canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`, with S11 and S12 in
 `refraction`, tint and reflection in `lens_shading`; section 6.3, other light, in `lens_rendering`. `files`
-holds what people exchange, `app` the runs of the commands.
+holds what people exchange.
 """
 
 from scan2albedo.eyeglasses.canonical.canonicalization import (
@@ -47,11 +47,10 @@ from scan2albedo.eyeglasses.lenses.lens_shading import (
     mirror_on_sphere,
 )
 from scan2albedo.eyeglasses.lenses.refraction import RefractedRays, ThinLens, refract
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
-from scan2albedo.eyeglasses.on_face.triangulation import TriangulatedPoints, triangulate
+from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.skinning import skin
-from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.eyeglasses.weighting.weights import (
     BoundedBiharmonicWeights,
     bounded_biharmonic_weights,
@@ -84,7 +83,6 @@ __all__ = [
     "ThinLens",
     "TriangulatedPoints",
     "ViewLabels",
-    "WeightOptions",
     "blend_lens",
     "bounded_biharmonic_weights",
     "canonicalize",

@@ -16,7 +16,7 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.files.json_files import LengthUnit, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES, PARENTS
-from scan2albedo.eyeglasses.on_face.interface import RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Matrix, Record, plain_json, write_record
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb

@@ -24,7 +24,7 @@ from scan2albedo.eyeglasses import (
     write_keypoints,
 )
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalMode
-from scan2albedo.eyeglasses.canonical.sizes import WIDTHS_MM
+from scan2albedo.eyeglasses.canonical.mean_keypoints import WIDTHS_MM
 from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
 from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
 from scan2albedo.geometry.rigid import transform_points

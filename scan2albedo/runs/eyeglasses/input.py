@@ -10,7 +10,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.sizes import WIDTHS_MM
+from scan2albedo.eyeglasses.canonical.mean_keypoints import WIDTHS_MM
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPoints, read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.closest_points import ClosestPointQuery

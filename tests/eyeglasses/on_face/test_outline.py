@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance, search_edges
-from scan2albedo.eyeglasses.on_face.outline import Outline, cover, covered_points, trace_outline
+from scan2albedo.eyeglasses.on_face.outline import (
+    MaskDistance,
+    cover,
+    covered_points,
+    search_edges,
+    trace_outline,
+)
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import rasterize
 from scan2albedo.synthetic import eyeglasses
@@ -102,27 +107,12 @@ def test_the_search_finds_the_end_of_a_bar_and_not_its_side():
     distance = MaskDistance.of(bar())
     places = np.array([[180.0, 145], [205, 145], [150, 145], [180, 145]])
     outward = np.array([[1.0, 0], [1, 0], [0, -1], [1, 0]])
-    found = search_edges(distance, places, outward, np.array([40.0, 40, 40, 10]), 0.3)
+    found = search_edges(distance, places, outward, np.array([40.0, 40, 40, 10]))
     np.testing.assert_allclose(found[:3], [19, -6, 5], atol=0.05)
     assert np.isnan(found[3])
 
 
 def test_the_search_does_not_take_an_end_that_is_entered():
     distance = MaskDistance.of(bar())
-    found = search_edges(distance, np.array([[90.0, 145]]), np.array([[1.0, 0]]), np.array([30.0]), 0.3)
+    found = search_edges(distance, np.array([[90.0, 145]]), np.array([[1.0, 0]]), np.array([30.0]))
     assert np.isnan(found[0])
-
-
-@pytest.mark.parametrize("way", [(1, 0), (0, 1), (1, 1), (1, -1), (2, 1)])
-@pytest.mark.parametrize("stride", [2, 4, 8])
-def test_a_thinned_outline_is_even_whichever_way_it_runs(way, stride):
-    pixels = 500 + np.arange(400)[:, None] * np.array(way)
-    line = Outline(pixels, np.arange(400), np.zeros((400, 3)), np.zeros((400, 2)))
-    kept = line.thinned(stride).face
-    assert 0.8 < len(kept) * stride / 400 < 1.25
-    assert np.diff(kept).max() <= 4 * stride
-
-
-def test_a_stride_of_one_keeps_the_outline():
-    line = Outline(np.zeros((3, 2), int), np.arange(3), np.zeros((3, 3)), np.zeros((3, 2)))
-    assert line.thinned(1) is line

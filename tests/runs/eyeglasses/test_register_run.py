@@ -22,7 +22,6 @@ from scan2albedo.cli.commands import app
 from scan2albedo.core import Trace
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import (
-    CanonicalizationOptions,
     canonicalize,
     read_cameras,
     read_keypoints,
@@ -73,7 +72,7 @@ def inputs(person, tmp_path_factory):
         [(glasses.rest_vertices, glasses.faces)],
         [glasses.rest_keypoints],
         mean_keypoints=glasses.rest_keypoints,
-        options=CanonicalizationOptions(spacing=3.0),
+        spacing=3.0,
     )
     folder = out / "input" / "round"
     folder.mkdir()
