@@ -144,7 +144,8 @@ def _refuse_result_files(result: Path, out: Path) -> None:
     from scan2albedo.applications.files import FILES
     from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
-    inside = out.resolve().parent == result.resolve() and out.name in FILES | SCAN_FILES
+    ours = out.name in FILES or SCAN_FILES.holds(out.name)
+    inside = out.resolve().parent == result.resolve() and ours
     if inside or out.resolve() == result.resolve():
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
 
